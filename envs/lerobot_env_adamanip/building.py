@@ -1,0 +1,126 @@
+"""From an object's data to a SAPIEN articulation."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sapien
+from mani_skill.utils.structs import Articulation
+
+from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
+from lerobot_adamanip.rotations import quaternion_from_matrix
+
+FRICTION = 1.0
+"""Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
+
+
+def sapien_pose(matrix: np.ndarray) -> sapien.Pose:
+    """(4, 4) -> sapien.Pose."""
+    return sapien.Pose(p=matrix[:3, 3], q=quaternion_from_matrix(matrix[:3, :3]))
+
+
+def build_object(scene: Any, obj: ArticulatedObject, pose: np.ndarray) -> Articulation:
+    """Builds ``obj`` as a fixed-base articulation with its root at ``pose`` (4, 4), world frame."""
+    builder = scene.create_articulation_builder()
+    builder.initial_pose = sapien_pose(pose)
+    links: dict[str, Any] = {}
+    material = sapien.physx.PhysxMaterial(FRICTION, FRICTION, 0.0)
+    for link in obj.links:
+        made = builder.create_link_builder(links.get(link.parent) if link.parent else None)
+        made.set_name(link.name)
+        for shape in link.shapes:
+            _add_visual(made, shape)
+            if shape.collides:
+                _add_collision(made, shape, material)
+        made.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))
+        if link.joint is not None:
+            _set_joint(made, link.joint)
+        links[link.name] = made
+    return builder.build(name=obj.object_id, fix_root_link=True)
+
+
+def _set_joint(link: Any, joint: Joint) -> None:
+    """SAPIEN turns (and slides) about the x axis of its joint frames, so both frames get x along the joint's axis."""
+    link.set_joint_name(joint.name)
+    align = _rotation_x_to(np.asarray(joint.axis))
+    in_parent = np.eye(4)
+    in_parent[:3, :3], in_parent[:3, 3] = align, joint.origin
+    in_child = np.eye(4)
+    in_child[:3, :3] = align
+    link.set_joint_properties(
+        joint.kind, [list(joint.limits)], sapien_pose(in_parent), sapien_pose(in_child), joint.friction, joint.damping
+    )
+
+
+def _rotation_x_to(axis: np.ndarray) -> np.ndarray:
+    x = axis / np.linalg.norm(axis)
+    helper = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    y = np.cross(helper, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[float]]:
+    """Centre of mass and principal inertia of the box around a link's shapes: good enough, and never singular."""
+    centers = np.array([shape.pose_in_link[:3, 3] for shape in shapes if shape.collides] or [[0.0, 0.0, 0.0]])
+    lower, upper = centers.min(0) - 0.02, centers.max(0) + 0.02
+    for shape in shapes:
+        if shape.collides and shape.vertices is not None:
+            corners = shape.vertices @ shape.pose_in_link[:3, :3].T + shape.pose_in_link[:3, 3]
+            lower, upper = np.minimum(lower, corners.min(0)), np.maximum(upper, corners.max(0))
+    a, b, c = upper - lower
+    return sapien.Pose((lower + upper) / 2), [mass / 12 * (b * b + c * c), mass / 12 * (a * a + c * c), mass / 12 * (a * a + b * b)]
+
+
+def _render_material(material: Material) -> sapien.render.RenderMaterial:
+    made = sapien.render.RenderMaterial()
+    made.set_base_color([*material.color, 1.0])
+    made.set_roughness(material.roughness)
+    made.set_metallic(material.metallic)
+    return made
+
+
+def _add_visual(link: Any, shape: Shape) -> None:
+    pose, material = sapien_pose(shape.pose_in_link), _render_material(shape.material)
+    if shape.kind == "box":
+        link.add_box_visual(pose, list(shape.size), material)
+    elif shape.kind == "cylinder":
+        link.add_cylinder_visual(pose, shape.size[0], shape.size[1], material)
+    elif shape.kind == "capsule":
+        link.add_capsule_visual(pose, shape.size[0], shape.size[1], material)
+    else:
+        link.add_visual_from_file(str(_mesh_file(shape)), pose, material=material)
+
+
+def _add_collision(link: Any, shape: Shape, material: Any) -> None:
+    pose = sapien_pose(shape.pose_in_link)
+    if shape.kind == "box":
+        link.add_box_collision(pose, list(shape.size), material)
+    elif shape.kind == "capsule":
+        link.add_capsule_collision(pose, shape.size[0], shape.size[1], material)
+    elif shape.kind == "cylinder":
+        link.add_cylinder_collision(pose, shape.size[0], shape.size[1], material)
+    else:
+        link.add_convex_collision_from_file(str(_mesh_file(shape)), pose=pose, material=material)
+
+
+def _mesh_file(shape: Shape) -> Path:
+    """SAPIEN reads meshes from files only: writes the mesh once under a name made of its content."""
+    import trimesh
+
+    assert shape.vertices is not None and shape.faces is not None
+    digest = hashlib.sha256(shape.vertices.tobytes() + shape.faces.tobytes()).hexdigest()[:24]
+    folder = Path(tempfile.gettempdir()) / "adamanip_meshes"
+    path = folder / f"{digest}.obj"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        # Flat shading: each face keeps its own vertices and normals, or chamfers would be smeared round.
+        flat = trimesh.Trimesh(shape.vertices[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3), process=False)
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".obj", delete=False) as stream:
+            stream.write(flat.export(file_type="obj", include_normals=True).encode())
+        Path(stream.name).replace(path)
+    return path

@@ -1,0 +1,195 @@
+"""One key frame: drive the arm to a commanded pose until it is there, stalls against something, or time is up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.experts.base import Feedback, Outcome
+from lerobot_adamanip.rotations import angle_between, interpolate, pose_from_vector
+from lerobot_adamanip.schema import ACTION_DIM
+from lerobot_env_adamanip.arm import NUM_ARM_JOINTS, ArmKinematics
+
+Array = NDArray[np.float64]
+
+FINGER_OPEN, FINGER_CLOSED = 0.04, -0.01
+"""Finger targets [m]. Closed lies past contact, so that the fingers press on what is thin."""
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """How the arm moves, and when it gives up. Speeds and forces a real Franka is comfortable with.
+
+    Attributes:
+        linear_speed: [m/s] peak.
+        angular_speed: [rad/s] peak.
+        stall_force: [N] held for ``stall_ticks`` ends a motion.
+        stall_torque: [N m] likewise, about any tool axis.
+        stall_ticks: control ticks.
+        settle_ticks: at most waited for the arm to come to rest.
+        grip_ticks: waited for the fingers.
+        reached_position: [m] error up to which a goal counts as reached.
+        reached_rotation: [rad] likewise.
+        max_ticks: a key frame never lasts longer.
+        reach_lower, reach_upper: commanded positions are clipped to this box [m, base frame].
+    """
+
+    linear_speed: float = 0.45
+    angular_speed: float = 1.6
+    stall_force: float = 45.0
+    stall_torque: float = 1.8
+    stall_ticks: int = 3
+    settle_ticks: int = 10
+    grip_ticks: int = 8
+    reached_position: float = 0.012
+    reached_rotation: float = 0.12
+    max_ticks: int = 120
+    reach_lower: tuple[float, float, float] = (0.15, -0.7, 0.03)
+    reach_upper: tuple[float, float, float] = (0.95, 0.7, 1.1)
+
+
+@dataclass
+class ArmState:
+    """What the joints tell. Arrays are (7,) but ``fingers`` (2,): [rad], [rad/s], [m]."""
+
+    qpos: Array
+    qvel: Array
+    fingers: Array
+
+
+class KeyframeDriver:
+    """Turns one (10,) action into control ticks.
+
+    Args:
+        kinematics: of the arm.
+        read: returns the present `ArmState`.
+        tick: advances the simulation by one control step with joint targets (7,), joint velocity targets (7,) and a
+            finger target [m].
+        control_dt: duration of a tick [s].
+        stiffness, damping: of the joint drives; torque is what they pull with.
+        limits: see `MotionLimits`.
+    """
+
+    def __init__(
+        self,
+        kinematics: ArmKinematics,
+        read: Callable[[], ArmState],
+        tick: Callable[[Array, Array, float], None],
+        *,
+        control_dt: float,
+        stiffness: float,
+        damping: float,
+        limits: MotionLimits = MotionLimits(),
+    ) -> None:
+        self.kinematics, self.limits = kinematics, limits
+        self._read, self._tick_simulation = read, tick
+        self._dt, self._stiffness, self._damping = control_dt, stiffness, damping
+        self._target, self._target_velocity = read().qpos.copy(), np.zeros(NUM_ARM_JOINTS)
+        self._finger_target = FINGER_OPEN
+        self._ticks = self._strained = 0
+        self.effort = np.zeros(NUM_ARM_JOINTS)
+        self.feedback = self._feedback(None)
+
+    def execute(self, action: NDArray[np.float32]) -> Feedback:
+        """Runs one key frame and returns what was felt. The arm's targets end where the arm is.
+
+        Raises:
+            ConfigurationError: the action has the wrong shape, or is not finite.
+        """
+        goal, gripper = self._checked(action)
+        self._ticks = self._strained = 0
+        gripper_moves = abs(self._finger_goal(gripper) - self._finger_target) > 5e-3
+        self._finger_target = self._finger_goal(gripper)
+        outcome = self._follow(goal)
+        if outcome is Outcome.REACHED:
+            outcome = self._settle(goal, self.limits.grip_ticks if gripper_moves else 0)
+        self.effort = self._torque(self._read())
+        self._relax(outcome)
+        self.feedback = self._feedback(outcome)
+        return self.feedback
+
+    def _checked(self, action: NDArray[np.float32]) -> tuple[Array, float]:
+        array = np.asarray(action, dtype=np.float64)
+        if array.shape != (ACTION_DIM,) or not np.isfinite(array).all():
+            got = f"shape {array.shape}" if array.shape != (ACTION_DIM,) else f"non-finite values {array.tolist()}"
+            allowed = f"({ACTION_DIM},) finite numbers: position [m], rotation 6D, gripper"
+            raise ConfigurationError(explain("Malformed action.", got=got, allowed=allowed, try_="lerobot_adamanip.rotations.pose_vector"))
+        goal, gripper = pose_from_vector(array)
+        goal[:3, 3] = np.clip(goal[:3, 3], self.limits.reach_lower, self.limits.reach_upper)
+        return goal, float(np.clip(gripper, 0.0, 1.0))
+
+    @staticmethod
+    def _finger_goal(gripper: float) -> float:
+        return FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
+
+    def _follow(self, goal: Array) -> Outcome:
+        """Straight line and slerp with a smooth speed profile, from where the arm is."""
+        start = self.kinematics.tcp_in_base(self._target)
+        distance = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
+        angle = angle_between(start[:3, :3], goal[:3, :3])
+        # The quintic's peak speed is 15/8 of its mean.
+        seconds = 1.875 * max(distance / self.limits.linear_speed, angle / self.limits.angular_speed)
+        ticks = max(1, int(np.ceil(seconds / self._dt)))
+        for k in range(1, ticks + 1):
+            fraction = _quintic(k / ticks)
+            solution = self.kinematics.solve(interpolate(start, goal, fraction), self._target, iterations=15)
+            if not solution.within(5e-3, 0.03):
+                solution = self.kinematics.solve(interpolate(start, goal, fraction), self._target, iterations=80)
+                if not solution.within(0.01, 0.06):
+                    return Outcome.UNREACHABLE
+            if self._advance(solution.qpos):
+                return Outcome.STALLED
+            if self._ticks >= self.limits.max_ticks:
+                return Outcome.TIMEOUT
+        return Outcome.REACHED
+
+    def _settle(self, goal: Array, wait: int) -> Outcome:
+        state = self._read()
+        for k in range(self.limits.settle_ticks + wait):
+            if self._advance(self._target):
+                return Outcome.STALLED
+            state = self._read()
+            if k + 1 >= wait and np.abs(state.qvel).max() < 0.03:
+                break
+        actual = self.kinematics.tcp_in_base(state.qpos)
+        far = np.linalg.norm(actual[:3, 3] - goal[:3, 3]) > self.limits.reached_position
+        turned = angle_between(actual[:3, :3], goal[:3, :3]) > self.limits.reached_rotation
+        return Outcome.STALLED if far or turned else Outcome.REACHED
+
+    def _advance(self, target: Array) -> bool:
+        """One control tick towards ``target``; True once the arm has strained for long enough to give up."""
+        self._target_velocity = (target - self._target) / self._dt
+        self._target = target
+        self._tick_simulation(target, self._target_velocity, self._finger_target)
+        self._ticks += 1
+        state = self._read()
+        wrench = self.kinematics.tool_wrench(state.qpos, self._torque(state))
+        force, torque = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
+        strained = force > self.limits.stall_force or torque > self.limits.stall_torque
+        self._strained = self._strained + 1 if strained else 0
+        return self._strained >= self.limits.stall_ticks
+
+    def _relax(self, outcome: Outcome) -> None:
+        """Gives up what could not be reached: the next key frame starts from where the arm is, without strain."""
+        if outcome is not Outcome.REACHED:
+            for _ in range(3):
+                self._target = self._read().qpos.copy()
+                self._target_velocity = np.zeros(NUM_ARM_JOINTS)
+                self._tick_simulation(self._target, self._target_velocity, self._finger_target)
+                self._ticks += 1
+
+    def _torque(self, state: ArmState) -> Array:
+        """Joint torque of the drives (7,) [N m]; at rest, and gravity being balanced, it is the external torque."""
+        return self._stiffness * (self._target - state.qpos) + self._damping * (self._target_velocity - state.qvel)
+
+    def _feedback(self, outcome: Outcome | None) -> Feedback:
+        state = self._read()
+        return Feedback(self.kinematics.tcp_in_base(state.qpos), float(state.fingers.mean() / FINGER_OPEN), outcome)
+
+
+def _quintic(t: float) -> float:
+    return t * t * t * (10 - 15 * t + 6 * t * t)

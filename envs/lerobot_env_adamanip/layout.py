@@ -1,0 +1,147 @@
+"""Where object, robot and camera stand: randomisation, and the check that the arm reaches what it has to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import UnreachableError, explain, require_choice
+from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
+from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_env_adamanip.arm import REST_QPOS, ArmKinematics
+
+Array = NDArray[np.float64]
+
+FLIP = transform(rotation=np.diag([-1.0, -1.0, 1.0]))
+"""Half a turn about the approach: the same grasp for a gripper with two equal fingers."""
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Half widths of uniform draws around the nominal layout.
+
+    Attributes:
+        object_x, object_y: [m].
+        object_yaw: [rad].
+        joint: standard deviation of the start posture [rad].
+        camera_position: [m] along each axis, camera and its target alike.
+    """
+
+    object_x: float = 0.04
+    object_y: float = 0.06
+    object_yaw: float = 0.15
+    joint: float = 0.02
+    camera_position: float = 0.03
+
+
+RANDOMIZATIONS = {
+    "default": Randomization(),
+    "paper": Randomization(0.0, 0.0, 0.0, 0.0, 0.0),
+}
+"""``paper``: upstream's code moves neither object, robot nor camera."""
+
+
+def randomization(preset: str) -> Randomization:
+    """Returns a preset by name; raises `ConfigurationError` that lists them for another name."""
+    return RANDOMIZATIONS[require_choice("pose preset", preset, RANDOMIZATIONS)]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """An episode's poses: the object's root (4, 4) and the arm's start (7,) [rad]; annotations in the base frame."""
+
+    object_in_base: Array
+    start_qpos: Array
+    annotations: dict[str, PartAnnotation]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What the arm must reach at a part: it turns from ``lower`` to ``upper`` [rad] with the part held."""
+
+    part: str
+    lower: float
+    upper: float
+
+
+PRE_GRASP = 0.10
+"""Distance of the pre-grasp from the grasp, along the approach [m]."""
+
+
+def draw_layout(
+    rng: np.random.Generator,
+    obj: ArticulatedObject,
+    kinematics: ArmKinematics,
+    reaches: tuple[Reach, ...],
+    spread: Randomization,
+    *,
+    nominal_x: float,
+    floor_z: float,
+    tries: int = 30,
+) -> Layout:
+    """Draws poses until the arm reaches every part, held and turned; one draw decides everything.
+
+    Args:
+        rng: generator of this episode's layout.
+        obj: the object.
+        kinematics: of the arm.
+        reaches: part motions to check.
+        spread: half widths.
+        nominal_x: distance of the object's front from the robot's base [m].
+        floor_z: height of the surface it stands on [m].
+        tries: draws at most.
+
+    Raises:
+        UnreachableError: none of the draws could be reached.
+    """
+    for _ in range(tries):
+        x, y = nominal_x + rng.uniform(-1, 1) * spread.object_x, rng.uniform(-1, 1) * spread.object_y
+        yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
+        pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
+        start = np.clip(REST_QPOS + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
+        annotations = _reachable(obj, pose, kinematics, reaches)
+        if annotations is not None:
+            return Layout(pose, start, annotations)
+    raise UnreachableError(
+        explain(
+            f"{obj.object_id} cannot be placed where the arm reaches its parts.",
+            got=f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m",
+            allowed="every part within reach, held and turned",
+            try_="--env.pose_preset=paper, or another object",
+        )
+    )
+
+
+def _reachable(
+    obj: ArticulatedObject, pose: Array, kinematics: ArmKinematics, reaches: tuple[Reach, ...]
+) -> dict[str, PartAnnotation] | None:
+    found = {}
+    for reach in reaches:
+        part = obj.part(reach.part).in_frame(pose)
+        candidates = [part, PartAnnotation(part.name, part.grasp @ FLIP, part.axis_point, part.axis)]
+        scored = [(cost, candidate) for candidate in candidates if (cost := _turning_cost(candidate, reach, kinematics)) is not None]
+        if not scored:
+            return None
+        found[reach.part] = min(scored, key=lambda pair: pair[0])[1]
+    return found
+
+
+def _turning_cost(part: PartAnnotation, reach: Reach, kinematics: ArmKinematics) -> float | None:
+    """Returns how far the wrist strays from rest while holding and turning the part; None if out of reach."""
+    before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
+    grasped = kinematics.solve(before, REST_QPOS, iterations=150)
+    if not grasped.within(2e-3, 0.01):
+        return None
+    first = kinematics.solve(part.grasp, grasped.qpos, iterations=60)
+    strayed = 0.0
+    for limit in (reach.lower, reach.upper):
+        qpos = first.qpos
+        for angle in np.linspace(0.0, limit, 7):
+            solution = kinematics.solve(part.turned(angle), qpos, iterations=40)
+            if not solution.within(2e-3, 0.01):
+                return None
+            qpos = solution.qpos
+            strayed = max(strayed, float(np.abs(qpos[6] - REST_QPOS[6])))
+    return strayed

@@ -1,0 +1,217 @@
+"""What every AdaManip task shares: one object on a plinth before a Panda, one camera, one hidden mechanism."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import sapien
+import torch
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils import sapien_utils
+from mani_skill.utils.building.ground import build_ground
+from mani_skill.utils.structs.types import SimConfig
+
+from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.mechanisms import Mechanism
+from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_selection
+from lerobot_env_adamanip.arm import NUM_ARM_JOINTS, ArmKinematics
+from lerobot_env_adamanip.building import build_object
+from lerobot_env_adamanip.driver import ArmState, KeyframeDriver
+from lerobot_env_adamanip.layout import Layout, Reach, draw_layout, randomization
+from lerobot_env_adamanip.robot import AdaManipPanda
+
+CAMERA = "front"
+CAMERA_EYE, CAMERA_TARGET = (0.02, -0.62, 0.88), (0.60, 0.02, 0.40)
+"""Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
+_LAYOUT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
+
+
+class AdaManipTask(BaseEnv):
+    """Base of the tasks; a category says which mechanism, which reaches, and what success is.
+
+    Task description: manipulate an articulated object whose mechanism cannot be seen.
+    Randomizations: object out of ``objects``; its pose, the arm's start and the camera's pose (``pose_preset``);
+        hidden state, from a stream of its own, so that two episodes that differ in it alone look the same.
+    Success conditions: see the category.
+
+    CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation forbids.
+    """
+
+    SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
+    SUPPORTED_REWARD_MODES: ClassVar[list[str]] = ["sparse", "none"]
+    agent: AdaManipPanda
+    category: ClassVar[str]
+    nominal_x: ClassVar[float] = 0.66
+    part_height: ClassVar[float] = 0.42
+    """Where the plinth lifts the handle to [m]."""
+
+    def __init__(
+        self,
+        *args: Any,
+        objects: str = "seen",
+        pose_preset: str = "default",
+        image_size: int = 256,
+        shader: str = "default",
+        hidden_overrides: Mapping[str, Any] | None = None,
+        robot_uids: str = "adamanip_panda",
+        num_envs: int = 1,
+        **kwargs: Any,
+    ) -> None:
+        if num_envs != 1:
+            raise ConfigurationError(
+                explain(
+                    "AdaManip tasks run one environment per process.", got=f"num_envs={num_envs}", allowed="1",
+                    try_="gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
+                )
+            )  # fmt: skip
+        self.object_ids = parse_object_selection(self.category, objects)
+        self.spread = randomization(pose_preset)
+        self.hidden_overrides = dict(hidden_overrides or {})
+        self._image_size, self._shader = image_size, shader
+        self.key_frame_limits = None
+        kwargs.setdefault("reconfiguration_freq", 1)
+        kwargs.setdefault("render_backend", "cpu" if not torch.cuda.is_available() else "gpu")
+        super().__init__(*args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", **kwargs)
+
+    # What a category defines ------------------------------------------------------------------------------------
+
+    def make_mechanism(self, obj: ArticulatedObject) -> Mechanism:
+        """Returns the rules of an object of this category."""
+        raise NotImplementedError
+
+    def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
+        """Returns the part motions the arm has to be able to make."""
+        raise NotImplementedError
+
+    # ManiSkill's life cycle -------------------------------------------------------------------------------------
+
+    @property
+    def _default_sim_config(self) -> SimConfig:
+        return SimConfig(sim_freq=100, control_freq=20)
+
+    @property
+    def _default_sensor_configs(self) -> list[CameraConfig]:
+        rng = self._stream(_CAMERA_STREAM)
+        spread = self.spread.camera_position
+        eye = np.asarray(CAMERA_EYE) + rng.uniform(-spread, spread, 3)
+        target = np.asarray(CAMERA_TARGET) + rng.uniform(-spread, spread, 3)
+        size = self._image_size
+        pose = sapien_utils.look_at(eye, target)
+        return [CameraConfig(CAMERA, pose, size, size, np.deg2rad(52), 0.01, 10, shader_pack=self._shader)]
+
+    @property
+    def _default_human_render_camera_configs(self) -> CameraConfig:
+        pose = sapien_utils.look_at(CAMERA_EYE, CAMERA_TARGET)
+        return CameraConfig("render_camera", pose, 512, 512, np.deg2rad(52), 0.01, 10)
+
+    def _load_agent(self, options: dict[str, Any], *args: Any, **kwargs: Any) -> None:
+        super()._load_agent(options, sapien.Pose())
+
+    def _load_lighting(self, options: dict[str, Any]) -> None:
+        self.scene.set_ambient_light([0.35, 0.35, 0.36])
+        self.scene.add_directional_light([0.9, 0.5, -1.0], [1.5, 1.45, 1.4], shadow=self.enable_shadow)
+        self.scene.add_directional_light([0.6, -0.8, -0.6], [0.6, 0.62, 0.7])
+
+    def _load_scene(self, options: dict[str, Any]) -> None:
+        chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
+        self.obj = make_object(str(chosen))
+        self.mechanism = self.make_mechanism(self.obj)
+        self.floor_z = self._floor_height()
+        build_ground(self.scene)
+        self._plinth = self._build_plinth()
+        self.articulation = build_object(self.scene, self.obj, np.eye(4))
+        self.kinematics = ArmKinematics(self.agent.robot._objs[0])
+
+    def _floor_height(self) -> float:
+        return float(np.clip(self.part_height - self.obj.part("handle").grasp[2, 3], 0.04, 0.5))
+
+    def _build_plinth(self) -> Any:
+        builder = self.scene.create_actor_builder()
+        half = [self.obj.size[1] / 2 + 0.04, self.obj.size[0] / 2 + 0.08, self.floor_z / 2]
+        material = sapien.render.RenderMaterial(base_color=[0.45, 0.36, 0.27, 1.0], roughness=0.8)
+        builder.add_box_visual(half_size=half, material=material)
+        builder.add_box_collision(half_size=half)
+        builder.initial_pose = sapien.Pose([2.0, 0, self.floor_z / 2])
+        return builder.build_kinematic(name="plinth")
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
+        self.layout = draw_layout(
+            self._stream(_LAYOUT_STREAM), self.obj, self.kinematics, self.reaches(self.obj), self.spread,
+            nominal_x=self.nominal_x, floor_z=self.floor_z,
+        )  # fmt: skip
+        self._place(self.layout)
+        generator = torch.Generator().manual_seed(int(self._stream(_HIDDEN_STREAM).integers(2**31)))
+        overrides = {**self.hidden_overrides, **(options.get("hidden_overrides") or {})}
+        self.mechanism_state = self.mechanism.draw(1, generator, overrides or None)
+        self._applied: dict[str, tuple[float, float]] = {}
+        self._apply_mechanism()
+        controller = self.agent.controller.controllers["arm"].config
+        self.driver = KeyframeDriver(
+            self.kinematics, self._arm_state, self._tick, control_dt=self.control_timestep,
+            stiffness=float(controller.stiffness), damping=float(controller.damping),
+        )  # fmt: skip
+
+    def _place(self, layout: Layout) -> None:
+        from lerobot_env_adamanip.building import sapien_pose
+
+        pose = layout.object_in_base
+        self.articulation.set_pose(sapien_pose(pose))
+        self.articulation.set_qpos(np.zeros((1, self.articulation.max_dof), np.float32))
+        plinth = pose.copy()
+        plinth[:3, 3] += pose[:3, :3] @ (-self.obj.size[1] / 2, 0.0, 0.0)
+        plinth[2, 3] = self.floor_z / 2
+        self._plinth.set_pose(sapien_pose(plinth))
+        self.agent.reset(np.concatenate([layout.start_qpos, [0.04, 0.04]]).astype(np.float32))
+
+    # Mechanism --------------------------------------------------------------------------------------------------
+
+    def _stream(self, stream: int) -> np.random.Generator:
+        """A generator of its own for each kind of draw: the hidden draw leaves every other as it is."""
+        return np.random.default_rng([int(self._episode_seed[0]), stream])
+
+    def joint_positions(self) -> dict[str, float]:
+        """Returns the object's joint positions [rad or m]: privileged, for mechanism, success and records."""
+        raw = self.articulation._objs[0]
+        return {joint.name.rsplit("_", 1)[-1]: float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)}
+
+    def _after_control_step(self) -> None:
+        self._apply_mechanism()
+
+    def _apply_mechanism(self) -> None:
+        reading = {name: torch.tensor([q]) for name, q in self.joint_positions().items()}
+        self.mechanism_state, command = self.mechanism.step(self.mechanism_state, reading)
+        for joint in self.articulation._objs[0].active_joints:
+            name = joint.name.rsplit("_", 1)[-1]
+            limits = (float(command[name].lower[0]), float(command[name].upper[0]))
+            if self._applied.get(name) != limits:
+                joint.limits = [list(limits)]
+                self._applied[name] = limits
+
+    def hidden_state(self) -> dict[str, Any]:
+        """Returns what cannot be seen: privileged, never part of an observation."""
+        return self.mechanism.hidden(self.mechanism_state, 0)
+
+    # Arm --------------------------------------------------------------------------------------------------------
+
+    def _arm_state(self) -> ArmState:
+        raw = self.agent.robot._objs[0]
+        qpos, qvel = np.asarray(raw.get_qpos(), np.float64), np.asarray(raw.get_qvel(), np.float64)
+        return ArmState(qpos[:NUM_ARM_JOINTS], qvel[:NUM_ARM_JOINTS], qpos[NUM_ARM_JOINTS:])
+
+    def _tick(self, target: np.ndarray, velocity: np.ndarray, finger: float) -> None:
+        joints = self.agent.robot._objs[0].active_joints
+        for joint, position, speed in zip(joints, target, velocity, strict=False):
+            joint.set_drive_target(position)
+            joint.set_drive_velocity_target(speed)
+        for joint in joints[NUM_ARM_JOINTS:]:
+            joint.set_drive_target(finger)
+        self._step_action(None)
+
+    # Outcome ----------------------------------------------------------------------------------------------------
+
+    def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+        """1 while the success conditions hold."""
+        return info["success"].float()

@@ -1,0 +1,89 @@
+"""Objects by category and id. ``safe_000`` ... ``safe_035`` are seen in demonstrations; higher numbers are unseen."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable
+
+from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, PartAnnotation, Shape
+from lerobot_adamanip.objects.safe import make_safe
+
+_GENERATORS: dict[str, Callable[[int], ArticulatedObject]] = {"safe": make_safe}
+
+SEEN_COUNTS = {"safe": 36}
+"""Objects per category in the paper (its Table 1)."""
+
+
+def categories() -> tuple[str, ...]:
+    """Returns the names of the categories."""
+    return tuple(_GENERATORS)
+
+
+def object_id(category: str, number: int) -> str:
+    """Returns ``safe_007`` for ("safe", 7)."""
+    return f"{require_choice('category', category, categories())}_{number:03d}"
+
+
+def parse_object_id(identifier: str) -> tuple[str, int]:
+    """Returns ("safe", 7) for ``safe_007``; raises `ConfigurationError` for anything else."""
+    match = re.fullmatch(r"([a-z_]+)_(\d{3,6})", identifier)
+    if match is None or match[1] not in _GENERATORS:
+        raise ConfigurationError(
+            explain(
+                "Unknown object id.",
+                got=repr(identifier),
+                allowed=f"<category>_<number>, category one of {', '.join(_GENERATORS)}",
+                try_="safe_000",
+            )
+        )
+    return match[1], int(match[2])
+
+
+@functools.lru_cache(maxsize=64)
+def make_object(identifier: str) -> ArticulatedObject:
+    """Builds an object by id. Deterministic: one id is one object, everywhere."""
+    category, number = parse_object_id(identifier)
+    return _GENERATORS[category](number)
+
+
+def seen_objects(category: str) -> tuple[str, ...]:
+    """Returns the ids of the paper's count of objects, those that demonstrations are collected on."""
+    count = SEEN_COUNTS[require_choice("category", category, categories())]
+    return tuple(object_id(category, number) for number in range(count))
+
+
+def unseen_objects(category: str, count: int = 20) -> tuple[str, ...]:
+    """Returns the ids of the first ``count`` objects beyond the seen ones."""
+    start = SEEN_COUNTS[require_choice("category", category, categories())]
+    return tuple(object_id(category, number) for number in range(start, start + count))
+
+
+def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
+    """Returns object ids for ``seen``, ``unseen``, ``0:4`` (a range of numbers), or ``safe_000,safe_007``."""
+    require_choice("category", category, categories())
+    if selection == "seen":
+        return seen_objects(category)
+    if selection == "unseen":
+        return unseen_objects(category)
+    if match := re.fullmatch(r"(\d+):(\d+)", selection):
+        ids = tuple(object_id(category, number) for number in range(int(match[1]), int(match[2])))
+    else:
+        ids = tuple(name.strip() for name in selection.split(",") if name.strip())
+    if not ids or any(parse_object_id(name)[0] != category for name in ids):
+        raise ConfigurationError(
+            explain(
+                f"Wrong selection of objects for category {category!r}.",
+                got=repr(selection),
+                allowed="seen | unseen | FIRST:END | id,id,...",
+                try_="0:4",
+            )
+        )
+    return ids
+
+
+__all__ = [
+    "SEEN_COUNTS", "ArticulatedObject", "Joint", "Link", "Material", "PartAnnotation", "Shape", "categories",
+    "make_object", "object_id", "parse_object_id", "parse_object_selection", "seen_objects", "unseen_objects",
+]  # fmt: skip

@@ -1,0 +1,267 @@
+"""Safes: a steel box with a hinged door, a pull handle and a lock knob. Sizes follow home and office safes.
+
+What an object is (geometry, hinge side, layout, colours) is drawn from its number alone, so ``safe_007`` is the same
+everywhere. What is hidden (locked or not, the knob's direction and range) is drawn per episode by the mechanism and
+leaves no trace in the geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, PartAnnotation, Shape, facing
+from lerobot_adamanip.objects.shapes import box, chamfered_box, disk, prism, rod
+
+WALL = 0.028
+DOOR_THICKNESS = 0.035
+GAP = 0.003
+DOOR_UPPER = 1.578
+"""Opening limit of the door [rad] (paper code: 1.578)."""
+GRASP_REACH = 0.052
+"""Distance of a grip from the door [m]: room for the hand's body in front of whatever else sticks out."""
+MIN_PART_DISTANCE = 0.125
+"""Handle to knob [m], so that open fingers around one clear the other."""
+
+_BODY_COLORS = (
+    (0.05, 0.055, 0.06), (0.11, 0.12, 0.13), (0.28, 0.30, 0.31), (0.55, 0.53, 0.48), (0.06, 0.11, 0.09),
+    (0.05, 0.08, 0.16), (0.30, 0.05, 0.05), (0.62, 0.64, 0.65), (0.20, 0.16, 0.11),
+)  # fmt: skip
+_METALS = (
+    Material((0.75, 0.75, 0.76), 0.25, 0.9),
+    Material((0.72, 0.55, 0.22), 0.3, 0.9),
+    Material((0.30, 0.30, 0.31), 0.4, 0.8),
+    Material((0.09, 0.09, 0.09), 0.5, 0.2),
+)
+HANDLE_STYLES = ("round bar", "flat bar", "arch")
+KNOB_STYLES = ("thumb turn", "octagon", "pointer")
+PANEL_STYLES = ("keypad", "dial", "plate")
+
+
+@dataclass(frozen=True)
+class SafeDesign:
+    """The parameters of one safe [m, rad]. Positions on the door: u from the hinge, v from the bottom, as fractions."""
+
+    width: float
+    height: float
+    depth: float
+    hinge_side: int
+    handle_style: str
+    handle_uv: tuple[float, float]
+    handle_length: float
+    handle_radius: float
+    knob_style: str
+    knob_uv: tuple[float, float]
+    knob_radius: float
+    knob_range: float
+    panel_style: str
+    body: Material
+    door: Material
+    metal: Material
+    feet: bool
+    trim: bool
+
+    @property
+    def door_width(self) -> float:
+        """Width of the door leaf [m]."""
+        return self.width - 2 * WALL - 2 * GAP
+
+    @property
+    def door_height(self) -> float:
+        """Height of the door leaf [m]."""
+        return self.height - 2 * WALL - 2 * GAP
+
+    def on_door(self, uv: tuple[float, float]) -> tuple[float, float]:
+        """Returns (y, z) in the door link's frame: y away from the hinge carries the sign of the opening side."""
+        return -self.hinge_side * uv[0] * self.door_width, (uv[1] - 0.5) * self.door_height
+
+
+def draw_design(rng: np.random.Generator) -> SafeDesign:
+    """Draws the parameters of one safe. Handle and knob are placed so that a hand at one clears the other."""
+    width, height = rng.uniform(0.34, 0.46), rng.uniform(0.32, 0.48)
+    body_color = np.asarray(_BODY_COLORS[rng.integers(len(_BODY_COLORS))])
+    shade = rng.uniform(0.75, 1.5)
+    handle_uv, knob_uv = _draw_layout(rng, width - 2 * WALL, height - 2 * WALL)
+    return SafeDesign(
+        width=width,
+        height=height,
+        depth=rng.uniform(0.28, 0.40),
+        hinge_side=int(rng.choice([-1, 1])),
+        handle_style=str(rng.choice(HANDLE_STYLES)),
+        handle_uv=handle_uv,
+        handle_length=rng.uniform(0.10, 0.14),
+        handle_radius=rng.uniform(0.008, 0.011),
+        knob_style=str(rng.choice(KNOB_STYLES)),
+        knob_uv=knob_uv,
+        knob_radius=rng.uniform(0.021, 0.027),
+        knob_range=rng.uniform(np.deg2rad(60), np.deg2rad(95)),
+        panel_style=str(rng.choice(PANEL_STYLES)),
+        body=Material(tuple(body_color), rng.uniform(0.4, 0.8), 0.2),
+        door=Material(tuple(np.clip(body_color * shade, 0.02, 0.8)), rng.uniform(0.35, 0.7), 0.3),
+        metal=_METALS[rng.integers(len(_METALS))],
+        feet=bool(rng.random() < 0.5),
+        trim=bool(rng.random() < 0.6),
+    )
+
+
+def _draw_layout(rng: np.random.Generator, width: float, height: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    while True:
+        handle = (rng.uniform(0.66, 0.80), rng.uniform(0.38, 0.60))
+        knob = (rng.uniform(0.30, 0.62), rng.uniform(0.32, 0.74))
+        if np.hypot((handle[0] - knob[0]) * width, (handle[1] - knob[1]) * height) >= MIN_PART_DISTANCE:
+            return handle, knob
+
+
+def make_safe(number: int) -> ArticulatedObject:
+    """Builds safe ``number`` (36 in the paper's set; any number is an object)."""
+    design = draw_design(np.random.default_rng([number, 0x5AFE]))
+    return build_safe(f"safe_{number:03d}", design)
+
+
+def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
+    """Builds the links and annotations of a design: joints ``door`` and ``knob``, parts ``handle`` and ``knob``."""
+    foot = 0.015 if design.feet else 0.0
+    hinge_y = design.hinge_side * (design.width / 2 - WALL)
+    door_z = foot + design.height / 2
+    door_origin = (0.0, hinge_y, door_z)
+    door_axis = (0.0, 0.0, float(design.hinge_side))
+    knob_y, knob_z = design.on_door(design.knob_uv)
+    handle_y, handle_z = design.on_door(design.handle_uv)
+    links = (
+        Link("body", _body_shapes(design, foot), mass=40.0),
+        Link(
+            "leaf",
+            _door_shapes(design) + _handle_shapes(design, handle_y, handle_z),
+            mass=4.0,
+            parent="body",
+            joint=Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), friction=0.3, damping=1.0),
+        ),
+        Link(
+            "knob",
+            _knob_shapes(design),
+            mass=0.15,
+            parent="leaf",
+            # Positive turns clockwise as seen by who stands in front: about -x, into the door.
+            joint=Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), (-design.knob_range, design.knob_range), 0.06, 0.02),
+        ),
+    )
+    origin = np.asarray(door_origin)
+    knob_point = origin + (0.0, knob_y, knob_z)
+    parts = (
+        PartAnnotation("handle", facing(origin + (GRASP_REACH, handle_y, handle_z)), origin, np.asarray(door_axis)),
+        PartAnnotation("knob", facing(knob_point + (GRASP_REACH, 0.0, 0.0)), knob_point, np.array([-1.0, 0.0, 0.0])),
+    )
+    side = "left" if design.hinge_side < 0 else "right"
+    return ArticulatedObject(
+        object_id, "safe", links, parts, (design.width, design.depth, design.height + foot),
+        f"{design.handle_style}, {design.knob_style}, hinge {side}",
+    )  # fmt: skip
+
+
+def _body_shapes(design: SafeDesign, foot: float) -> tuple[Shape, ...]:
+    w, h, d, t = design.width / 2, design.height / 2, design.depth / 2, WALL / 2
+    z = foot + h
+    dark = Material((0.02, 0.02, 0.022), 0.9)
+    shapes = [
+        chamfered_box((-d, 0, foot + t), (d, w, t), 0.006, design.body),
+        chamfered_box((-d, 0, foot + 2 * h - t), (d, w, t), 0.006, design.body),
+        chamfered_box((-d, -w + t, z), (d, t, h), 0.006, design.body),
+        chamfered_box((-d, w - t, z), (d, t, h), 0.006, design.body),
+        box((-2 * d + t, 0, z), (t, w - t, h - t), design.body),
+        box((-d - 0.01, 0, foot + 1.0 * h), (d - DOOR_THICKNESS - 0.01, w - 2 * t, 0.006), dark, collides=False),
+    ]
+    hinge_y = design.hinge_side * (w - WALL * 0.45)
+    for dz in (-0.32, 0.32):
+        center = np.array([0.004, hinge_y, z + dz * 2 * h])
+        shapes.append(rod(center - (0, 0, 0.025), center + (0, 0, 0.025), 0.007, design.metal))
+    if foot:
+        for x in (-0.12 * design.depth, -0.88 * design.depth):
+            shapes += [box((x, y, foot / 2), (0.02, 0.02, foot / 2), dark) for y in (-w + 0.04, w - 0.04)]
+    return tuple(shapes)
+
+
+def _door_shapes(design: SafeDesign) -> tuple[Shape, ...]:
+    half_w, half_h, half_t = design.door_width / 2, design.door_height / 2, DOOR_THICKNESS / 2
+    middle = -design.hinge_side * (half_w + GAP)
+    shapes = [chamfered_box((-half_t, middle, 0), (half_t, half_w, half_h), 0.004, design.door)]
+    if design.trim:
+        inset = 0.022
+        for z in (-half_h + inset, half_h - inset):
+            shapes.append(box((0.0008, middle, z), (0.0012, half_w - inset, 0.0015), design.metal, collides=False))
+        for y in (-half_w + inset, half_w - inset):
+            shapes.append(box((0.0008, middle + y, 0), (0.0012, 0.0015, half_h - inset), design.metal, collides=False))
+    free_edge = -design.hinge_side * (design.door_width + GAP)
+    for z in (-0.3, 0.0, 0.3):
+        y = free_edge + design.hinge_side * 0.012
+        bolt = disk((-DOOR_THICKNESS - 0.012, y, z * design.door_height), 0.008, 0.014, _METALS[0], collides=False)
+        shapes.append(bolt)
+    return tuple(shapes) + _panel_shapes(design)
+
+
+def _panel_shapes(design: SafeDesign) -> tuple[Shape, ...]:
+    """Decoration in the door's upper hinge-side corner, where a hand at handle or knob does not come."""
+    y, z = design.on_door((0.17, 0.86))
+    black = Material((0.015, 0.015, 0.018), 0.35)
+    if design.panel_style == "plate":
+        return (box((0.001, y, z), (0.002, 0.028, 0.010), _METALS[1], collides=False),)
+    if design.panel_style == "dial":
+        return (
+            disk((0.003, y, z), 0.022, 0.003, _METALS[0], collides=False),
+            disk((0.007, y, z), 0.015, 0.004, black, collides=False),
+        )
+    keys = [box((0.002, y, z), (0.003, 0.026, 0.019), black, collides=False)]
+    pale = Material((0.75, 0.76, 0.78), 0.5)
+    for row in range(3):
+        for column in range(4):
+            at = (0.0055, y + (column - 1.5) * 0.011, z + (row - 1.4) * 0.010)
+            keys.append(box(at, (0.001, 0.0042, 0.0036), pale, collides=False))
+    keys.append(box((0.0055, y, z + 0.0155), (0.001, 0.008, 0.0016), Material((0.05, 0.55, 0.12), 0.3), collides=False))
+    return tuple(keys)
+
+
+def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
+    half, radius, metal = design.handle_length / 2, design.handle_radius, design.metal
+    grip_x = GRASP_REACH
+    foot_plates = tuple(disk((0.002, y, z + s * half), radius * 1.7, 0.002, metal, collides=False) for s in (-1, 1))
+    if design.handle_style == "flat bar":
+        bar = chamfered_box((grip_x, y, z), (radius * 0.7, radius, half + radius), 0.002, metal)
+        posts = tuple(box((grip_x / 2, y, z + s * (half - radius)), (grip_x / 2, radius * 0.7, radius * 0.7), metal) for s in (-1, 1))
+        return (bar, *posts, *foot_plates)
+    grip_half = half if design.handle_style == "round bar" else 0.62 * half
+    ends = [np.array([grip_x, y, z + s * grip_half]) for s in (-1, 1)]
+    roots = [np.array([0.0, y, z + s * half]) for s in (-1, 1)]
+    posts = tuple(rod(root, end, radius * 0.85, metal) for root, end in zip(roots, ends, strict=True))
+    return (rod(ends[0], ends[1], radius, metal), *posts, *foot_plates)
+
+
+def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
+    """Knob in its own frame: x out of the door, grip square to y so that fingers close on flat faces."""
+    radius, metal = design.knob_radius, design.metal
+    tip = GRASP_REACH + 0.012
+    dark = Material((0.04, 0.04, 0.045), 0.4)
+    if design.knob_style == "octagon":
+        shapes = [
+            disk((0.004, 0, 0), radius * 1.35, 0.004, dark),
+            prism(((tip + 0.008) / 2, 0, 0), radius, (tip - 0.008) / 2, 8, metal, top=0.96),
+        ]
+        pointer_z, pointer_x = radius * 0.55, tip
+    else:
+        slim = 0.0075 if design.knob_style == "thumb turn" else 0.009
+        base = 0.022
+        shapes = [
+            disk((base / 2, 0, 0), radius * 1.25, base / 2, metal if design.knob_style == "pointer" else dark),
+            chamfered_box(((base + tip) / 2, 0, 0), ((tip - base) / 2, slim, radius * 1.2), 0.002, metal),
+        ]
+        pointer_z, pointer_x = radius * 0.85, tip
+    white = Material((0.9, 0.9, 0.88), 0.5)
+    shapes.append(box((pointer_x, 0, pointer_z), (0.0012, 0.0018, radius * 0.22), white, collides=False))
+    return tuple(shapes)
+
+
+def knob_range(safe: ArticulatedObject) -> float:
+    """Returns the nominal range of the knob [rad]; an episode's is 0.9 to 1.0 of it, to one side."""
+    return safe.joint("knob").limits[1]
+
+
+__all__ = ["DOOR_UPPER", "SafeDesign", "build_safe", "draw_design", "knob_range", "make_safe"]

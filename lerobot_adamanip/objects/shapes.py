@@ -1,0 +1,71 @@
+"""Shape builders shared by the generators: chamfered boxes, rods between points, prisms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.rotations import transform
+
+
+def box(center: ArrayLike, half: Sequence[float], material: Material, *, collides: bool = True) -> Shape:
+    """A sharp-edged box by its centre and half extents [m]."""
+    return Shape("box", tuple(float(h) for h in half), transform(center), material, collides)
+
+
+def chamfered_box(
+    center: ArrayLike, half: Sequence[float], chamfer: float, material: Material, *, collides: bool = True
+) -> Shape:
+    """A box whose edges are cut by ``chamfer`` [m]: what catches the light on a real product."""
+    extent = np.asarray(half, dtype=np.float64)
+    cut = min(chamfer, 0.45 * float(extent.min()))
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
+    insets = np.concatenate([np.eye(3)]) * cut
+    points = np.concatenate([signs * (extent - cut + inset) for inset in insets])
+    return convex_mesh(points, transform(center), material, collides=collides)
+
+
+def convex_mesh(points: NDArray[np.float64], pose_in_link: NDArray[np.float64], material: Material, *, collides: bool = True) -> Shape:
+    """The convex hull of points (P, 3) [m] as a mesh shape with outward faces."""
+    import trimesh
+
+    hull = trimesh.convex.convex_hull(points)
+    vertices = np.ascontiguousarray(hull.vertices, np.float32)
+    faces = np.ascontiguousarray(hull.faces, np.int32)
+    return Shape("mesh", (), pose_in_link, material, collides, vertices, faces)
+
+
+def prism(center: ArrayLike, radius: float, half_length: float, sides: int, material: Material, *, top: float = 1.0) -> Shape:
+    """A prism about x with ``sides`` faces, one face pair square to y; ``top`` scales the far end (a taper)."""
+    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    ring = radius / np.cos(np.pi / sides) * np.stack([np.zeros(sides), np.cos(angles), np.sin(angles)], axis=-1)
+    points = np.concatenate([ring - (half_length, 0, 0), ring * top + (half_length, 0, 0)])
+    return convex_mesh(points, transform(center), material)
+
+
+def rod(start: ArrayLike, end: ArrayLike, radius: float, material: Material, *, round_ends: bool = True) -> Shape:
+    """A capsule (or cylinder) of ``radius`` [m] between two points."""
+    first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    direction = last - first
+    length = float(np.linalg.norm(direction))
+    x = direction / length
+    helper = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    y = np.cross(helper, x)
+    y /= np.linalg.norm(y)
+    pose = transform((first + last) / 2, np.stack([x, y, np.cross(x, y)], axis=-1))
+    return Shape("capsule" if round_ends else "cylinder", (radius, length / 2), pose, material)
+
+
+def disk(center: ArrayLike, radius: float, half_thickness: float, material: Material, *, collides: bool = True) -> Shape:
+    """A cylinder about x (facing out of an object's front)."""
+    return Shape("cylinder", (radius, half_thickness), transform(center), material, collides)
+
+
+def without_collision(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
+    """The same shapes as decoration."""
+    from dataclasses import replace
+
+    return tuple(replace(shape, collides=False) for shape in shapes)

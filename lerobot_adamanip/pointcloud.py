@@ -1,0 +1,56 @@
+"""Point clouds: workspace crop and farthest-point order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import fpsample
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError, explain
+
+Cloud = NDArray[np.float32]
+
+KDTREE_HEIGHT = 5
+"""Bucket height of the k-d line sampler; 5 is the paper's ("QuickFPS") choice for clouds of about 10^4 points."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """An axis-aligned box in the robot's base frame [m]; what lies outside is not part of the cloud."""
+
+    lower: tuple[float, float, float] = (0.15, -0.6, 0.02)
+    upper: tuple[float, float, float] = (1.1, 0.6, 1.1)
+
+    def contains(self, points: Cloud) -> NDArray[np.bool_]:
+        """(N, 3) -> (N,): which points are inside."""
+        lower, upper = np.asarray(self.lower, points.dtype), np.asarray(self.upper, points.dtype)
+        return np.all((points >= lower) & (points <= upper), axis=-1)
+
+
+def check_num_points(num_points: int) -> int:
+    """Returns ``num_points`` if a cloud can have that many; raises `ConfigurationError` otherwise."""
+    if 1 <= num_points <= 16_384:
+        return num_points
+    raise ConfigurationError(
+        explain("Wrong number of points in the cloud.", got=num_points, allowed="1 ... 16384", try_="--num-points 1024")
+    )
+
+
+def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
+    """Returns ``num_points`` of the cloud, each the farthest from those before it. (M, 3) -> (num_points, 3).
+
+    The order makes any prefix a farthest-point sample itself, so one dataset serves every smaller N. Starts at the
+    first point, so equal clouds give equal samples. A cloud with fewer points is repeated from its start; an empty
+    one is all zeros (a camera that sees nothing must not end an episode).
+    """
+    check_num_points(num_points)
+    if len(points) == 0:
+        return np.zeros((num_points, 3), np.float32)
+    wanted = min(num_points, len(points))
+    if wanted < 2:
+        return np.repeat(points[:1], num_points, axis=0).astype(np.float32)
+    indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=KDTREE_HEIGHT, start_idx=0)
+    chosen = points[np.asarray(indices, dtype=np.int64)]
+    return np.resize(chosen, (num_points, 3)).astype(np.float32) if wanted < num_points else np.ascontiguousarray(chosen, np.float32)

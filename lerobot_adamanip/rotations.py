@@ -1,0 +1,91 @@
+"""Rotations and rigid transforms in numpy. Quaternions are wxyz; rotation 6D is the first two rows, flattened."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+
+def rotation_6d_from_matrix(matrix: ArrayLike) -> Array:
+    """Returns the first two rows of rotation matrices, flattened. (..., 3, 3) -> (..., 6)."""
+    array = np.asarray(matrix, dtype=np.float64)
+    return np.asarray(array[..., :2, :].reshape(*array.shape[:-2], 6))
+
+
+def matrix_from_rotation_6d(rotation_6d: ArrayLike) -> Array:
+    """Returns the nearest rotation by Gram-Schmidt. (..., 6) -> (..., 3, 3); any six finite numbers are accepted.
+
+    Rows that vanish or are parallel do not name a rotation; they fall back to a rotation about the usable one.
+    """
+    array = np.asarray(rotation_6d, dtype=np.float64)
+    first, second = array[..., :3], array[..., 3:]
+    x = _normalised(first, fallback=np.array([1.0, 0.0, 0.0]))
+    y = second - np.sum(x * second, axis=-1, keepdims=True) * x
+    helper = np.where(np.abs(x[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    y = _normalised(y, fallback=_normalised(np.cross(x, helper), fallback=np.array([0.0, 1.0, 0.0])))
+    return np.stack([x, y, np.cross(x, y)], axis=-2)
+
+
+def _normalised(vector: Array, fallback: Array) -> Array:
+    norm = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.asarray(np.where(norm > 1e-8, vector / np.maximum(norm, 1e-8), fallback))
+
+
+def matrix_from_quaternion(quaternion_wxyz: ArrayLike) -> Array:
+    """(..., 4) wxyz -> (..., 3, 3)."""
+    return np.asarray(Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
+
+
+def quaternion_from_matrix(matrix: ArrayLike) -> Array:
+    """(..., 3, 3) -> (..., 4) wxyz with w >= 0."""
+    return np.asarray(Rotation.from_matrix(np.asarray(matrix)).as_quat(canonical=True, scalar_first=True))
+
+
+def transform(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
+    """Returns a (4, 4) rigid transform from a position [m] and a (3, 3) rotation (identity if None)."""
+    result = np.eye(4)
+    result[:3, 3] = position
+    if rotation is not None:
+        result[:3, :3] = rotation
+    return result
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> Array:
+    """Returns the (3, 3) rotation by ``angle`` [rad] about ``axis`` (any length)."""
+    direction = np.asarray(axis, dtype=np.float64)
+    return np.asarray(Rotation.from_rotvec(direction / np.linalg.norm(direction) * angle).as_matrix())
+
+
+def rotated_about_line(pose: Array, point: ArrayLike, axis: ArrayLike, angle: float) -> Array:
+    """Returns ``pose`` (4, 4) turned by ``angle`` [rad] about the line through ``point`` [m] along ``axis``."""
+    rotation = rotation_about(axis, angle)
+    pivot = np.asarray(point, dtype=np.float64)
+    return transform(rotation @ (pose[:3, 3] - pivot) + pivot, rotation @ pose[:3, :3])
+
+
+def angle_between(first: ArrayLike, second: ArrayLike) -> float:
+    """Returns the angle [rad] of the rotation that takes one (3, 3) rotation to the other."""
+    relative = np.asarray(first).T @ np.asarray(second)
+    return float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def interpolate(start: Array, goal: Array, fraction: float) -> Array:
+    """Returns the (4, 4) pose at ``fraction`` in [0, 1]: straight line for position, slerp for rotation."""
+    relative = Rotation.from_matrix(start[:3, :3].T @ goal[:3, :3]).as_rotvec() * fraction
+    rotation = start[:3, :3] @ Rotation.from_rotvec(relative).as_matrix()
+    return transform(start[:3, 3] + fraction * (goal[:3, 3] - start[:3, 3]), rotation)
+
+
+def pose_vector(tcp_in_base: Array, gripper: float) -> NDArray[np.float32]:
+    """Returns the (10,) pose of the contract: position [m], rotation 6D, gripper [0 closed, 1 open]."""
+    rotation_6d = rotation_6d_from_matrix(tcp_in_base[:3, :3])
+    return np.concatenate([tcp_in_base[:3, 3], rotation_6d, [gripper]]).astype(np.float32)
+
+
+def pose_from_vector(vector: ArrayLike) -> tuple[Array, float]:
+    """Returns ((4, 4) TCP pose, gripper opening) of a (10,) pose vector; the rotation is orthonormalised."""
+    array = np.asarray(vector, dtype=np.float64)
+    return transform(array[:3], matrix_from_rotation_6d(array[3:9])), float(array[9])

@@ -1,0 +1,83 @@
+"""The contract: one table of features for simulation, demonstrations, policy and robot.
+
+Everything is metric and in the robot's base frame. Rotations travel as 6D vectors, the first two rows of the
+rotation matrix flattened (`lerobot_adamanip.rotations`). Hidden state never appears under ``observation.*``:
+LeRobot makes every such column a policy input.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+POINT_CLOUD = "observation.point_cloud"
+STATE = "observation.state"
+EFFORT = "observation.effort"
+FRONT_IMAGE = "observation.images.front"
+ACTION = "action"
+PHASE = "complementary_info.phase"
+TRIAL = "complementary_info.trial"
+OUTCOME = "complementary_info.outcome"
+
+POSE_NAMES = ("ee.x.pos", "ee.y.pos", "ee.z.pos", *(f"ee.r6d_{i}.pos" for i in range(6)), "gripper.pos")
+"""Position [m], rotation 6D [-], gripper opening [0 closed, 1 open]: the action, and the state's first ten."""
+NUM_JOINTS = 7
+STATE_NAMES = (
+    *POSE_NAMES,
+    *(f"joint_{i}.pos" for i in range(1, NUM_JOINTS + 1)),
+    *(f"joint_{i}.vel" for i in range(1, NUM_JOINTS + 1)),
+)
+EFFORT_NAMES = tuple(f"joint_{i}.effort" for i in range(1, NUM_JOINTS + 1))
+ACTION_DIM = len(POSE_NAMES)
+STATE_DIM = len(STATE_NAMES)
+POSITION_DIMS = slice(0, 3)
+ROTATION_DIMS = slice(3, 9)
+GRIPPER_DIM = 9
+
+DEFAULT_NUM_POINTS = 1024
+PAPER_NUM_POINTS = 4096
+IMAGE_SIZE = 256
+FPS = 4
+"""Key frames have no clock. Four a second is the paper code's macro-step rate, and a comfortable video speed."""
+
+FIXED_RANGE_DIMS = (*range(3, 9), GRIPPER_DIM)
+"""Dimensions of a pose whose range is known: rotation 6D and gripper statistics are fixed to [-1, 1]."""
+
+
+def dataset_features(num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE) -> dict[str, dict[str, Any]]:
+    """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
+
+    Args:
+        num_points: points per cloud, N.
+        image_size: height and width of the front image [px].
+    """
+    return {
+        POINT_CLOUD: {"dtype": "float32", "shape": (num_points, 3), "names": None},
+        STATE: {"dtype": "float32", "shape": (STATE_DIM,), "names": list(STATE_NAMES)},
+        EFFORT: {"dtype": "float32", "shape": (NUM_JOINTS,), "names": list(EFFORT_NAMES)},
+        FRONT_IMAGE: {"dtype": "video", "shape": (image_size, image_size, 3), "names": ["height", "width", "channels"]},
+        ACTION: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
+        PHASE: {"dtype": "int64", "shape": (1,), "names": None},
+        TRIAL: {"dtype": "int64", "shape": (1,), "names": None},
+        OUTCOME: {"dtype": "int64", "shape": (1,), "names": None},
+    }
+
+
+def fix_pose_statistics(stats: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, np.ndarray]]:
+    """Returns dataset statistics with rotation 6D and gripper ranges set to [-1, 1] in state and action.
+
+    A dimension that hardly varies in the demonstrations explodes under LeRobot's MIN_MAX normalisation (its
+    denominator is the measured range); the true range of these dimensions is known, so it is written instead.
+    """
+    fixed = {key: dict(value) for key, value in stats.items()}
+    dims = list(FIXED_RANGE_DIMS)
+    for key in (STATE, ACTION):
+        if key not in fixed:
+            continue
+        for name, value in (("min", -1.0), ("max", 1.0), ("mean", 0.0), ("std", 1.0), ("q01", -1.0), ("q99", 1.0)):
+            if name in fixed[key]:
+                array = np.array(fixed[key][name], copy=True)
+                array[dims] = value
+                fixed[key][name] = array
+    return fixed
