@@ -1,0 +1,131 @@
+"""The `adamanip` command: finds the subcommand, parses its options, runs it, and turns errors into one message."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, cast
+
+import lerobot_adamanip
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, explain
+
+EXIT_ERROR = 2
+EXIT_INTERRUPTED = 130
+_SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
+
+
+class Entry(NamedTuple):
+    """Where a subcommand lives (imported when it is called, not before) and what it does."""
+
+    target: str  # "module:Class", the class a dataclass whose fields are the options
+    help: str
+
+
+COMMANDS = {
+    "doctor": Entry(
+        "lerobot_adamanip.cli.doctor:Doctor", "check what is installed and what can render, and say what to do"
+    ),
+    "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
+    "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
+    "objects": Entry("lerobot_adamanip.cli.objects:Objects", "draw a contact sheet of the objects of a category"),
+    "report": Entry(
+        "lerobot_adamanip.cli.report:Report", "success rates with intervals, trials and plots of an evaluation"
+    ),
+    "bench": Entry(
+        "lerobot_adamanip.cli.bench:Bench", "measure collection, simulation, observation, training and action"
+    ),
+}
+
+
+class Command(Protocol):
+    """A subcommand: a dataclass of options."""
+
+    def run(self) -> int:
+        """Does the work; returns the exit status."""
+
+
+def usage() -> str:
+    """The text of `adamanip --help`; imports no subcommand."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {entry.help}" for name, entry in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: adamanip [-h] [--version] COMMAND [OPTIONS]",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "`adamanip COMMAND --help` lists the options.",
+        ]
+    )
+
+
+def load(name: str) -> type[Command]:
+    """The class of a subcommand.
+
+    Raises:
+        ConfigurationError: there is no such subcommand, or a package it needs is not installed.
+        SimulatorError: the simulator is not installed.
+    """
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"adamanip {near[0]}" if near else "adamanip --help"
+        raise ConfigurationError(explain("Unknown command.", got=repr(name), allowed=", ".join(COMMANDS), try_=hint))
+    module, _, attribute = COMMANDS[name].target.partition(":")
+    try:
+        return cast(type[Command], getattr(importlib.import_module(module), attribute))
+    except ModuleNotFoundError as error:
+        raise _missing(name, error.name or str(error)) from error
+
+
+def _missing(command: str, package: str) -> AdaManipError:
+    """The error for a package that is not installed, by what installs it."""
+    root = package.partition(".")[0]
+    what = f"`adamanip {command}` needs a package that is not installed."
+    if root in _SIMULATOR_PACKAGES:
+        advice = "pip install 'lerobot_env_adamanip[sim]'"
+        return SimulatorError(
+            explain(what, got=f"no module {package}", allowed="the simulator's packages", try_=advice)
+        )
+    advice = "install the project again; `adamanip doctor` shows what is missing"
+    return ConfigurationError(explain(what, got=f"no module {package}", allowed="a complete installation", try_=advice))
+
+
+def execute(name: str, options: Sequence[str]) -> int:
+    """Parses the options of one subcommand and runs it; returns its exit status."""
+    command = load(name)
+    import tyro
+
+    config = (tyro.conf.FlagCreatePairsOff,)
+    chosen = tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=options, config=config)
+    try:
+        return chosen.run()
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in _SIMULATOR_PACKAGES:
+            raise  # a mistake of ours: the traceback is what helps
+        raise _missing(name, str(error.name)) from error
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; exit status 0 done, 1 the command's own verdict, 2 an error of use or set-up, 130 interrupted."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if arguments else EXIT_ERROR
+    if arguments[0] == "--version":
+        print(f"adamanip {lerobot_adamanip.__version__}")
+        return 0
+    try:
+        return execute(arguments[0], arguments[1:])
+    except AdaManipError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

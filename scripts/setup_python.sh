@@ -1,0 +1,88 @@
+#!/usr/bin/env bash
+# Creates .venv with Python 3.12 and installs the project with the pinned packages of constraints.txt.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+export PIP_DISABLE_PIP_VERSION_CHECK=1
+
+WANTED=3.12
+VENV=.venv
+
+say() { printf '== %s\n' "$*"; }
+has() { command -v "$1" >/dev/null 2>&1; }
+
+# A pyenv shim exists for every Python ever installed and fails when called: run it, do not only look for it.
+is_wanted() { [[ "$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || true)" == "$WANTED" ]]; }
+
+find_python() {
+    local candidate
+    for candidate in "${PYTHON:-}" "python$WANTED" python3 python \
+        "${PYENV_ROOT:-$HOME/.pyenv}"/versions/"$WANTED"*/bin/python \
+        "/opt/python/$WANTED"*/bin/python "$HOME"/.local/share/uv/python/cpython-"$WANTED"*/bin/python \
+        "/usr/local/bin/python$WANTED" "${CONDA_PREFIX:-/nonexistent}/bin/python"; do
+        if [[ -n "$candidate" ]] && has "$candidate" && is_wanted "$candidate"; then
+            command -v "$candidate"
+            return 0
+        fi
+    done
+    return 1
+}
+
+as_root() {
+    if [[ $EUID -eq 0 ]]; then DEBIAN_FRONTEND=noninteractive "$@"; else sudo -n env DEBIAN_FRONTEND=noninteractive "$@"; fi
+}
+
+can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
+
+# Installs the distribution's own Python 3.12 (Ubuntu 24.04 has it), with the venv module that Debian ships apart.
+apt_python() {
+    has apt-get && can_be_root || return 1
+    as_root apt-get update -qq >&2 || true
+    [[ -n "$(apt-cache pkgnames "python$WANTED-venv" 2>/dev/null)" ]] || return 1
+    as_root apt-get install -y -qq --no-install-recommends "python$WANTED" "python$WANTED-venv" >&2
+}
+
+explain_missing() {
+    cat >&2 <<TEXT
+error: no Python $WANTED found.
+  got:     $(python3 --version 2>/dev/null || echo "no python3")
+  allowed: Python $WANTED. LeRobot 0.6 needs 3.12 or newer; ManiSkill's mplib and fpsample have no wheels for 3.13 yet.
+  try:     one of
+             curl -LsSf https://astral.sh/uv/install.sh | sh    (make setup then lets uv fetch Python; no root needed)
+             pyenv install $WANTED
+             apt-get install python$WANTED python$WANTED-venv        (Ubuntu 24.04)
+           then run make again, or name one: PYTHON=/path/to/python$WANTED make setup
+TEXT
+}
+
+create_venv() {
+    local python
+    if ! python=$(find_python); then
+        if has uv && uv venv --quiet --seed --python "$WANTED" "$VENV"; then return 0; fi
+        apt_python && python=$(find_python) || { explain_missing; exit 1; }
+    fi
+    say "creating $VENV with $("$python" --version) ($python)"
+    if has uv; then
+        uv venv --quiet --seed --allow-existing --python "$python" "$VENV"
+    elif ! "$python" -m venv "$VENV" >/dev/null 2>&1; then
+        # Debian and Ubuntu split ensurepip off.
+        rm -rf "$VENV"
+        apt_python && "$python" -m venv "$VENV" || {
+            echo "error: $python cannot create virtual environments; try: apt-get install python$WANTED-venv" >&2
+            exit 1
+        }
+    fi
+}
+
+install_project() {
+    local target='.[sim,dev]'
+    say "installing the project and its dependencies (6.5 GB; a few minutes the first time)"
+    if has uv; then
+        uv pip install --quiet --python "$VENV/bin/python" -e "$target" -c constraints.txt
+    else
+        "$VENV/bin/python" -m pip install --quiet --no-input -e "$target" -c constraints.txt
+    fi
+}
+
+[[ -x "$VENV/bin/python" ]] && is_wanted "$VENV/bin/python" || create_venv
+install_project
+say "installed: $("$VENV/bin/adamanip" --version)"

@@ -1,0 +1,114 @@
+#!/usr/bin/env bash
+# Sees to a Vulkan device SAPIEN can render with: a GPU's, else Mesa's lavapipe (on the CPU; Mesa >= 24.3).
+# Does nothing where rendering works. Installs packages on Debian and Ubuntu as root; otherwise says what to install.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+MIN_MESA=24.3
+# libx11 is what sapien links; libGL, glib, libSM and libXext are opencv-python's; libEGL is the NVIDIA driver's way to a GPU.
+LIBRARIES=(libvulkan1 libgl1 libegl1 libglib2.0-0 libx11-6 libxext6 libsm6)
+BACKPORTS_FILE=/etc/apt/sources.list.d/adamanip-backports.sources
+
+say() { printf '== %s\n' "$*"; }
+has() { command -v "$1" >/dev/null 2>&1; }
+
+# In a process of its own: a broken driver may segfault instead of raising.
+renders() { timeout 180 .venv/bin/python -m lerobot_adamanip.cli.render_probe; }
+
+can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
+
+as_root() {
+    if [[ $EUID -eq 0 ]]; then DEBIAN_FRONTEND=noninteractive "$@"; else sudo -n env DEBIAN_FRONTEND=noninteractive "$@"; fi
+}
+
+# Somebody else's broken source must not stop ours: a failed update is told, not fatal.
+update() { as_root apt-get update -qq || say "apt-get update reported errors; going on with what it has"; }
+
+install() { as_root apt-get install -y -qq --no-install-recommends "$@"; }
+
+# The newest version apt would install, `$1` a package and `$2` (optional) a release to prefer.
+candidate() { LC_ALL=C apt-cache ${2:+-t "$2"} policy "$1" 2>/dev/null | awk '/Candidate:/ {print $2}'; }
+
+new_enough() { [[ -n "${1:-}" && "$1" != "(none)" ]] && dpkg --compare-versions "$1" ge "$MIN_MESA~"; }
+
+release() { (. /etc/os-release && printf '%s' "${!1:-}"); }
+
+# The mirror this machine already uses for its own release, so that a local mirror or proxy is respected.
+debian_mirror() {
+    local uri
+    uri=$(LC_ALL=C apt-cache policy 2>/dev/null |
+        awk -v suite="$(release VERSION_CODENAME)/main" '$1 ~ /^[0-9]+$/ && $3 == suite && $2 !~ /security/ {print $2; exit}')
+    printf '%s' "${uri:-http://deb.debian.org/debian}"
+}
+
+backports_source() {
+    cat <<TEXT
+Types: deb
+URIs: $(debian_mirror)
+Suites: bookworm-backports
+Components: main
+Signed-By: /usr/share/keyrings/debian-archive-keyring.gpg
+TEXT
+}
+
+has_backports() { LC_ALL=C apt-cache policy 2>/dev/null | grep -q 'bookworm-backports/main'; }
+
+advise() {
+    echo "error: no Vulkan device that SAPIEN can render with." >&2
+    echo "  try, as root:" >&2
+    case "$(release ID) $(release VERSION_ID)" in
+        "debian 12")
+            { echo "    cat > $BACKPORTS_FILE <<'EOF'"; backports_source; echo "EOF"; } >&2
+            echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} && apt-get install -y -t bookworm-backports mesa-vulkan-drivers" >&2 ;;
+        "ubuntu 22.04" | "ubuntu 23."*)
+            echo "    add-apt-repository -y ppa:kisak/kisak-mesa    (this release's own Mesa is older than $MIN_MESA)" >&2
+            echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers" >&2 ;;
+        *)
+            echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers    (Mesa >= $MIN_MESA)" >&2 ;;
+    esac
+    echo "  with an NVIDIA GPU: the driver's Vulkan part (libnvidia-gl-<version>; in a container NVIDIA_DRIVER_CAPABILITIES=all)" >&2
+    echo "  then run make again; '.venv/bin/adamanip doctor' shows what is missing" >&2
+    exit 1
+}
+
+install_mesa() {
+    update
+    if [[ "$(release ID) $(release VERSION_ID)" == "debian 12" ]]; then
+        if ! has_backports; then
+            say "enabling bookworm-backports in $BACKPORTS_FILE"
+            backports_source | as_root tee "$BACKPORTS_FILE" >/dev/null
+            update
+        fi
+        new_enough "$(candidate mesa-vulkan-drivers bookworm-backports)" || advise
+        install -t bookworm-backports mesa-vulkan-drivers
+    else
+        new_enough "$(candidate mesa-vulkan-drivers)" || advise
+        install mesa-vulkan-drivers
+    fi
+}
+
+done_if_found() {
+    if [[ -n "$found" ]]; then
+        say "SAPIEN renders: $found"
+        exit 0
+    fi
+}
+
+found=$(renders 2>/dev/null) || found=""
+if has nvidia-smi && nvidia-smi >/dev/null 2>&1 && [[ "$found" != *cuda* ]]; then
+    if has apt-get && can_be_root; then
+        say "NVIDIA GPU found that SAPIEN does not render with: installing the libraries its Vulkan driver needs"
+        update
+        install "${LIBRARIES[@]}" || true
+        found=$(renders 2>/dev/null) || found=""
+    fi
+    [[ "$found" == *cuda* ]] || say "the GPU's driver lacks its Vulkan part (libnvidia-gl-<version>; in a container NVIDIA_DRIVER_CAPABILITIES=all)"
+fi
+done_if_found
+
+has apt-get && can_be_root || advise
+say "no Vulkan device to render with: installing Mesa's (on the CPU)"
+install_mesa
+install "${LIBRARIES[@]}"
+found=$(renders) || advise
+done_if_found
