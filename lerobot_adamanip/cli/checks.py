@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -21,8 +22,9 @@ ENV_TYPES = ("adamanip_safe",)
 POLICY_TYPES = ("dp3_adaptive",)
 SIM_INSTALL = "pip install 'lerobot_env_adamanip[sim]' (in a checkout: make setup)"
 VULKAN_ADVICE = (
-    "run scripts/setup_vulkan.sh of the repository: it installs the driver or says how. Debian, Ubuntu: mesa-vulkan-drivers >= 24.3 and "
-    "libvulkan1; NVIDIA: the driver's Vulkan part (in a container NVIDIA_DRIVER_CAPABILITIES=all)"
+    "run scripts/setup_vulkan.sh of the repository: it installs the driver or says how. Debian, Ubuntu: "
+    "mesa-vulkan-drivers >= 24.3 and libvulkan1; NVIDIA: the driver's Vulkan part (in a container "
+    "NVIDIA_DRIVER_CAPABILITIES=all)"
 )
 PROBE_TIMEOUT_S = 180.0
 MIN_FREE_GB = 5.0
@@ -94,15 +96,16 @@ def check_opencv() -> Check:
 
 def check_plugin() -> Iterator[Check]:
     """Does LeRobot's own discovery find the environments and the policy?"""
-    advice = f"LeRobot finds plugins by distribution name: is {DISTRIBUTION} installed in this Python? See errors above"
+    advice = f"LeRobot finds plugins by distribution name: is {DISTRIBUTION} installed in this Python?"
     try:
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.envs.configs import EnvConfig
         from lerobot.utils.import_utils import register_third_party_plugins
 
+        importlib.import_module(DISTRIBUTION)  # LeRobot only logs what goes wrong here
         register_third_party_plugins()
-    except ImportError as error:
-        yield Check("LeRobot plugin", False, f"import failed: {error}", advice)
+    except Exception as error:
+        yield Check("LeRobot plugin", False, f"import failed: {type(error).__name__}: {error}", advice)
         return
     known = (
         ("--env.type", ENV_TYPES, EnvConfig.get_known_choices()),
@@ -128,7 +131,7 @@ def run_probe(module: str) -> tuple[bool, str]:
 
 
 def check_vulkan() -> Check:
-    """Which Vulkan devices and driver versions there are. SAPIEN brings a loader of its own, so this one informs only."""
+    """Which Vulkan devices and driver versions there are. SAPIEN brings its own loader, so this informs only."""
     ok, answer = run_probe("lerobot_adamanip.cli.vulkan_devices")
     if not ok:
         return Check("Vulkan device", False, answer, VULKAN_ADVICE, required=False)

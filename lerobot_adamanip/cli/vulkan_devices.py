@@ -67,7 +67,7 @@ class _Properties2(ctypes.Structure):
     )
 
 
-def _describe(loader: Any, handle: int) -> dict[str, str]:
+def _describe(loader: Any, handle: int | None) -> dict[str, str]:
     driver = _DriverProperties(sType=_DRIVER_PROPERTIES)
     found = _Properties2(sType=_PROPERTIES_2, pNext=ctypes.addressof(driver))
     loader.vkGetPhysicalDeviceProperties2(ctypes.c_void_p(handle), ctypes.byref(found))

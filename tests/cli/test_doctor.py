@@ -1,0 +1,89 @@
+"""`adamanip doctor`: its verdict follows the machine, and every failure says what to do."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+
+import pytest
+
+from lerobot_adamanip.cli import checks
+from lerobot_adamanip.cli.checks import Check
+from lerobot_adamanip.cli.doctor import Doctor
+
+NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
+
+
+def doctor_json(extra: dict[str, str]) -> tuple[int, dict[str, dict[str, object]], bool]:
+    command = [sys.executable, "-m", "lerobot_adamanip.cli.main", "doctor", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | extra)
+    report = json.loads(done.stdout)
+    assert set(report) == {"checks", "ok"}
+    return done.returncode, {row["name"]: row for row in report["checks"]}, report["ok"]
+
+
+@pytest.mark.sim
+def test_a_machine_that_was_set_up_passes() -> None:
+    status, rows, ok = doctor_json({})
+    assert {name for name, row in rows.items() if row["required"] and not row["ok"]} == set()
+    assert (status, ok) == (0, True)
+
+
+def test_without_a_vulkan_driver_it_fails_and_advises() -> None:
+    status, rows, ok = doctor_json(NO_VULKAN)
+    assert (status, ok) == (1, False)
+    rendering = rows["SAPIEN renders"]
+    assert not rendering["ok"]
+    assert "mesa-vulkan-drivers" in str(rendering["advice"])
+    assert "VK_ICD_FILENAMES=/nonexistent.json" in str(rendering["advice"])
+
+
+def test_only_required_checks_decide(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    wish, need = Check("wish", False, "no", "get one", required=False), Check("need", False, "no [x]", "do this")
+    monkeypatch.setattr(checks, "CHECKS", (lambda: wish,))
+    assert Doctor().run() == 0
+    assert "get one" in capsys.readouterr().out
+    monkeypatch.setattr(checks, "CHECKS", (lambda: wish, lambda: need))
+    assert Doctor().run() == 1
+    printed = capsys.readouterr().out
+    assert "do this" in printed
+    assert "no [x]" in printed
+
+
+def test_a_check_that_breaks_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    def check_broken() -> Iterator[Check]:
+        yield Check("first", True, "fine")
+        raise ValueError("odd machine")
+
+    monkeypatch.setattr(checks, "CHECKS", (check_broken,))
+    first, broken = checks.run_checks()
+    assert first.ok
+    assert (broken.name, broken.ok, broken.found) == ("broken", False, "ValueError: odd machine")
+
+
+def test_versions_out_of_range_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0.7.0" if name == "lerobot" else real(name))
+    found = {check.name: check for check in checks.check_versions()}
+    assert not found["lerobot"].ok
+    assert "0.7.0, wanted" in found["lerobot"].found
+    assert found["torch"].ok
+
+
+def test_a_probe_that_crashes_or_hangs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = subprocess.run
+
+    def instead(code: str) -> None:
+        monkeypatch.setattr(subprocess, "run", lambda _cmd, **kw: real([sys.executable, "-c", code], **kw))
+
+    instead("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    assert checks.run_probe("any") == (False, "crashed with signal 11")
+    monkeypatch.setattr(checks, "PROBE_TIMEOUT_S", 0.2)
+    instead("import time; time.sleep(30)")
+    ok, answer = checks.run_probe("any")
+    assert not ok
+    assert "no answer" in answer

@@ -1,0 +1,53 @@
+"""What every test shares: no network, no user cache, one thread, fixed seeds."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+# Before anything imports huggingface_hub or torch: both read these once. Subprocesses inherit them.
+_SCRATCH = Path(tempfile.mkdtemp(prefix="adamanip-tests-"))
+os.environ.update(
+    HF_HOME=str(_SCRATCH / "hf"),
+    HF_LEROBOT_HOME=str(_SCRATCH / "hf" / "lerobot"),
+    HF_DATASETS_CACHE=str(_SCRATCH / "hf" / "datasets"),
+    HF_HUB_OFFLINE="1",
+    HF_HUB_DISABLE_TELEMETRY="1",
+    WANDB_MODE="disabled",
+    TOKENIZERS_PARALLELISM="false",
+    MPLBACKEND="Agg",
+    OMP_NUM_THREADS="1",
+    MKL_NUM_THREADS="1",
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+SEED = 0
+
+
+@pytest.fixture(scope="session")
+def project_root() -> Path:
+    """The checkout."""
+    return ROOT
+
+
+@pytest.fixture(autouse=True)
+def _seed_everything() -> None:
+    """A test that draws without a generator of its own draws the same every time, alone or among others."""
+    random.seed(SEED)
+    if "numpy" in sys.modules:
+        sys.modules["numpy"].random.seed(SEED)
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(SEED)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _scratch() -> Iterator[None]:
+    yield
+    shutil.rmtree(_SCRATCH, ignore_errors=True)
