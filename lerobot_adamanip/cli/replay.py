@@ -1,0 +1,51 @@
+"""`adamanip replay`: replay a recorded episode in the simulator and compare."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from lerobot_adamanip.demos.replay import replay
+
+
+@dataclass
+class Replay:
+    """Replays a recorded episode in the simulator, from its stored seed and actions, and compares what is seen.
+
+    Exit status 0 if the same happened again, 1 if not.
+    """
+
+    root: Path
+    """Folder of a dataset that `adamanip collect` wrote."""
+
+    episode: int = 0
+    """Index of the episode."""
+
+    video: Path | None = None
+    """Write a video: the recording on the left, the replay on the right."""
+
+    tolerance: float = 1e-4
+    """Largest difference allowed in any column, in its own units (m, rad, rad/s, N m)."""
+
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        """Replays and compares; 0 if everything agrees."""
+        with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
+            result = replay(self.root, self.episode, video=self.video)
+        agrees = result.agrees(self.tolerance)
+        if self.json:
+            print(json.dumps({**dataclasses.asdict(result), "agrees": agrees}))
+            return 0 if agrees else 1
+        print(f"episode {result.episode}: {result.object_id}, seed {result.seed}")
+        print(f"  key frames  {result.replayed} replayed, {result.key_frames} recorded")
+        print(f"  success     {result.success} replayed, {result.recorded_success} recorded")
+        for name, value in result.differences.items():
+            print(f"  {name:<24} largest difference {value:.3g}")
+        print("The same happened again." if agrees else f"It went differently (tolerance {self.tolerance:g}).")
+        return 0 if agrees else 1

@@ -1,0 +1,107 @@
+"""One file per finished episode, written so that a kill at any moment leaves it whole or absent."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import DatasetError, explain
+
+_PNG = f"{schema.FRONT_IMAGE}.png"
+_PNG_ENDS = f"{schema.FRONT_IMAGE}.png_ends"
+_RECORD = "record"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recorded episode.
+
+    Attributes:
+        columns: dataset column -> (T, ...) array, as `schema.dataset_features` lists them.
+        record: what describes it (object, seed, hidden state, ...), JSON-able.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    record: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.columns[schema.ACTION])
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Writes a file that is either there in full after a crash, or not there (or as it was)."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Makes renames inside a folder durable."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_shard(path: Path, episode: Episode) -> None:
+    """Writes an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
+    tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
+    images = [_png(image) for image in tensors.pop(schema.FRONT_IMAGE)]
+    tensors[_PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
+    tensors[_PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
+    header = {_RECORD: json.dumps(episode.record, sort_keys=True)}
+    write_atomically(path, save(tensors, metadata=header))
+
+
+def read_shard(path: Path) -> Episode:
+    """Reads an episode back; raises `DatasetError` if the file is missing or damaged."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            columns = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
+            record = json.loads(file.metadata()[_RECORD])
+        ends = columns.pop(_PNG_ENDS).tolist()
+        png = columns.pop(_PNG).tobytes()
+        images = [_unpng(png[start:end]) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise DatasetError(
+            explain("Cannot read a recorded episode.", got=f"{path}: {error}", allowed="an intact episode file",
+                    try_="delete this file and run the same `adamanip collect` command again")
+        ) from error  # fmt: skip
+    return Episode({**columns, schema.FRONT_IMAGE: np.stack(images)}, record)
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """Returns only the record of an episode file, or None if the file is missing or damaged."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            record: dict[str, Any] = json.loads(file.metadata()[_RECORD])
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError):
+        return None
+    return record
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG", compress_level=1)
+    return buffer.getvalue()
+
+
+def _unpng(content: bytes) -> NDArray[np.uint8]:
+    with Image.open(io.BytesIO(content)) as image:
+        return np.array(image.convert("RGB"))

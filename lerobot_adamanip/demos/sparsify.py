@@ -1,0 +1,146 @@
+"""From dense teleoperation to key frames: where the arm stopped, the gripper changed, or a command was given up."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.rotations import matrix_from_rotation_6d
+
+_LEVER = 0.1
+"""Weighs a rotation against a translation: the way of a point this far from the tool centre point [m]."""
+
+
+@dataclass(frozen=True)
+class DenseTrajectory:
+    """Samples of a motion at any rate.
+
+    Attributes:
+        pose: (T, 10) measured: position [m], rotation 6D, gripper opening, base frame.
+        speed: (T,) measured, of tool centre point and a point 0.1 m off it [m/s].
+        command: (T, 10) goal in force at each sample; None if there was none to give up.
+    """
+
+    pose: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    command: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.pose)
+        command_shape = (count, schema.ACTION_DIM) if self.command is None else self.command.shape
+        shapes = (self.pose.shape, self.speed.shape, command_shape)
+        wanted = ((count, schema.ACTION_DIM), (count,), (count, schema.ACTION_DIM))
+        if shapes != wanted:
+            raise ConfigurationError(
+                explain("A trajectory's arrays do not fit together.", got=f"pose, speed, command: {shapes}",
+                        allowed=f"{wanted}", try_="DenseTrajectory.from_samples(pose, rate)")
+            )  # fmt: skip
+
+    @classmethod
+    def from_samples(
+        cls, pose: NDArray[np.float64], rate: float, command: NDArray[np.float64] | None = None
+    ) -> DenseTrajectory:
+        """Builds a trajectory from (T, 10) poses sampled at ``rate`` [Hz]; the speed is what comes next.
+
+        The last sample's speed is zero: nothing comes next.
+        """
+        pose = np.asarray(pose, dtype=np.float64)
+        way = [distance(a, b) for a, b in itertools.pairwise(pose)]
+        speed = np.array([*way, 0.0] if len(pose) else [], dtype=np.float64) * rate
+        return cls(pose, speed, None if command is None else np.asarray(command, dtype=np.float64))
+
+    def take(self, indices: NDArray[np.int64]) -> DenseTrajectory:
+        """Returns the trajectory of these samples alone, each with the speed it was measured at."""
+        command = None if self.command is None else self.command[indices]
+        return DenseTrajectory(self.pose[indices], self.speed[indices], command)
+
+
+@dataclass(frozen=True)
+class SparsifyOptions:
+    """What counts as what.
+
+    Attributes:
+        stopped: slower than this is standing still [m/s].
+        same_place: two poses this close are one [m].
+        given_up: a goal that is replaced while still this far away was given up [m].
+    """
+
+    stopped: float = 0.02
+    same_place: float = 0.01
+    given_up: float = 0.03
+
+
+def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Returns how far two (10,) poses are apart [m]: translation plus rotation on a lever of 0.1 m; gripper ignored."""
+    turn = matrix_from_rotation_6d(a[schema.ROTATION_DIMS]).T @ matrix_from_rotation_6d(b[schema.ROTATION_DIMS])
+    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    angle = np.arctan2(sine, np.trace(turn) - 1.0)
+    return float(np.linalg.norm(a[schema.POSITION_DIMS] - b[schema.POSITION_DIMS]) + _LEVER * angle)
+
+
+def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None) -> NDArray[np.int64]:
+    """Returns the indices of key frames, ascending.
+
+    First and last sample are always key frames. Of a stay in one place the last sample is: there the arm, and the
+    gripper, have settled. A change of the gripper is kept at the end of the stay it happens in, or where it happens if
+    the arm is moving. Applying it again to its own result changes nothing.
+    """
+    chosen = options or SparsifyOptions()
+    indices: NDArray[np.int64] = np.arange(len(trajectory.pose), dtype=np.int64)
+    while True:
+        kept = _pass(trajectory.take(indices), chosen)
+        if len(kept) == len(indices):
+            return indices
+        indices = indices[kept]
+
+
+def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.int64]:
+    count = len(trajectory.pose)
+    if count == 0:
+        return np.zeros(0, dtype=np.int64)
+    is_open = trajectory.pose[:, schema.GRIPPER_DIM] > 0.5  # half way: a closed gripper may hold something wide
+    stay_end = _stay_ends(trajectory, is_open, options)
+    kept = {0, count - 1}
+    kept.update(int(end) for end in stay_end if end >= 0)
+    for t in range(1, count):
+        if is_open[t] != is_open[t - 1]:
+            kept.add(int(stay_end[t]) if stay_end[t] >= 0 else t)
+    if trajectory.command is not None:
+        kept.update(_given_up(trajectory.pose, trajectory.command, options))
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: SparsifyOptions) -> NDArray[np.int64]:
+    """Returns for each sample the last sample of the stay it is part of, (T,); -1 where the arm is moving."""
+    ends = np.full(len(trajectory.pose), -1, dtype=np.int64)
+    start = None
+    for t, speed in enumerate(trajectory.speed):
+        if speed > options.stopped:
+            start = None
+            continue
+        joins = (
+            start is not None
+            and is_open[t] == is_open[start]
+            and distance(trajectory.pose[start], trajectory.pose[t]) <= options.same_place
+        )
+        if not joins:
+            start = t
+        ends[start : t + 1] = t
+    return ends
+
+
+def _given_up(pose: NDArray[np.float64], command: NDArray[np.float64], options: SparsifyOptions) -> list[int]:
+    """Returns the last sample before each change of goal that comes while the old goal is still far away.
+
+    A goal that streams ahead of the arm, as in teleoperation, moves by little from sample to sample and is not meant.
+    """
+    return [
+        t
+        for t in range(len(pose) - 1)
+        if distance(pose[t], command[t]) > options.given_up and distance(command[t], command[t + 1]) > options.given_up
+    ]
