@@ -20,8 +20,8 @@ KDTREE_HEIGHT = 5
 class Workspace:
     """An axis-aligned box in the robot's base frame [m]; what lies outside is not part of the cloud."""
 
-    lower: tuple[float, float, float] = (0.15, -0.6, 0.02)
-    upper: tuple[float, float, float] = (1.1, 0.6, 1.1)
+    lower: tuple[float, float, float] = (0.20, -0.5, 0.40)
+    upper: tuple[float, float, float] = (1.0, 0.5, 1.2)
 
     def contains(self, points: Cloud) -> NDArray[np.bool_]:
         """(N, 3) -> (N,): which points are inside."""

@@ -13,8 +13,12 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 
 NUM_ARM_JOINTS = 7
-REST_QPOS = np.array([0.0, -0.45, 0.0, -2.35, 0.0, 3.40, 0.785])
-"""Hand level and forward in front of the robot; also where spare freedom is pulled to."""
+REST_QPOS = np.array([1.544, 1.467, -2.540, -2.320, 2.025, 1.976, -0.171])
+"""Hand level and forward at (0.45, 0, 0.74) m with the elbow out to the left, and where spare freedom is pulled to.
+
+With the elbow in the vertical plane a level hand is near-singular and the sixth joint at its limit; from this posture
+the whole of x 0.35-0.66, y +-0.18, z 0.60-0.84 m is reached, yawed by +-43 and rolled by +-92 degrees.
+"""
 LIMIT_MARGIN = 0.02
 """Kept from every joint limit [rad]."""
 
@@ -57,33 +61,33 @@ class ArmKinematics:
         full = self._model.compute_single_link_local_jacobian(np.concatenate([qpos, self._fingers]), self._tcp)
         return np.asarray(full, dtype=np.float64)[:, :NUM_ARM_JOINTS]
 
-    def solve(self, goal: Array, start: Array, *, iterations: int = 40, tolerance: float = 1e-4) -> IKResult:
+    def solve(
+        self, goal: Array, start: Array, *, iterations: int = 40, posture_steps: int = 1, tolerance: float = 1e-4
+    ) -> IKResult:
         """Returns joint positions that bring the tool to ``goal`` (4, 4), from ``start`` (7,), never past a limit.
 
         Args:
             goal: pose in the base frame.
             start: initial guess [rad].
             iterations: steps at most; a warm start needs two or three.
+            posture_steps: how many of them also pull the elbow towards rest. One for each step of a path keeps the
+                motion smooth; as many as there are iterations finds the canonical posture of a pose.
             tolerance: position [m] and rotation [rad] error at which to stop.
         """
         qpos = np.clip(start, self.lower, self.upper)
-        for _ in range(iterations):
+        for number in range(iterations):
             error = pose_error(self.tcp_in_base(qpos), goal)
-            if np.abs(error).max() < tolerance:
+            if number >= posture_steps and np.abs(error).max() < tolerance:
                 break
             jacobian = self.body_jacobian(qpos)
-            damped = jacobian @ jacobian.T + 1e-4 * np.eye(6)
-            step = jacobian.T @ np.linalg.solve(damped, error)
-            spare = 0.05 * (REST_QPOS - qpos)
-            step += spare - jacobian.T @ np.linalg.solve(damped, jacobian @ spare)
-            qpos = np.clip(qpos + np.clip(step, -0.2, 0.2), self.lower, self.upper)
+            inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + 1e-4 * np.eye(6))
+            step = np.clip(inverse @ error, -0.2, 0.2)
+            if number < posture_steps:
+                spare = 0.1 * (REST_QPOS - qpos)
+                step += np.clip(spare - inverse @ (jacobian @ spare), -0.02, 0.02)
+            qpos = np.clip(qpos + step, self.lower, self.upper)
         error = pose_error(self.tcp_in_base(qpos), goal)
         return IKResult(qpos, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
-
-    def tool_wrench(self, qpos: Array, torque: Array) -> Array:
-        """Returns the (6,) force [N] and torque [N m] in the tool frame that joint torques (7,) exert at the tool."""
-        jacobian = self.body_jacobian(qpos)
-        return np.asarray(np.linalg.lstsq(jacobian.T, torque, rcond=1e-2)[0])
 
 
 def pose_error(actual: Array, goal: Array) -> Array:

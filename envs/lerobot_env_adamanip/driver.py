@@ -12,7 +12,7 @@ from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.experts.base import Feedback, Outcome
 from lerobot_adamanip.rotations import angle_between, interpolate, pose_from_vector
 from lerobot_adamanip.schema import ACTION_DIM
-from lerobot_env_adamanip.arm import NUM_ARM_JOINTS, ArmKinematics
+from lerobot_env_adamanip.arm import NUM_ARM_JOINTS, ArmKinematics, pose_error
 
 Array = NDArray[np.float64]
 
@@ -27,8 +27,10 @@ class MotionLimits:
     Attributes:
         linear_speed: [m/s] peak.
         angular_speed: [rad/s] peak.
-        stall_force: [N] held for ``stall_ticks`` ends a motion.
-        stall_torque: [N m] likewise, about any tool axis.
+        linear_acceleration: [m/s^2] peak; low enough that the arm's own inertia never looks like a stall.
+        angular_acceleration: [rad/s^2] peak.
+        stall_position: [m] that the tool lags behind its target, for ``stall_ticks``, end a motion: some 30 N.
+        stall_rotation: [rad] likewise: 1.25 N m about the approach, which is what two fingers can hold.
         stall_ticks: control ticks.
         settle_ticks: at most waited for the arm to come to rest.
         grip_ticks: waited for the fingers.
@@ -40,14 +42,16 @@ class MotionLimits:
 
     linear_speed: float = 0.45
     angular_speed: float = 1.6
-    stall_force: float = 45.0
-    stall_torque: float = 1.8
-    stall_ticks: int = 3
-    settle_ticks: int = 10
-    grip_ticks: int = 8
+    linear_acceleration: float = 1.5
+    angular_acceleration: float = 5.0
+    stall_position: float = 0.0075
+    stall_rotation: float = 0.045
+    stall_ticks: int = 4
+    settle_ticks: int = 25
+    grip_ticks: int = 20
     reached_position: float = 0.012
     reached_rotation: float = 0.12
-    max_ticks: int = 120
+    max_ticks: int = 300
     reach_lower: tuple[float, float, float] = (0.15, -0.7, 0.03)
     reach_upper: tuple[float, float, float] = (0.95, 0.7, 1.1)
 
@@ -70,7 +74,7 @@ class KeyframeDriver:
         tick: advances the simulation by one control step with joint targets (7,), joint velocity targets (7,) and a
             finger target [m].
         control_dt: duration of a tick [s].
-        stiffness, damping: of the joint drives; torque is what they pull with.
+        stiffness: of the joint drives (7,) [N m/rad].
         limits: see `MotionLimits`.
     """
 
@@ -81,13 +85,12 @@ class KeyframeDriver:
         tick: Callable[[Array, Array, float], None],
         *,
         control_dt: float,
-        stiffness: float,
-        damping: float,
+        stiffness: Array,
         limits: MotionLimits = MotionLimits(),
     ) -> None:
         self.kinematics, self.limits = kinematics, limits
         self._read, self._tick_simulation = read, tick
-        self._dt, self._stiffness, self._damping = control_dt, stiffness, damping
+        self._dt, self._stiffness = control_dt, stiffness
         self._target, self._target_velocity = read().qpos.copy(), np.zeros(NUM_ARM_JOINTS)
         self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
@@ -131,8 +134,11 @@ class KeyframeDriver:
         start = self.kinematics.tcp_in_base(self._target)
         distance = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
         angle = angle_between(start[:3, :3], goal[:3, :3])
-        # The quintic's peak speed is 15/8 of its mean.
-        seconds = 1.875 * max(distance / self.limits.linear_speed, angle / self.limits.angular_speed)
+        limits = self.limits
+        seconds = max(
+            _quintic_seconds(distance, limits.linear_speed, limits.linear_acceleration),
+            _quintic_seconds(angle, limits.angular_speed, limits.angular_acceleration),
+        )
         ticks = max(1, int(np.ceil(seconds / self._dt)))
         for k in range(1, ticks + 1):
             fraction = _quintic(k / ticks)
@@ -166,29 +172,36 @@ class KeyframeDriver:
         self._target = target
         self._tick_simulation(target, self._target_velocity, self._finger_target)
         self._ticks += 1
-        state = self._read()
-        wrench = self.kinematics.tool_wrench(state.qpos, self._torque(state))
-        force, torque = float(np.linalg.norm(wrench[:3])), float(np.linalg.norm(wrench[3:]))
-        strained = force > self.limits.stall_force or torque > self.limits.stall_torque
+        lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), self.kinematics.tcp_in_base(target))
+        limits = self.limits
+        strained = np.linalg.norm(lag[:3]) > limits.stall_position or np.linalg.norm(lag[3:]) > limits.stall_rotation
         self._strained = self._strained + 1 if strained else 0
         return self._strained >= self.limits.stall_ticks
 
     def _relax(self, outcome: Outcome) -> None:
         """Gives up what could not be reached: the next key frame starts from where the arm is, without strain."""
         if outcome is not Outcome.REACHED:
-            for _ in range(3):
+            for _ in range(8):
                 self._target = self._read().qpos.copy()
                 self._target_velocity = np.zeros(NUM_ARM_JOINTS)
                 self._tick_simulation(self._target, self._target_velocity, self._finger_target)
                 self._ticks += 1
 
     def _torque(self, state: ArmState) -> Array:
-        """Joint torque of the drives (7,) [N m]; at rest, and gravity being balanced, it is the external torque."""
-        return self._stiffness * (self._target - state.qpos) + self._damping * (self._target_velocity - state.qvel)
+        """External joint torque (7,) [N m], as the drives' springs feel it: exact at rest, gravity being balanced.
+
+        The drives' damping is left out on purpose: it answers to the arm's own inertia, and would look like contact.
+        """
+        return self._stiffness * (self._target - state.qpos)
 
     def _feedback(self, outcome: Outcome | None) -> Feedback:
         state = self._read()
         return Feedback(self.kinematics.tcp_in_base(state.qpos), float(state.fingers.mean() / FINGER_OPEN), outcome)
+
+
+def _quintic_seconds(distance: float, speed: float, acceleration: float) -> float:
+    """Duration in which a quintic covers ``distance`` within both peaks: 15/8 d/T and 10/sqrt(3) d/T^2."""
+    return float(max(1.875 * distance / speed, np.sqrt(10 / np.sqrt(3) * distance / acceleration)))
 
 
 def _quintic(t: float) -> float:

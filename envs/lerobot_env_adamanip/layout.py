@@ -131,7 +131,7 @@ def _reachable(
 def _turning_cost(part: PartAnnotation, reach: Reach, kinematics: ArmKinematics) -> float | None:
     """Returns how far the wrist strays from rest while holding and turning the part; None if out of reach."""
     before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
-    grasped = kinematics.solve(before, REST_QPOS, iterations=150)
+    grasped = kinematics.solve(before, REST_QPOS, iterations=120, posture_steps=60)
     if not grasped.within(2e-3, 0.01):
         return None
     first = kinematics.solve(part.grasp, grasped.qpos, iterations=60)

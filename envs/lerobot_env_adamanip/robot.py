@@ -10,9 +10,16 @@ from mani_skill.agents.robots.panda.panda import Panda
 
 @register_agent()
 class AdaManipPanda(Panda):
-    """Panda with a firm hand: ManiSkill's closes with about 20 N on a thin bar, the Franka Hand holds up to 70 N."""
+    """Panda with a soft wrist and a firm hand.
+
+    ManiSkill's arm has 1000 N m/rad in every joint: it would twist a knob out of the fingers without noticing. A real
+    Franka under Cartesian impedance has tens of N m/rad about the tool, so a blocked turn is felt. ManiSkill's hand closes
+    with about 20 N on a thin bar; the Franka Hand holds up to 70 N.
+    """
 
     uid: ClassVar[str] = "adamanip_panda"
+    arm_stiffness = (1000.0, 1000.0, 1000.0, 1000.0, 150.0, 150.0, 25.0)
+    arm_damping = (100.0, 100.0, 100.0, 100.0, 15.0, 15.0, 2.5)
     gripper_stiffness = 5e3
     gripper_damping = 2e2
     gripper_force_limit = 70

@@ -24,7 +24,7 @@ from lerobot_env_adamanip.layout import Layout, Reach, draw_layout, randomizatio
 from lerobot_env_adamanip.robot import AdaManipPanda
 
 CAMERA = "front"
-CAMERA_EYE, CAMERA_TARGET = (0.02, -0.62, 0.88), (0.60, 0.02, 0.40)
+CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
 """Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
 _LAYOUT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
@@ -45,7 +45,7 @@ class AdaManipTask(BaseEnv):
     agent: AdaManipPanda
     category: ClassVar[str]
     nominal_x: ClassVar[float] = 0.66
-    part_height: ClassVar[float] = 0.42
+    part_height: ClassVar[float] = 0.72
     """Where the plinth lifts the handle to [m]."""
 
     def __init__(
@@ -90,7 +90,7 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sim_config(self) -> SimConfig:
-        return SimConfig(sim_freq=100, control_freq=20)
+        return SimConfig(sim_freq=200, control_freq=50)
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
@@ -126,11 +126,11 @@ class AdaManipTask(BaseEnv):
         self.kinematics = ArmKinematics(self.agent.robot._objs[0])
 
     def _floor_height(self) -> float:
-        return float(np.clip(self.part_height - self.obj.part("handle").grasp[2, 3], 0.04, 0.5))
+        return float(np.clip(self.part_height - self.obj.part("handle").grasp[2, 3], 0.04, 0.7))
 
     def _build_plinth(self) -> Any:
         builder = self.scene.create_actor_builder()
-        half = [self.obj.size[1] / 2 + 0.04, self.obj.size[0] / 2 + 0.08, self.floor_z / 2]
+        half = [self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04, self.floor_z / 2]
         material = sapien.render.RenderMaterial(base_color=[0.45, 0.36, 0.27, 1.0], roughness=0.8)
         builder.add_box_visual(half_size=half, material=material)
         builder.add_box_collision(half_size=half)
@@ -148,10 +148,9 @@ class AdaManipTask(BaseEnv):
         self.mechanism_state = self.mechanism.draw(1, generator, overrides or None)
         self._applied: dict[str, tuple[float, float]] = {}
         self._apply_mechanism()
-        controller = self.agent.controller.controllers["arm"].config
         self.driver = KeyframeDriver(
             self.kinematics, self._arm_state, self._tick, control_dt=self.control_timestep,
-            stiffness=float(controller.stiffness), damping=float(controller.damping),
+            stiffness=np.asarray(AdaManipPanda.arm_stiffness),
         )  # fmt: skip
 
     def _place(self, layout: Layout) -> None:
