@@ -57,30 +57,30 @@ TEXT
 create_venv() {
     local python
     if ! python=$(find_python); then
-        if has uv && uv venv --quiet --seed --python "$WANTED" "$VENV"; then return 0; fi
+        # uv brings a Python of its own; else the distribution may have one.
+        if has uv && uv venv --quiet --clear --seed --python "$WANTED" "$VENV"; then return 0; fi
         apt_python && python=$(find_python) || { explain_missing; exit 1; }
     fi
+    [[ ! -e "$VENV" ]] || say "replacing $VENV, which has another Python"
     say "creating $VENV with $("$python" --version) ($python)"
-    if has uv; then
-        uv venv --quiet --seed --allow-existing --python "$python" "$VENV"
-    elif ! "$python" -m venv "$VENV" >/dev/null 2>&1; then
-        # Debian and Ubuntu split ensurepip off.
-        rm -rf "$VENV"
-        apt_python && "$python" -m venv "$VENV" || {
-            echo "error: $python cannot create virtual environments; try: apt-get install python$WANTED-venv" >&2
-            exit 1
-        }
-    fi
+    "$python" -m venv --clear "$VENV" >/dev/null 2>&1 && return 0
+    # Debian and Ubuntu split ensurepip off.
+    if has uv && uv venv --quiet --clear --seed --python "$python" "$VENV"; then return 0; fi
+    apt_python && "$python" -m venv --clear "$VENV" && return 0
+    rm -rf "$VENV"
+    echo "error: $python cannot create virtual environments; try: apt-get install python$WANTED-venv" >&2
+    exit 1
 }
 
 install_project() {
-    local target='.[sim,dev]'
-    say "installing the project and its dependencies (6.5 GB; a few minutes the first time)"
+    local what=(-e '.[sim,dev]' -c constraints.txt)
+    say "installing the project and its dependencies (6.6 GB; a few minutes the first time)"
     if has uv; then
-        uv pip install --quiet --python "$VENV/bin/python" -e "$target" -c constraints.txt
-    else
-        "$VENV/bin/python" -m pip install --quiet --no-input -e "$target" -c constraints.txt
+        # pip may be configured for a mirror that uv does not know of.
+        uv pip install --quiet --python "$VENV/bin/python" "${what[@]}" && return 0
+        say "uv failed (see above); trying pip"
     fi
+    "$VENV/bin/python" -m pip install --quiet --no-input "${what[@]}"
 }
 
 [[ -x "$VENV/bin/python" ]] && is_wanted "$VENV/bin/python" || create_venv

@@ -26,6 +26,9 @@ update() { as_root apt-get update -qq || say "apt-get update reported errors; go
 
 install() { as_root apt-get install -y -qq --no-install-recommends "$@"; }
 
+# What is there already stays at its version: this machine's other programs are not ours to upgrade.
+install_libraries() { install --no-upgrade "${LIBRARIES[@]}"; }
+
 # The newest version apt would install, `$1` a package and `$2` (optional) a release to prefer.
 candidate() { LC_ALL=C apt-cache ${2:+-t "$2"} policy "$1" 2>/dev/null | awk '/Candidate:/ {print $2}'; }
 
@@ -61,10 +64,12 @@ advise() {
             { echo "    cat > $BACKPORTS_FILE <<'EOF'"; backports_source; echo "EOF"; } >&2
             echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} && apt-get install -y -t bookworm-backports mesa-vulkan-drivers" >&2 ;;
         "ubuntu 22.04" | "ubuntu 23."*)
-            echo "    add-apt-repository -y ppa:kisak/kisak-mesa    (this release's own Mesa is older than $MIN_MESA)" >&2
+            echo "    # this release's own Mesa is older than $MIN_MESA" >&2
+            echo "    apt-get update && apt-get install -y software-properties-common && add-apt-repository -y ppa:kisak/kisak-mesa" >&2
             echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers" >&2 ;;
         *)
-            echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers    (Mesa >= $MIN_MESA)" >&2 ;;
+            echo "    # Mesa has to be >= $MIN_MESA" >&2
+            echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers" >&2 ;;
     esac
     echo "  with an NVIDIA GPU: the driver's Vulkan part (libnvidia-gl-<version>; in a container NVIDIA_DRIVER_CAPABILITIES=all)" >&2
     echo "  then run make again; '.venv/bin/adamanip doctor' shows what is missing" >&2
@@ -99,7 +104,7 @@ if has nvidia-smi && nvidia-smi >/dev/null 2>&1 && [[ "$found" != *cuda* ]]; the
     if has apt-get && can_be_root; then
         say "NVIDIA GPU found that SAPIEN does not render with: installing the libraries its Vulkan driver needs"
         update
-        install "${LIBRARIES[@]}" || true
+        install_libraries || true
         found=$(renders 2>/dev/null) || found=""
     fi
     [[ "$found" == *cuda* ]] || say "the GPU's driver lacks its Vulkan part (libnvidia-gl-<version>; in a container NVIDIA_DRIVER_CAPABILITIES=all)"
@@ -109,6 +114,6 @@ done_if_found
 has apt-get && can_be_root || advise
 say "no Vulkan device to render with: installing Mesa's (on the CPU)"
 install_mesa
-install "${LIBRARIES[@]}"
+install_libraries
 found=$(renders) || advise
 done_if_found
