@@ -14,7 +14,7 @@ from mani_skill.utils.structs import Articulation
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
 from lerobot_adamanip.rotations import quaternion_from_matrix
 
-FRICTION = 1.0
+FRICTION = 1.2
 """Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
 
 

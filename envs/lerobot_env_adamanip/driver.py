@@ -42,9 +42,9 @@ class MotionLimits:
 
     linear_speed: float = 0.45
     angular_speed: float = 1.6
-    linear_acceleration: float = 1.5
+    linear_acceleration: float = 1.2
     angular_acceleration: float = 5.0
-    stall_position: float = 0.0075
+    stall_position: float = 0.0065
     stall_rotation: float = 0.045
     stall_ticks: int = 4
     settle_ticks: int = 25

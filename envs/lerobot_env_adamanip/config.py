@@ -1,0 +1,97 @@
+"""LeRobot's environment configurations: ``--env.type=adamanip_safe``. Light: no simulator is imported here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import gymnasium as gym
+from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+
+from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.schema import (
+    ACTION, ACTION_DIM, DEFAULT_NUM_POINTS, EFFORT, FPS, FRONT_IMAGE, IMAGE_SIZE, NUM_JOINTS, POINT_CLOUD, STATE, STATE_DIM,
+)  # fmt: skip
+
+
+@dataclass
+class AdaManipEnvConfig(EnvConfig):
+    """What the environments share. One step is one key frame, so ``fps`` is the speed of videos, not of control."""
+
+    category: ClassVar[str] = ""
+
+    fps: int = FPS
+    # Which objects: seen (the paper's count), unseen (the next 20), FIRST:END, or ids separated by commas.
+    objects: str = "seen"
+    # Points in observation.point_cloud; a policy that uses fewer takes the first, which are a farthest-point sample.
+    num_points: int = DEFAULT_NUM_POINTS
+    # Side of the front image [px].
+    image_size: int = IMAGE_SIZE
+    # Whether observations hold the front image; policies that look at clouds alone do not need it.
+    observe_images: bool = True
+    # default: object, robot and camera pose are randomised. paper: fixed.
+    pose_preset: str = "default"
+    # Key frames per episode.
+    episode_length: int = 45
+    # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
+    locked: bool | None = None
+    # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.
+    episode_log: str | None = None
+    features: dict[str, PolicyFeature] = field(default_factory=dict)
+    features_map: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Fills features from the options."""
+        self.task = self.task or self.category
+        size = self.image_size
+        table = {
+            "action": (FeatureType.ACTION, (ACTION_DIM,), ACTION),
+            "agent_pos": (FeatureType.STATE, (STATE_DIM,), STATE),
+            "effort": (FeatureType.STATE, (NUM_JOINTS,), EFFORT),
+            "point_cloud": (FeatureType.ENV, (self.num_points, 3), POINT_CLOUD),
+            "pixels/front": (FeatureType.VISUAL, (size, size, 3), FRONT_IMAGE),
+        }
+        if not self.observe_images:
+            del table["pixels/front"]
+        self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
+        self.features_map = {key: name for key, (_, _, name) in table.items()}
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Arguments of `KeyframeEnv`."""
+        return {
+            "objects": self.objects,
+            "num_points": self.num_points,
+            "image_size": self.image_size,
+            "observe_images": self.observe_images,
+            "pose_preset": self.pose_preset,
+            "max_key_frames": self.episode_length,
+            "hidden_overrides": None if self.locked is None else {"locked": self.locked},
+            "episode_log": self.episode_log,
+        }
+
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
+        """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
+        from lerobot_adamanip.lerobot_compat import freeze_after_episode_end
+        from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+        if n_envs < 1:
+            raise ConfigurationError(explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2"))
+        category, kwargs = self.category, self.gym_kwargs
+        functions = [freeze_after_episode_end(lambda: KeyframeEnv(category, **kwargs)) for _ in range(n_envs)]
+        mode = gym.vector.AutoresetMode.NEXT_STEP
+        # More than one simulator in a process would render one after the other; a process each uses every core.
+        if use_async_envs and n_envs > 1:
+            vector: Any = gym.vector.AsyncVectorEnv(functions, context="forkserver", autoreset_mode=mode)
+        else:
+            vector = gym.vector.SyncVectorEnv(functions, autoreset_mode=mode)
+        return {self.type: {0: vector}}
+
+
+@EnvConfig.register_subclass("adamanip_safe")
+@dataclass
+class AdaManipSafeEnvConfig(AdaManipEnvConfig):
+    """Open a safe that may be locked, by a knob that turns either way."""
+
+    category: ClassVar[str] = "safe"

@@ -1,0 +1,71 @@
+"""What an episode was: watched from outside, for logs and reports. Nothing here reaches an observation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.experts.base import Feedback, Outcome
+
+NEAR_PART = 0.06
+"""A closed hand within this distance of a part's grasp holds it [m]."""
+HELD = (0.05, 0.75)
+"""Finger opening of a hand that holds something."""
+TURNED = np.deg2rad(8.0)
+"""A knob turned by more than this was tried [rad]."""
+
+
+class EpisodeMonitor:
+    """Counts key frames, tries and what was held first.
+
+    Args:
+        sim: the running task.
+        seed: of the episode.
+    """
+
+    def __init__(self, sim: Any, seed: int) -> None:
+        self._sim, self.seed = sim, seed
+        self.hidden = sim.hidden_state()
+        self.key_frames = 0
+        self.success = False
+        self.first_part: str | None = None
+        self.blocked_pulls = 0
+        self.knob_turned = False
+        self._grasps = {name: part.grasp[:3, 3] for name, part in sim.layout.annotations.items()}
+
+    def after_key_frame(self, feedback: Feedback) -> bool:
+        """Takes note of a key frame's end. Returns whether the episode has succeeded; once true, it stays so."""
+        self.key_frames += 1
+        joints = self._sim.joint_positions()
+        if HELD[0] < feedback.gripper < HELD[1]:
+            nearest = min(self._grasps, key=lambda name: self._distance(name, feedback))
+            if self._distance(nearest, feedback) < NEAR_PART:
+                self.first_part = self.first_part or nearest
+                if nearest == "handle" and feedback.outcome is Outcome.STALLED and joints["door"] < 0.05:
+                    self.blocked_pulls += 1
+        self.knob_turned |= bool(abs(joints.get("knob", 0.0)) > TURNED)
+        self.success |= bool(self._sim.evaluate()["success"][0])
+        return self.success
+
+    def _distance(self, name: str, feedback: Feedback) -> float:
+        return float(np.linalg.norm(feedback.tcp_in_base[:3, 3] - self._grasps[name]))
+
+    def record(self) -> dict[str, Any]:
+        """Returns the record, JSON-able.
+
+        Keys: ``seed``, ``object_id``, ``hidden_state``, ``success``, ``key_frames``, ``first_part`` (held first, or
+        None), ``blocked_pulls`` (pulls at the handle that ended in a stall with the door shut), ``knob_turned``,
+        ``door_angle`` [rad].
+        """
+        return {
+            "seed": self.seed,
+            "object_id": self._sim.obj.object_id,
+            "hidden_state": self.hidden,
+            "success": self.success,
+            "key_frames": self.key_frames,
+            "first_part": self.first_part,
+            "blocked_pulls": self.blocked_pulls,
+            "knob_turned": self.knob_turned,
+            "door_angle": self._sim.joint_positions()["door"],
+        }

@@ -1,0 +1,221 @@
+"""The environment LeRobot sees: one step is one key frame, one observation is one rendered view."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import SimulatorError, explain
+from lerobot_adamanip.experts.base import Feedback
+from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
+from lerobot_adamanip.pointcloud import Workspace, check_num_points
+from lerobot_adamanip.schema import ACTION_DIM, DEFAULT_NUM_POINTS, FPS, IMAGE_SIZE, NUM_JOINTS, STATE_DIM
+from lerobot_env_adamanip.episode import EpisodeMonitor
+
+Observation = dict[str, Any]
+TASK_IDS = {"safe": "AdaManip-Safe-v1"}
+DESCRIPTIONS = {"safe": "Open the safe."}
+MAX_KEY_FRAMES = 45
+"""Per episode. A locked safe takes the adaptive expert 19 to 21."""
+
+
+class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """AdaManip at key frames. The simulator starts with the first reset, so that building one costs nothing.
+
+    Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
+    Observation: ``point_cloud`` (N, 3), ``agent_pos`` (24,), ``effort`` (7,), and ``pixels["front"]`` (H, W, 3)
+        unless ``observe_images`` is off. Reset and step info hold ``is_success`` (bool) and nothing that is hidden.
+    Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``.
+
+    Args:
+        category: ``safe``.
+        objects: which ones: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's is drawn from its seed.
+        num_points: N.
+        image_size: of the front camera [px].
+        observe_images: whether observations hold the image.
+        pose_preset: ``default`` randomises object, robot and camera pose; ``paper`` fixes them.
+        max_key_frames: length limit.
+        hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
+        episode_log: a file to which each ended episode's record is appended as a line of JSON.
+        workspace: what of the scene the cloud keeps.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FPS}
+
+    def __init__(
+        self,
+        category: str = "safe",
+        *,
+        objects: str = "seen",
+        num_points: int = DEFAULT_NUM_POINTS,
+        image_size: int = IMAGE_SIZE,
+        observe_images: bool = True,
+        pose_preset: str = "default",
+        max_key_frames: int = MAX_KEY_FRAMES,
+        hidden_overrides: dict[str, Any] | None = None,
+        episode_log: str | os.PathLike[str] | None = None,
+        workspace: Workspace = Workspace(),
+    ) -> None:
+        parse_object_selection(category, objects)
+        self.category, self.num_points, self.workspace = category, check_num_points(num_points), workspace
+        self.task = self.task_description = DESCRIPTIONS[category]
+        self.render_mode = "rgb_array"
+        self._max_episode_steps = max_key_frames
+        self._observe_images = observe_images
+        self._episode_log = Path(episode_log) if episode_log else None
+        self._task_options = {
+            "objects": objects, "pose_preset": pose_preset, "image_size": image_size, "hidden_overrides": hidden_overrides,
+        }  # fmt: skip
+        self._sim: Any = None
+        self._image = np.zeros((image_size, image_size, 3), np.uint8)
+        self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
+        unbounded = {
+            "agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (num_points, 3),
+        }  # fmt: skip
+        spaces: dict[str, gym.Space[Any]] = {
+            key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in unbounded.items()
+        }
+        if observe_images:
+            spaces["pixels"] = gym.spaces.Dict({"front": gym.spaces.Box(0, 255, self._image.shape, np.uint8)})
+        self.observation_space = gym.spaces.Dict(spaces)
+
+    # Gymnasium --------------------------------------------------------------------------------------------------
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode. ``seed`` decides object, poses and hidden state; equal seeds give equal episodes.
+
+        Options: ``object_id`` chooses the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
+        """
+        super().reset(seed=seed)
+        episode_seed = seed if seed is not None else int(self.np_random.integers(2**31))
+        sim = self._ensure_sim()
+        wanted = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
+        sim.reset(seed=episode_seed, options={"reconfigure": True, **wanted})
+        self._monitor = EpisodeMonitor(sim, episode_seed)
+        return self._observe(), {"is_success": False}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
+        sim = self._ensure_sim()
+        feedback = sim.driver.execute(np.asarray(action))
+        success = self._monitor.after_key_frame(feedback)
+        truncated = not success and self._monitor.key_frames >= self._max_episode_steps
+        if (success or truncated) and self._episode_log is not None:
+            self._append_record()
+        return self._observe(), float(success), success, truncated, {"is_success": success}
+
+    def render(self) -> NDArray[np.uint8]:
+        """Returns the front camera's latest image (H, W, 3)."""
+        return self._image.copy()
+
+    def close(self) -> None:
+        """Ends the simulator."""
+        if self._sim is not None:
+            self._sim.close()
+            self._sim = None
+
+    # For experts, recorders and reports ---------------------------------------------------------------------------
+
+    @property
+    def feedback(self) -> Feedback:
+        """What was felt at the latest key frame."""
+        feedback: Feedback = self._ensure_sim().driver.feedback
+        return feedback
+
+    @property
+    def annotations(self) -> dict[str, PartAnnotation]:
+        """Annotated part poses at the episode's start, robot base frame."""
+        annotations: dict[str, PartAnnotation] = self._ensure_sim().layout.annotations
+        return annotations
+
+    def hidden_state(self) -> dict[str, Any]:
+        """Returns the hidden state: privileged; for the static expert and records only."""
+        hidden: dict[str, Any] = self._ensure_sim().hidden_state()
+        return hidden
+
+    def episode_record(self) -> dict[str, Any]:
+        """Returns what is worth keeping of the episode so far, JSON-able; see `EpisodeMonitor.record`."""
+        return self._monitor.record()
+
+    def camera_parameters(self) -> dict[str, Any]:
+        """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
+        camera = self._ensure_sim()._sensors["front"]
+        parameters = camera.get_params()
+        opencv_from_gl = np.diag([1.0, -1.0, -1.0, 1.0])
+        camera_in_base = parameters["cam2world_gl"][0].cpu().numpy() @ opencv_from_gl
+        return {
+            "intrinsics": parameters["intrinsic_cv"][0].cpu().numpy().tolist(),
+            "extrinsics": camera_in_base.tolist(),
+            "width": self._image.shape[1],
+            "height": self._image.shape[0],
+        }
+
+    # Inside -----------------------------------------------------------------------------------------------------
+
+    def _ensure_sim(self) -> Any:
+        if self._sim is None:
+            self._sim = make_task(self.category, **self._task_options)
+        return self._sim
+
+    def _observe(self) -> Observation:
+        from lerobot_env_adamanip.observation import capture, state_vector, workspace_cloud
+
+        sim = self._ensure_sim()
+        self._image, points = capture(sim.scene, sim._sensors["front"])
+        arm = sim._arm_state()
+        observation: Observation = {
+            "agent_pos": state_vector(sim.driver.feedback, arm.qpos, arm.qvel),
+            "effort": sim.driver.effort.astype(np.float32),
+            "point_cloud": workspace_cloud(points, self.workspace, self.num_points),
+        }
+        if self._observe_images:
+            observation["pixels"] = {"front": self._image}
+        return observation
+
+    def _append_record(self) -> None:
+        assert self._episode_log is not None
+        self._episode_log.parent.mkdir(parents=True, exist_ok=True)
+        line = json.dumps(self.episode_record()) + "\n"
+        # One write to a file opened for appending is atomic, so workers may share a log.
+        descriptor = os.open(self._episode_log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            os.write(descriptor, line.encode())
+        finally:
+            os.close(descriptor)
+
+
+def make_task(category: str, **options: Any) -> Any:
+    """Builds the ManiSkill task of a category, without observations of its own.
+
+    Raises:
+        SimulatorError: the simulator is not installed, or finds nothing to render with.
+    """
+    try:
+        import mani_skill.envs  # noqa: F401  (ManiSkill's own tasks, and its registry)
+
+        import lerobot_env_adamanip.tasks.safe  # noqa: F401  (registers the task)
+    except ImportError as error:
+        raise SimulatorError(
+            explain(
+                "The simulator is not installed.", got=error, allowed="mani-skill 3.0.1 and sapien 3.0.3",
+                try_="pip install 'lerobot_env_adamanip[sim]'",
+            )
+        ) from error  # fmt: skip
+    try:
+        return gym.make(TASK_IDS[category], obs_mode="none", reward_mode="none", **options).unwrapped
+    except RuntimeError as error:
+        if not any(word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")):
+            raise
+        raise SimulatorError(
+            explain(
+                "SAPIEN found no Vulkan device to render with.", got=error,
+                allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
+                try_="adamanip doctor",
+            )
+        ) from error  # fmt: skip
