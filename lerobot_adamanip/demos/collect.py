@@ -139,7 +139,7 @@ def _prepared(folders: Folders, options: CollectOptions) -> Iterator[None]:
                 explain("Another collection is at work here.", got=folders.partial, allowed="one at a time",
                         try_="--workers 2 for more speed, or another --root")
             ) from error  # fmt: skip
-        if folders.partial_manifest.exists():
+        if any(folders.episodes.glob("*.safetensors")) and folders.partial_manifest.exists():
             require_same(read_manifest(folders.partial_manifest), options, folders.partial)
         else:
             write_manifest(folders.partial_manifest, options)

@@ -57,7 +57,7 @@ def resolve(path: str) -> Callable[..., Any]:
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigurationError(
             explain(f"Cannot import a factory: {error}.", got=path, allowed="module:function",
-                    try_="pip install 'lerobot_env_adamanip[sim]'")
+                    try_="adamanip doctor, which shows what is not installed")
         ) from error  # fmt: skip
     return function
 

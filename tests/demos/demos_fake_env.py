@@ -28,7 +28,9 @@ class FakeEnv:
     _max_episode_steps = 12
     task_description = "open the fake"
 
-    def __init__(self, num_points: int, image_size: int, *, delay: float, crash: str | None, hopeless: str | None) -> None:
+    def __init__(
+        self, num_points: int, image_size: int, *, delay: float, crash: str | None, hopeless: str | None
+    ) -> None:
         self.num_points, self.image_size = num_points, image_size
         self.delay, self.crash, self.hopeless = delay, crash, hopeless
         self.annotations: Mapping[str, Any] = {}
@@ -99,6 +101,7 @@ def _crashes(crash: str, object_id: str) -> bool:
 def make_env(
     category: str,
     num_points: int,
+    *,
     image_size: int = 64,
     delay: float = 0.0,
     crash: str | None = None,

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import functools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tyro
+from demos_helpers import ATTEMPTS, HERE, OPTIONS
+
+from lerobot_adamanip.cli import collect as command
+from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.loading import episode_table
+from lerobot_adamanip.demos.options import CollectOptions, Folders
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+
+FACTORIES = {key: OPTIONS[key] for key in ("env_factory", "expert_factory", "image_size")}
+SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--max-attempts", str(ATTEMPTS)]
+
+SCRIPT = """
+import functools, json, sys
+from lerobot_adamanip.cli import collect as command
+from lerobot_adamanip.cli.main import main
+if __name__ == "__main__":
+    sys.path.insert(0, sys.argv.pop(1))
+    command.CollectOptions = functools.partial(command.CollectOptions, **json.loads(sys.argv.pop(1)))
+    sys.exit(main())
+"""
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "CollectOptions", functools.partial(CollectOptions, **FACTORIES))
+
+
+@pytest.mark.usefixtures("fake")
+def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "dataset"
+    assert main(["collect", "--root", str(root), *SMALL, "--json"]) == 0
+    content: dict[str, Any] = json.loads(capfd.readouterr().out)
+    attempts = episode_table(root)["attempts"].to_pylist()
+    assert content["episodes"] == content["recorded"] == len(attempts) == 4
+    assert content["attempts"] == sum(attempts)
+    assert content["expert_success_rate"] == pytest.approx(4 / sum(attempts))
+    assert content["episodes_per_minute"] == pytest.approx(240 / content["recording_seconds"], rel=1e-3)
+    assert content["bytes"] == sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
+    assert main(["collect", "--root", str(root), *SMALL]) == 0
+    assert "Complete already: 4 episodes" in capfd.readouterr().out
+
+
+@pytest.mark.usefixtures("fake")
+def test_a_person_sees_progress_and_figures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL]) == 0
+    output, progress = capfd.readouterr()
+    assert "4 episodes in" in output
+    assert "per minute" in output
+    assert "4/4" in progress
+
+
+def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
+    root = tmp_path / "dataset"
+    script = tmp_path / "adamanip"
+    script.write_text(SCRIPT)
+    extra = json.dumps({**FACTORIES, "env_options": {"delay": 0.2}})
+    line = [sys.executable, str(script), HERE, extra, "collect", "--root", str(root), *SMALL, "--workers", "2"]
+    process = subprocess.Popen(line, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 60
+    while not list(Folders(root).episodes.glob("*.safetensors")):
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to parent and workers alike
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert f"adamanip collect --root {root}" in message
+    assert "Traceback" not in message
+    kept = len(list(Folders(root).episodes.glob("*.safetensors")))
+    result = subprocess.run([*line, "--json"], check=True, capture_output=True, text=True)
+    assert json.loads(result.stdout)["recorded"] == 4 - kept < 4
+
+
+def test_impossible_requests_fail_before_anything_is_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for arguments in (
+        ["--category", "teapot"],
+        ["--objects", "microwave_000"],
+        ["--episodes-per-object", "0"],
+        ["--workers", "0"],
+        ["--push-to-hub"],
+        ["--push-to-hub", "--repo-id", "local/safes"],
+    ):
+        assert main(["collect", "--root", str(tmp_path / "dataset"), *arguments]) == 2
+        assert "allowed:" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    published: list[tuple[Path, str, bool]] = []
+    monkeypatch.setattr(command, "CollectOptions", functools.partial(CollectOptions, **FACTORIES))
+    monkeypatch.setattr(command, "publish", lambda root, name, private: published.append((root, name, private)))
+    call = tyro.cli(Collect, args=["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
+    assert call.run() == 0
+    assert published == [(tmp_path / "d", "me/safes", False)]
+    hopeless = functools.partial(CollectOptions, **FACTORIES, env_options={"hopeless": "safe_001"})
+    monkeypatch.setattr(command, "CollectOptions", hopeless)
+    call.root = tmp_path / "e"
+    with pytest.raises(DatasetError):
+        call.run()
+    assert len(published) == 1
+
+
+def test_the_name_for_the_hub_is_checked_first(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="Hub"):
+        Collect(root=tmp_path / "d", push_to_hub=True).run()

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import demos_fake_env
+import numpy as np
+import pytest
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.demos.recorder import EpisodeRecorder, observation_columns, run_episode
+from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.experts.base import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.rotations import transform
+
+PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY, 0)
+UNLOCK = Goal(transform((0.3, 0.0, 0.6)), 0.0, Phase.UNLOCK, 1)
+
+
+def ready(locked: bool) -> tuple[demos_fake_env.FakeEnv, dict]:
+    env = demos_fake_env.make_env("fake", 8)
+    for seed in range(100):
+        try:
+            observation, _ = env.reset(seed=seed, options={"object_id": "fake_000"})
+        except UnreachableError:
+            continue
+        if env.locked == locked:
+            return env, observation
+    raise AssertionError("no seed gives such an episode")
+
+
+def play(*goals: Goal) -> Iterator[Goal]:
+    for goal in goals:  # noqa: UP028 (it has to accept what is sent to it)
+        yield goal
+
+
+def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
+    env, first = ready(locked=True)
+    recorder = EpisodeRecorder()
+    result = run_episode(env, first, play(PULL, UNLOCK, PULL), recorder)
+    columns = recorder.columns()
+    assert result.success
+    assert result.key_frames == 3
+    assert result.trials == 2
+    np.testing.assert_array_equal(columns[schema.STATE][0], first["agent_pos"])
+    np.testing.assert_array_equal(columns[schema.ACTION][1], UNLOCK.action())
+    assert columns[schema.OUTCOME][:, 0].tolist() == [Outcome.STALLED, Outcome.REACHED, Outcome.REACHED]
+    assert columns[schema.PHASE][:, 0].tolist() == [Phase.TRY, Phase.UNLOCK, Phase.TRY]
+    assert columns[schema.TRIAL][:, 0].tolist() == [0, 1, 0]
+    # The state after an action is the next row's: the pull stalled where it began, the unlocking arrived.
+    assert columns[schema.STATE][1, 0] == columns[schema.STATE][0, 0]
+    np.testing.assert_allclose(columns[schema.STATE][2, :3], UNLOCK.action()[:3])
+
+
+def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
+    env, first = ready(locked=False)
+    recorder = EpisodeRecorder()
+    run_episode(env, first, play(UNLOCK, PULL), recorder)
+    columns = recorder.columns()
+    features = schema.dataset_features(8, 64)
+    assert set(columns) == set(features)
+    for key, feature in features.items():
+        assert columns[key].shape == (2, *feature["shape"])
+        assert columns[key].dtype == ("uint8" if feature["dtype"] == "video" else feature["dtype"])
+
+
+def test_recording_does_not_change_the_episode() -> None:
+    results = []
+    for recorder in (None, EpisodeRecorder()):
+        env, first = ready(locked=True)
+        results.append(run_episode(env, first, play(PULL, UNLOCK, PULL), recorder))
+    assert results[0] == results[1]
+
+
+def test_an_expert_hears_of_every_key_frame_and_is_closed() -> None:
+    env, first = ready(locked=True)
+    heard: list[Feedback] = []
+    closed = []
+
+    def expert() -> Iterator[Goal]:
+        try:
+            while True:
+                heard.append((yield PULL))
+        finally:
+            closed.append(True)
+
+    result = run_episode(env, first, expert())
+    assert result.key_frames == env._max_episode_steps
+    assert (result.success, result.reason, closed) == (False, "time limit", [True])
+    assert all(feedback.outcome is Outcome.STALLED for feedback in heard)
+
+
+def test_an_expert_that_runs_out_of_ideas_has_failed() -> None:
+    env, first = ready(locked=True)
+    result = run_episode(env, first, play(PULL))
+    assert not result.success
+    assert "without success" in result.reason
+
+
+def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_buffers() -> None:
+    _, observation = ready(locked=False)
+    seen = observation_columns(observation)
+    before = {key: value.copy() for key, value in seen.items()}
+    for value in (observation["agent_pos"], observation["effort"], observation["point_cloud"]):
+        value[...] = 7.0
+    observation["pixels"]["front"][...] = 7
+    for key, value in seen.items():
+        np.testing.assert_array_equal(value, before[key])
+    assert seen[schema.STATE].max() < 7.0
+
+
+def test_feedback_from_before_the_first_key_frame_is_no_outcome() -> None:
+    env, observation = ready(locked=False)
+    with pytest.raises(ValueError, match="outcome"):
+        EpisodeRecorder().record(observation, PULL, env.feedback)

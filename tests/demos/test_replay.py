@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.cli.replay import Replay
+from lerobot_adamanip.demos.loading import episode_table
+from lerobot_adamanip.demos.replay import replay
+from lerobot_adamanip.demos.video import write_video
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+
+Refuses = Callable[[type, Callable[[], Any]], str]
+
+
+def test_every_recorded_episode_happens_again_exactly(finished: Path) -> None:
+    for row in episode_table(finished).to_pylist():
+        result = replay(finished, row["episode_index"])
+        assert result.agrees(0.0)
+        assert (result.object_id, result.seed) == (row["object_id"], row["seed"])
+        assert result.replayed == result.key_frames == row["length"]
+
+
+def test_a_changed_recording_is_noticed(tmp_path: Path, finished: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    root = Path(shutil.copytree(finished, tmp_path / "copy"))
+    path = root / "data/chunk-000/file-000.parquet"
+    table = pq.read_table(path)
+    states = np.array(table[schema.STATE].to_pylist(), dtype=np.float32)
+    states[1, 5] += 0.5
+    index = table.column_names.index(schema.STATE)
+    changed = pa.array(list(states), type=table.schema.field(schema.STATE).type)
+    pq.write_table(table.set_column(index, table.schema.field(index), changed), path)
+    result = replay(root, 0)
+    assert result.differences[schema.STATE] == pytest.approx(0.5)
+    assert result.differences[schema.POINT_CLOUD] == 0.0
+    assert not result.agrees(0.1)
+    assert Replay(root=root, episode=0).run() == 1
+    assert Replay(root=root, episode=0, tolerance=1.0).run() == 0
+
+
+def test_the_command_prints_one_object_and_writes_a_video(
+    tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    video = tmp_path / "videos" / "out.mp4"
+    assert Replay(root=finished, episode=1, video=video, json=True).run() == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["agrees"] is True
+    assert content["success"] is True
+    with av.open(str(video)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == content["key_frames"]
+    assert frames[0].shape == (64, 128, 3)
+    left, right = frames[0][:, :64].astype(int), frames[0][:, 64:].astype(int)
+    assert np.abs(left - right).mean() < 12.0  # recording and replay show the same
+
+
+def test_episodes_and_datasets_that_are_not_there(tmp_path: Path, finished: Path, refuses: Refuses) -> None:
+    assert "0 to 5" in refuses(ConfigurationError, lambda: replay(finished, 6))
+    refuses(ConfigurationError, lambda: replay(finished, -1))
+    refuses(DatasetError, lambda: replay(tmp_path / "nothing", 0))
+
+
+def test_a_video_needs_frames(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="frame"):
+        write_video(tmp_path / "empty.mp4", [], 4)

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.demos import shards
+from lerobot_adamanip.demos.shards import Episode, read_record, read_shard, write_shard
+from lerobot_adamanip.errors import DatasetError
+
+
+@pytest.fixture
+def episode() -> Episode:
+    generator = np.random.default_rng(0)
+    return Episode(
+        {
+            schema.STATE: generator.normal(size=(5, 24)).astype(np.float32),
+            schema.ACTION: generator.normal(size=(5, 10)).astype(np.float32),
+            schema.TRIAL: generator.integers(0, 3, (5, 1)),
+            schema.FRONT_IMAGE: generator.integers(0, 256, (5, 16, 16, 3), dtype=np.uint8),
+        },
+        {"object_id": "safe_000", "hidden_state": {"locked": True, "angle": 0.25}, "seed": 2**30},
+    )
+
+
+def test_an_episode_comes_back_bit_for_bit(tmp_path: Path, episode: Episode) -> None:
+    write_shard(tmp_path / "a", episode)
+    back = read_shard(tmp_path / "a")
+    assert back.record == episode.record == read_record(tmp_path / "a")
+    assert set(back.columns) == set(episode.columns)
+    for key, value in episode.columns.items():
+        assert back.columns[key].dtype == value.dtype
+        np.testing.assert_array_equal(back.columns[key], value)
+
+
+def test_equal_episodes_are_equal_files(tmp_path: Path, episode: Episode) -> None:
+    for name in "ab":
+        write_shard(tmp_path / name, episode)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_a_file_cut_anywhere_is_not_an_episode(tmp_path: Path, episode: Episode) -> None:
+    write_shard(tmp_path / "a", episode)
+    content = (tmp_path / "a").read_bytes()
+    for size in (0, 4, 200, len(content) // 2, len(content) - 1):
+        (tmp_path / "b").write_bytes(content[:size])
+        assert read_record(tmp_path / "b") is None
+        with pytest.raises(DatasetError, match="recorded episode"):
+            read_shard(tmp_path / "b")
+
+
+def test_dying_before_the_rename_leaves_no_file_and_spoils_no_older_one(
+    tmp_path: Path, episode: Episode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def die(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    write_shard(tmp_path / "old", episode)
+    before = (tmp_path / "old").read_bytes()
+    monkeypatch.setattr(shards.os, "replace", die)
+    for name in ("old", "new"):
+        with pytest.raises(KeyboardInterrupt):
+            write_shard(tmp_path / name, Episode(episode.columns, {"other": True}))
+    assert (tmp_path / "old").read_bytes() == before
+    assert not (tmp_path / "new").exists()
