@@ -1,0 +1,63 @@
+"""Random rotation direction: a knob, cap or lever turns one way only, and does not show which."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, overridden, uniform
+from lerobot_adamanip.mechanisms.lock import check_fraction
+
+
+@dataclass(frozen=True)
+class RotationState:
+    """``direction`` (B,) int64, +1 or -1; ``turn_range`` (B,) [rad], positive."""
+
+    direction: Tensor
+    turn_range: Tensor
+
+
+@dataclass(frozen=True)
+class RandomRotationDirection:
+    """A revolute joint free in [0, r] or [-r, 0].
+
+    Attributes:
+        nominal_range: the object's own range [rad].
+        p_positive: probability of the positive direction.
+        range_fraction: an episode's r is uniform between these fractions of the nominal (safe 0.9-1, others 0.5-1).
+        range_name: what the range is called among hidden values.
+    """
+
+    nominal_range: float
+    p_positive: float = 0.5
+    range_fraction: tuple[float, float] = (0.5, 1.0)
+    range_name: str = "turn_range"
+
+    def __post_init__(self) -> None:
+        """Rejects ranges that are empty or not fractions."""
+        check_fraction("p_positive", self.p_positive)
+        low, high = (check_fraction("range_fraction", value, zero=False) for value in self.range_fraction)
+        if low > high or self.nominal_range <= 0:
+            raise ConfigurationError(
+                explain(
+                    "Empty rotation range.", got=f"{self.nominal_range} rad times {self.range_fraction}",
+                    allowed="a positive range, fractions in rising order", try_="range_fraction=(0.5, 1.0)",
+                )
+            )  # fmt: skip
+
+    def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> RotationState:
+        """Draws direction and range; overrides ``direction`` (+1 or -1) and the range's name [rad]."""
+        positive = uniform(batch_size, generator) < self.p_positive
+        low, high = self.range_fraction
+        turn_range = self.nominal_range * (low + (high - low) * uniform(batch_size, generator))
+        direction = overridden(torch.where(positive, 1, -1), overrides, "direction")
+        return RotationState(direction, overridden(turn_range, overrides, self.range_name))
+
+    def limits(self, state: RotationState) -> JointLimits:
+        """Returns the joint's limits, the same all episode long."""
+        positive = state.direction > 0
+        zero = torch.zeros_like(state.turn_range)
+        return JointLimits(torch.where(positive, zero, -state.turn_range), torch.where(positive, state.turn_range, zero))

@@ -1,0 +1,77 @@
+"""The safe: lock, random rotation direction and switch contact in one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading
+from lerobot_adamanip.mechanisms.lock import LockState
+from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
+from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
+
+
+@dataclass(frozen=True)
+class SafeMechanismConfig:
+    """Draws and thresholds of the safe (paper code, section "safe").
+
+    Attributes:
+        p_locked: probability that an episode starts locked.
+        p_clockwise: probability that the knob turns clockwise, seen from the front; direction +1.
+        range_fraction: an episode's knob range is uniform between these fractions of the object's.
+        release_fraction: of that range, at which the lock gives.
+        lock_on_turn: upstream's variant, see `SwitchContact`.
+    """
+
+    p_locked: float = 0.5
+    p_clockwise: float = 0.5
+    range_fraction: tuple[float, float] = (0.9, 1.0)
+    release_fraction: float = 0.85
+    lock_on_turn: bool = False
+
+
+@dataclass(frozen=True)
+class SafeState:
+    """States of the two families."""
+
+    lock: LockState
+    rotation: RotationState
+
+
+class SafeMechanism(Mechanism[SafeState]):
+    """Joints ``door`` (0 shut ... ``door_upper``) and ``knob`` (0 at rest; one way only).
+
+    Args:
+        door_upper: opening limit [rad].
+        knob_range: the object's nominal knob range [rad].
+        config: draws and thresholds.
+    """
+
+    joints = ("door", "knob")
+
+    def __init__(self, door_upper: float, knob_range: float, config: SafeMechanismConfig = SafeMechanismConfig()) -> None:
+        self.config = config
+        self._lock = SwitchContact(
+            door_upper, config.p_locked, config.release_fraction, lock_on_turn=config.lock_on_turn
+        )
+        self._rotation = RandomRotationDirection(knob_range, config.p_clockwise, config.range_fraction, "knob_range")
+
+    def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> SafeState:
+        """Draws ``locked``, ``direction`` and ``knob_range``; each can be overridden by that name."""
+        lock = self._lock.draw(batch_size, generator, overrides)
+        return SafeState(lock, self._rotation.draw(batch_size, generator, overrides))
+
+    def step(self, state: SafeState, reading: Reading) -> tuple[SafeState, Command]:
+        """The knob alone releases the door; pulling never does."""
+        lock, door = self._lock.step_with(state.lock, reading["knob"], state.rotation.turn_range, reading["door"])
+        return SafeState(lock, state.rotation), {"door": door, "knob": self._rotation.limits(state.rotation)}
+
+    def hidden(self, state: SafeState, index: int) -> dict[str, Any]:
+        """Returns ``locked``, ``direction`` and ``knob_range`` [rad] of one environment, as drawn."""
+        return {
+            "locked": bool(state.lock.locked[index]),
+            "direction": int(state.rotation.direction[index]),
+            "knob_range": float(state.rotation.turn_range[index]),
+        }
