@@ -48,6 +48,9 @@ class Collect:
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper's protocol has 4096; LeRobot reads fewer much faster."""
 
+    pose_preset: Literal["default", "paper"] = "default"
+    """default randomises object, robot and camera pose; paper fixes them."""
+
     trials: int = 1
     """Failed tries the adaptive expert demonstrates before it changes its mind."""
 
@@ -88,6 +91,8 @@ class Collect:
             trials=self.trials,
             seed=self.seed,
         )
+        if self.pose_preset != "default":
+            options = dataclasses.replace(options, env_options={"pose_preset": self.pose_preset})
         try:
             summary = self._collect(options)
         except KeyboardInterrupt:

@@ -1,0 +1,1 @@
+"""Demonstrations: recorded by an observer, durable per episode, published as LeRobotDatasets."""

@@ -65,8 +65,10 @@ def dataset_card(root: Path, options: CollectOptions, records: list[dict[str, An
 
 
 def _command(options: CollectOptions, folder: str) -> str:
+    preset = options.env_options.get("pose_preset")
     return (
         f"adamanip collect --category {options.category} --expert {options.expert} "
         f"--episodes-per-object {options.episodes_per_object} --num-points {options.num_points} "
         f"--trials {options.trials} --seed {options.seed} --objects {','.join(options.objects)} --root {folder}"
+        + (f" --pose-preset {preset}" if preset else "")
     )

@@ -120,3 +120,21 @@ def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.
 def test_the_name_for_the_hub_is_checked_first(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="Hub"):
         Collect(root=tmp_path / "d", push_to_hub=True).run()
+
+
+def test_every_option_that_decides_the_data_reaches_the_collection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[CollectOptions] = []
+
+    def stop(root: Path, options: CollectOptions, **_: object) -> None:
+        asked.append(options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "collect", stop)
+    line = ["--expert", "static", "--trials", "2", "--seed", "7", "--pose-preset", "paper", "--objects", "unseen"]
+    assert main(["collect", "--root", str(tmp_path / "d"), *line]) == 130
+    (options,) = asked
+    assert (options.expert, options.trials, options.seed) == ("static", 2, 7)
+    assert options.env_options == {"pose_preset": "paper"}
+    assert options.objects[0] == "safe_036"

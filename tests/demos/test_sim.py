@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from lerobot_adamanip.demos.loading import load_check
+from lerobot_adamanip.demos.replay import replay
+
+pytestmark = pytest.mark.sim
+SMALL = ["--category", "safe", "--objects", "safe_000,safe_003", "--episodes-per-object", "1", "--num-points", "256"]
+
+
+@pytest.mark.timeout(280)
+def test_safes_are_collected_replayed_and_collected_again_alike(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from demos_helpers import same_content
+
+    from lerobot_adamanip.cli.main import main
+
+    roots = [tmp_path / "one", tmp_path / "two"]
+    for root, workers in zip(roots, "12", strict=True):
+        assert main(["collect", "--root", str(root), *SMALL, "--workers", workers, "--json"]) == 0
+        assert json.loads(capfd.readouterr().out)["episodes"] == 2
+    for root in roots:  # the folder's name is in the card alone
+        assert load_check(root, num_points=256)["total_episodes"] == 2
+    same_content(*roots)
+    # The second episode was recorded by a simulator that had another one behind it, and is replayed by a fresh one.
+    result = replay(roots[0], 1, video=tmp_path / "replay.mp4")
+    assert result.agrees(1e-6), result
+    assert (tmp_path / "replay.mp4").stat().st_size > 0
