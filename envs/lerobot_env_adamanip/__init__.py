@@ -1,6 +1,14 @@
 """AdaManip as a LeRobot plugin: importing this registers environments and policy, and nothing heavy."""
 
+import sys
+
 from lerobot_env_adamanip.config import AdaManipEnvConfig, AdaManipSafeEnvConfig
 from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig
+
+if "lerobot.datasets.lerobot_dataset" in sys.modules:
+    # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
+    from lerobot_adamanip import lerobot_compat
+
+    lerobot_compat.apply()
 
 __all__ = ["AdaManipEnvConfig", "AdaManipSafeEnvConfig", "DP3AdaptiveConfig"]
