@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Generic, TypeVar
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
+
+from lerobot_adamanip.errors import ConfigurationError, explain
 
 Reading = Mapping[str, Tensor]
 """Joint name -> position (B,) [rad or m]."""
@@ -24,10 +27,9 @@ class JointLimits:
 
 Command = Mapping[str, JointLimits]
 Overrides = Mapping[str, bool | int | float]
-StateT = TypeVar("StateT")
 
 
-class Mechanism(ABC, Generic[StateT]):
+class Mechanism[StateT](ABC):
     """Rules of one object. Pure: no simulator, no random numbers in `step`, inputs are never changed.
 
     A state is a frozen dataclass of (B,) tensors: the episode's hidden draw, and what the mechanism remembers.
@@ -41,7 +43,7 @@ class Mechanism(ABC, Generic[StateT]):
         """Draws hidden states of ``batch_size`` new episodes.
 
         ``overrides`` fixes hidden values by name. The generator is advanced equally with and without them, so that an
-        override changes nothing else.
+        override changes nothing else. Raises `ConfigurationError` for an unknown name or an impossible value.
         """
 
     @abstractmethod
@@ -54,22 +56,55 @@ class Mechanism(ABC, Generic[StateT]):
 
 
 def uniform(batch_size: int, generator: torch.Generator) -> Tensor:
-    """(B,) float64 draws in [0, 1)."""
-    return torch.rand(batch_size, generator=generator, dtype=torch.float64)
+    """(B,) float64 draws in [0, 1), on the generator's device."""
+    return torch.rand(batch_size, generator=generator, dtype=torch.float64, device=generator.device)
 
 
-def overridden(drawn: Tensor, overrides: Overrides | None, name: str) -> Tensor:
-    """Returns ``drawn``, or the overriding value in its shape and dtype."""
+def overridden(drawn: Tensor, overrides: Overrides | None, name: str, choices: Collection[int] = ()) -> Tensor:
+    """Returns ``drawn``, or the overriding value in its shape and dtype.
+
+    Raises:
+        ConfigurationError: the value is none of ``choices``; without choices, no positive number.
+    """
     if overrides is None or name not in overrides:
         return drawn
-    return torch.full_like(drawn, overrides[name])
+    value = overrides[name]
+    positive = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+    if not (value in choices if choices else positive):
+        allowed = " or ".join(map(str, choices)) or "a number above 0"
+        raise ConfigurationError(explain(f"Impossible {name}.", got=repr(value), allowed=allowed, try_="leave it out"))
+    return torch.full_like(drawn, value)
 
 
-def replace_rows(state: StateT, fresh: StateT, mask: Tensor) -> StateT:
+def opening(is_free: Tensor, upper: float) -> JointLimits:
+    """Returns float64 limits [0, upper] where ``is_free`` (B,), [0, 0] elsewhere."""
+    # Not torch.where: of two Python numbers it makes float32, which rounds the limit.
+    limits = is_free.to(torch.float64) * upper
+    return JointLimits(torch.zeros_like(limits), limits)
+
+
+def check_names(overrides: Overrides | None, names: Collection[str]) -> None:
+    """Raises `ConfigurationError` if an override has none of these names: misspelt, it would do nothing."""
+    unknown = set(overrides or ()) - set(names)
+    if unknown:
+        got, allowed = ", ".join(sorted(unknown)), ", ".join(names)
+        raise ConfigurationError(explain("Unknown hidden value.", got=got, allowed=allowed, try_="leave it out"))
+
+
+def check_positive(name: str, value: float) -> float:
+    """Returns ``value`` if it is above 0 and finite; raises `ConfigurationError` if not."""
+    if 0 < value < math.inf:
+        return value
+    raise ConfigurationError(
+        explain(f"{name} has to be positive.", got=value, allowed="above 0", try_="the object's own")
+    )
+
+
+def replace_rows[StateT](state: StateT, fresh: StateT, mask: Tensor) -> StateT:
     """Returns ``state`` with the environments of ``mask`` (B,) taken from ``fresh``: how some of a batch are reset."""
     if isinstance(state, Tensor):
         return torch.where(mask, fresh, state)  # type: ignore[call-overload, no-any-return]
-    if not is_dataclass(state):
+    if not is_dataclass(state) or isinstance(state, type):
         raise TypeError(f"a state is a dataclass of tensors, got {type(state).__name__}")
-    parts = {item.name: replace_rows(getattr(state, item.name), getattr(fresh, item.name), mask) for item in fields(state)}
-    return type(state)(**parts)
+    names = [item.name for item in fields(state)]
+    return replace(state, **{n: replace_rows(getattr(state, n), getattr(fresh, n), mask) for n in names})

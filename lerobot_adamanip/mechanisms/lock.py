@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError, explain
-from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, overridden, uniform
+from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, opening, overridden, uniform
 
 
 def check_fraction(name: str, value: float, *, zero: bool = True) -> float:
     """Returns ``value`` if it lies in [0, 1] (or (0, 1]); raises `ConfigurationError` if not."""
-    if (0.0 <= value if zero else 0.0 < value) and value <= 1.0:
+    if 0.0 <= value <= 1.0 and (zero or value > 0.0):
         return value
     raise ConfigurationError(
         explain(f"{name} is a fraction.", got=value, allowed="0 ... 1" if zero else "above 0, at most 1", try_="0.5")
@@ -43,17 +43,17 @@ class Lock:
     release_fraction: float = 0.85
 
     def __post_init__(self) -> None:
-        """Rejects what is no fraction."""
+        """Rejects what is no fraction, and a final part that could not open."""
+        check_positive("final_upper", self.final_upper)
         check_fraction("p_locked", self.p_locked)
         check_fraction("release_fraction", self.release_fraction, zero=False)
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> LockState:
         """Draws which episodes start locked; override ``locked``."""
-        locked = overridden(uniform(batch_size, generator) < self.p_locked, overrides, "locked")
+        locked = overridden(uniform(batch_size, generator) < self.p_locked, overrides, "locked", (False, True))
         return LockState(locked, ~locked)
 
     def step(self, state: LockState, key: Tensor, key_range: Tensor) -> tuple[LockState, JointLimits]:
         """Releases by the key alone, however the final part is pulled. ``key``, ``key_range``: (B,)."""
         released = state.released | (key.abs() >= self.release_fraction * key_range)
-        upper = torch.where(released, self.final_upper, 0.0).to(torch.float64)
-        return LockState(state.locked, released), JointLimits(torch.zeros_like(upper), upper)
+        return LockState(state.locked, released), opening(released, self.final_upper)

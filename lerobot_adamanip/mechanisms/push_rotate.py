@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError, explain
-from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, overridden, uniform
+from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
 
 PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE = 0, 1, 2
 
@@ -34,19 +33,17 @@ class PushOrRotate:
 
     def __post_init__(self) -> None:
         """Rejects ranges that are empty."""
-        if self.push_upper <= 0 or self.turn_upper <= 0:
-            raise ConfigurationError(
-                explain("Empty range.", got=(self.push_upper, self.turn_upper), allowed="positive ranges", try_="0.1 m, 1.57 rad")
-            )
+        check_positive("push_upper", self.push_upper)
+        check_positive("turn_upper", self.turn_upper)
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> PushRotateState:
         """Draws the mode; override ``mode`` (0 push, 1 rotate positive, 2 rotate negative)."""
         mode = (uniform(batch_size, generator) * 3).long().clamp(max=2)
-        return PushRotateState(overridden(mode, overrides, "mode"))
+        return PushRotateState(overridden(mode, overrides, "mode", (PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE)))
 
     def limits(self, state: PushRotateState) -> tuple[JointLimits, JointLimits]:
         """Returns the limits of push [m] and turn [rad]."""
-        zero = torch.zeros(state.mode.shape, dtype=torch.float64)
+        zero = torch.zeros_like(state.mode, dtype=torch.float64)
         push = torch.where(state.mode == PUSH, self.push_upper, zero)
         upper = torch.where(state.mode == ROTATE_POSITIVE, self.turn_upper, zero)
         lower = torch.where(state.mode == ROTATE_NEGATIVE, -self.turn_upper, zero)

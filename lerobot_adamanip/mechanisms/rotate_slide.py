@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.mechanisms.base import JointLimits, Overrides
+from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, opening
 from lerobot_adamanip.mechanisms.lock import check_fraction
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
 
@@ -37,19 +37,25 @@ class RotateThenSlide:
     latched: bool = True
 
     def __post_init__(self) -> None:
-        """Rejects what is no fraction."""
+        """Rejects what is no fraction, and a slide that could not move."""
+        check_positive("slide_upper", self.slide_upper)
         check_fraction("release_fraction", self.release_fraction, zero=False)
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> RotateSlideState:
         """Draws the rotation; the slide starts held."""
         rotation = self.rotation.draw(batch_size, generator, overrides)
-        return RotateSlideState(rotation, torch.zeros(batch_size, dtype=torch.bool))
+        return RotateSlideState(rotation, torch.zeros_like(rotation.direction, dtype=torch.bool))
 
-    def step(self, state: RotateSlideState, turn: Tensor, slide: Tensor) -> tuple[RotateSlideState, JointLimits, JointLimits]:
+    def step(
+        self, state: RotateSlideState, turn: Tensor, slide: Tensor
+    ) -> tuple[RotateSlideState, JointLimits, JointLimits]:
         """Returns the next state and the limits of turn and slide. ``turn`` (B,) [rad], ``slide`` (B,) [m]."""
         turned = turn.abs() >= self.release_fraction * state.rotation.turn_range
         # A part half way out cannot be pushed back in by turning it, so what has slid stays free.
         kept = state.free if self.latched else state.free & (slide > 1e-3)
         free = turned | kept
-        upper = torch.where(free, self.slide_upper, 0.0).to(torch.float64)
-        return RotateSlideState(state.rotation, free), self.rotation.limits(state.rotation), JointLimits(torch.zeros_like(upper), upper)
+        return (
+            RotateSlideState(state.rotation, free),
+            self.rotation.limits(state.rotation),
+            opening(free, self.slide_upper),
+        )

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError, explain
-from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, overridden, uniform
+from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
 from lerobot_adamanip.mechanisms.lock import check_fraction
 
 
@@ -40,24 +40,22 @@ class RandomRotationDirection:
         """Rejects ranges that are empty or not fractions."""
         check_fraction("p_positive", self.p_positive)
         low, high = (check_fraction("range_fraction", value, zero=False) for value in self.range_fraction)
-        if low > high or self.nominal_range <= 0:
-            raise ConfigurationError(
-                explain(
-                    "Empty rotation range.", got=f"{self.nominal_range} rad times {self.range_fraction}",
-                    allowed="a positive range, fractions in rising order", try_="range_fraction=(0.5, 1.0)",
-                )
-            )  # fmt: skip
+        check_positive("nominal_range", self.nominal_range)
+        if low > high:
+            allowed = "fractions in rising order"
+            message = explain("Empty rotation range.", got=self.range_fraction, allowed=allowed, try_="(0.5, 1.0)")
+            raise ConfigurationError(message)
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> RotationState:
         """Draws direction and range; overrides ``direction`` (+1 or -1) and the range's name [rad]."""
         positive = uniform(batch_size, generator) < self.p_positive
         low, high = self.range_fraction
         turn_range = self.nominal_range * (low + (high - low) * uniform(batch_size, generator))
-        direction = overridden(torch.where(positive, 1, -1), overrides, "direction")
+        direction = overridden(torch.where(positive, 1, -1), overrides, "direction", (-1, 1))
         return RotationState(direction, overridden(turn_range, overrides, self.range_name))
 
     def limits(self, state: RotationState) -> JointLimits:
         """Returns the joint's limits, the same all episode long."""
-        positive = state.direction > 0
-        zero = torch.zeros_like(state.turn_range)
-        return JointLimits(torch.where(positive, zero, -state.turn_range), torch.where(positive, state.turn_range, zero))
+        positive, turn_range = state.direction > 0, state.turn_range
+        zero = torch.zeros_like(turn_range)
+        return JointLimits(torch.where(positive, zero, -turn_range), torch.where(positive, turn_range, zero))

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading
+from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading, check_names
 from lerobot_adamanip.mechanisms.lock import LockState
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
@@ -51,7 +51,9 @@ class SafeMechanism(Mechanism[SafeState]):
 
     joints = ("door", "knob")
 
-    def __init__(self, door_upper: float, knob_range: float, config: SafeMechanismConfig = SafeMechanismConfig()) -> None:
+    def __init__(
+        self, door_upper: float, knob_range: float, config: SafeMechanismConfig = SafeMechanismConfig()
+    ) -> None:
         self.config = config
         self._lock = SwitchContact(
             door_upper, config.p_locked, config.release_fraction, lock_on_turn=config.lock_on_turn
@@ -60,6 +62,7 @@ class SafeMechanism(Mechanism[SafeState]):
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> SafeState:
         """Draws ``locked``, ``direction`` and ``knob_range``; each can be overridden by that name."""
+        check_names(overrides, ("locked", "direction", "knob_range"))
         lock = self._lock.draw(batch_size, generator, overrides)
         return SafeState(lock, self._rotation.draw(batch_size, generator, overrides))
 

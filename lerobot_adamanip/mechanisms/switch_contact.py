@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.mechanisms.base import JointLimits
+from lerobot_adamanip.mechanisms.base import JointLimits, opening
 from lerobot_adamanip.mechanisms.lock import Lock, LockState, check_fraction
 
 AJAR = 0.02
@@ -32,11 +32,13 @@ class SwitchContact(Lock):
         super().__post_init__()
         check_fraction("lock_fraction", self.lock_fraction, zero=False)
 
-    def step_with(self, state: LockState, key: Tensor, key_range: Tensor, final: Tensor) -> tuple[LockState, JointLimits]:
+    def step_with(
+        self, state: LockState, key: Tensor, key_range: Tensor, final: Tensor
+    ) -> tuple[LockState, JointLimits]:
         """As `Lock.step`; ``final`` (B,) is the final joint's position, which keeps an open door from being locked."""
         if not self.lock_on_turn:
             return self.step(state, key, key_range)
         spoiled = ~state.locked & (~state.released | ((key.abs() > self.lock_fraction * key_range) & (final < AJAR)))
-        released = torch.where(state.locked, state.released | (key.abs() >= self.release_fraction * key_range), ~spoiled)
-        upper = torch.where(released, self.final_upper, 0.0).to(torch.float64)
-        return LockState(state.locked, released), JointLimits(torch.zeros_like(upper), upper)
+        opened = state.released | (key.abs() >= self.release_fraction * key_range)
+        released = torch.where(state.locked, opened, ~spoiled)
+        return LockState(state.locked, released), opening(released, self.final_upper)
