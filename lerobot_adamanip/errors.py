@@ -36,5 +36,7 @@ def require_choice(what: str, got: str, choices: Iterable[str], *, try_: str | N
     if got in names:
         return got
     raise ConfigurationError(
-        explain(f"Unknown {what}.", got=repr(got), allowed=", ".join(names), try_=try_ or f"one of the allowed {what} names")
+        explain(
+            f"Unknown {what}.", got=repr(got), allowed=", ".join(names), try_=try_ or f"one of the allowed {what} names"
+        )
     )

@@ -69,7 +69,11 @@ def _view(chunk: pa.Array) -> NDArray[Any] | None:
             chunk = chunk.storage
         if chunk.null_count:
             return None
-        if not pa.types.is_list(chunk.type) and not pa.types.is_fixed_size_list(chunk.type) and not pa.types.is_large_list(chunk.type):
+        if (
+            not pa.types.is_list(chunk.type)
+            and not pa.types.is_fixed_size_list(chunk.type)
+            and not pa.types.is_large_list(chunk.type)
+        ):
             break
         inner = chunk.flatten()
         if len(chunk) == 0 or len(inner) % len(chunk):
@@ -107,7 +111,9 @@ class FastDatasetReader(DatasetReader):
     def get_item(self, idx: int) -> dict[str, Any]:
         """As LeRobot's, without decoding the row into lists, and without videos that are marked as not needed."""
         store = self._store()
-        if not getattr(self._meta, _SKIP_VIDEOS, False) or any(name not in store for name in self.hf_dataset.column_names):
+        if not getattr(self._meta, _SKIP_VIDEOS, False) or any(
+            name not in store for name in self.hf_dataset.column_names
+        ):
             return dict(super().get_item(idx))
         item: dict[str, Any] = {name: store.rows(name, [idx])[0] for name in self.hf_dataset.column_names}
         if self.delta_indices is not None:
@@ -134,7 +140,8 @@ def apply() -> bool:
         return True
     if not version_is_known():
         logging.getLogger(__name__).warning(
-            "LeRobot %s is unknown to lerobot_env_adamanip: its own, slower dataset reader stays in place.", lerobot.__version__
+            "LeRobot %s is unknown to lerobot_env_adamanip: its own, slower dataset reader stays in place.",
+            lerobot.__version__,
         )
         return False
     lerobot_dataset.DatasetReader = FastDatasetReader  # type: ignore[misc]

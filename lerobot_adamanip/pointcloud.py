@@ -53,4 +53,8 @@ def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
         return np.repeat(points[:1], num_points, axis=0).astype(np.float32)
     indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=KDTREE_HEIGHT, start_idx=0)
     chosen = points[np.asarray(indices, dtype=np.int64)]
-    return np.resize(chosen, (num_points, 3)).astype(np.float32) if wanted < num_points else np.ascontiguousarray(chosen, np.float32)
+    return (
+        np.resize(chosen, (num_points, 3)).astype(np.float32)
+        if wanted < num_points
+        else np.ascontiguousarray(chosen, np.float32)
+    )

@@ -45,7 +45,9 @@ class ArmKinematics:
 
     def __init__(self, articulation: sapien.physx.PhysxArticulation, tcp_link: str = "panda_hand_tcp") -> None:
         self._model: Any = articulation.create_pinocchio_model()
-        names = [link.name.split("_", 1)[-1] if link.name.startswith("scene") else link.name for link in articulation.links]
+        names = [
+            link.name.split("_", 1)[-1] if link.name.startswith("scene") else link.name for link in articulation.links
+        ]
         self._tcp = next(i for i, name in enumerate(names) if name.endswith(tcp_link))
         limits = np.asarray(articulation.get_qlimits(), dtype=np.float64)[:NUM_ARM_JOINTS]
         self.lower, self.upper = limits[:, 0] + LIMIT_MARGIN, limits[:, 1] - LIMIT_MARGIN

@@ -73,7 +73,11 @@ def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[
             corners = shape.vertices @ shape.pose_in_link[:3, :3].T + shape.pose_in_link[:3, 3]
             lower, upper = np.minimum(lower, corners.min(0)), np.maximum(upper, corners.max(0))
     a, b, c = upper - lower
-    return sapien.Pose((lower + upper) / 2), [mass / 12 * (b * b + c * c), mass / 12 * (a * a + c * c), mass / 12 * (a * a + b * b)]
+    return sapien.Pose((lower + upper) / 2), [
+        mass / 12 * (b * b + c * c),
+        mass / 12 * (a * a + c * c),
+        mass / 12 * (a * a + b * b),
+    ]
 
 
 def _render_material(material: Material) -> sapien.render.RenderMaterial:
@@ -119,7 +123,9 @@ def _mesh_file(shape: Shape) -> Path:
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         # Flat shading: each face keeps its own vertices and normals, or chamfers would be smeared round.
-        flat = trimesh.Trimesh(shape.vertices[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3), process=False)
+        flat = trimesh.Trimesh(
+            shape.vertices[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3), process=False
+        )
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".obj", delete=False) as stream:
             stream.write(flat.export(file_type="obj", include_normals=True).encode())
         Path(stream.name).replace(path)

@@ -11,7 +11,17 @@ from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.schema import (
-    ACTION, ACTION_DIM, DEFAULT_NUM_POINTS, EFFORT, FPS, FRONT_IMAGE, IMAGE_SIZE, NUM_JOINTS, POINT_CLOUD, STATE, STATE_DIM,
+    ACTION,
+    ACTION_DIM,
+    DEFAULT_NUM_POINTS,
+    EFFORT,
+    FPS,
+    FRONT_IMAGE,
+    IMAGE_SIZE,
+    NUM_JOINTS,
+    POINT_CLOUD,
+    STATE,
+    STATE_DIM,
 )  # fmt: skip
 
 
@@ -71,13 +81,17 @@ class AdaManipEnvConfig(EnvConfig):
             "episode_log": self.episode_log,
         }
 
-    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
         from lerobot_adamanip.lerobot_compat import freeze_after_episode_end
         from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
         if n_envs < 1:
-            raise ConfigurationError(explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2"))
+            raise ConfigurationError(
+                explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2")
+            )
         category, kwargs = self.category, self.gym_kwargs
         functions = [freeze_after_episode_end(lambda: KeyframeEnv(category, **kwargs)) for _ in range(n_envs)]
         mode = gym.vector.AutoresetMode.NEXT_STEP

@@ -120,7 +120,9 @@ class KeyframeDriver:
         if array.shape != (ACTION_DIM,) or not np.isfinite(array).all():
             got = f"shape {array.shape}" if array.shape != (ACTION_DIM,) else f"non-finite values {array.tolist()}"
             allowed = f"({ACTION_DIM},) finite numbers: position [m], rotation 6D, gripper"
-            raise ConfigurationError(explain("Malformed action.", got=got, allowed=allowed, try_="lerobot_adamanip.rotations.pose_vector"))
+            raise ConfigurationError(
+                explain("Malformed action.", got=got, allowed=allowed, try_="lerobot_adamanip.rotations.pose_vector")
+            )
         goal, gripper = pose_from_vector(array)
         goal[:3, 3] = np.clip(goal[:3, 3], self.limits.reach_lower, self.limits.reach_upper)
         return goal, float(np.clip(gripper, 0.0, 1.0))

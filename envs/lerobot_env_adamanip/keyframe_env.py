@@ -87,7 +87,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode. ``seed`` decides object, poses and hidden state; equal seeds give equal episodes.
 
         Options: ``object_id`` chooses the object; ``hidden_overrides`` fixes hidden values. Others are ignored.

@@ -121,7 +121,11 @@ def _reachable(
     for reach in reaches:
         part = obj.part(reach.part).in_frame(pose)
         candidates = [part, PartAnnotation(part.name, part.grasp @ FLIP, part.axis_point, part.axis)]
-        scored = [(cost, candidate) for candidate in candidates if (cost := _turning_cost(candidate, reach, kinematics)) is not None]
+        scored = [
+            (cost, candidate)
+            for candidate in candidates
+            if (cost := _turning_cost(candidate, reach, kinematics)) is not None
+        ]
         if not scored:
             return None
         found[reach.part] = min(scored, key=lambda pair: pair[0])[1]

@@ -38,11 +38,20 @@ def make_expert(
     require_choice("category", category, _ADAPTIVE)
     if require_choice("expert", kind, EXPERT_KINDS) == "static":
         if hidden is None:
-            raise ConfigurationError(explain("The static expert needs the hidden state.", got=None, allowed="a mapping", try_="env.hidden_state()"))
+            raise ConfigurationError(
+                explain(
+                    "The static expert needs the hidden state.",
+                    got=None,
+                    allowed="a mapping",
+                    try_="env.hidden_state()",
+                )
+            )
         return _STATIC[category](annotations, generator, hidden=hidden)
     if hidden is not None or trials < 1:
         got = "a hidden state" if hidden is not None else f"trials={trials}"
-        raise ConfigurationError(explain("Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", try_="kind='static'"))
+        raise ConfigurationError(
+            explain("Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", try_="kind='static'")
+        )
     return _ADAPTIVE[category](annotations, generator, trials=trials)
 
 

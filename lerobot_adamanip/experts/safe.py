@@ -23,6 +23,8 @@ TURN_STEP = np.deg2rad(40.0)
 """Knob angle of one key frame [rad]."""
 MAX_TURNS = 4
 """Key frames in one direction; no knob turns farther than 4 x 40 degrees."""
+EMPTY_HAND = 0.05
+"""Finger opening below which nothing is between them: the grip was torn off, which a door that gives does not do."""
 MAX_ROUNDS = 3
 """Times the knob is visited before giving up."""
 
@@ -88,7 +90,8 @@ class SafeExpert:
         for number, angle in enumerate(PULL_ANGLES):
             phase = Phase.TRY if number == 0 else Phase.OPEN
             self.felt = yield Goal(self.handle.turned(angle), 0.0, phase, self.trial)
-            if number == 0 and self.felt.failed and self._door_followed() < 0.5 * angle:
+            blocked = number == 0 and self.felt.failed and self._door_followed() < 0.5 * angle
+            if blocked or self.felt.gripper < EMPTY_HAND:
                 self.trial += 1
                 return False
         return True

@@ -105,7 +105,9 @@ def draw_design(rng: np.random.Generator) -> SafeDesign:
     )
 
 
-def _draw_layout(rng: np.random.Generator, width: float, height: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def _draw_layout(
+    rng: np.random.Generator, width: float, height: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
     while True:
         handle = (rng.uniform(0.66, 0.80), rng.uniform(0.38, 0.60))
         knob = (rng.uniform(0.30, 0.62), rng.uniform(0.32, 0.74))
@@ -143,7 +145,15 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
             mass=0.15,
             parent="leaf",
             # Positive turns clockwise as seen by who stands in front: about -x, into the door.
-            joint=Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), (-design.knob_range, design.knob_range), 0.06, 0.02),
+            joint=Joint(
+                "knob",
+                "revolute",
+                (-1.0, 0.0, 0.0),
+                (0.0, knob_y, knob_z),
+                (-design.knob_range, design.knob_range),
+                0.06,
+                0.02,
+            ),
         ),
     )
     origin = np.asarray(door_origin)
@@ -226,7 +236,10 @@ def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
     foot_plates = tuple(disk((0.002, y, z + s * half), radius * 1.7, 0.002, metal, collides=False) for s in (-1, 1))
     if design.handle_style == "flat bar":
         bar = chamfered_box((grip_x, y, z), (radius * 0.7, radius, half + radius), 0.002, metal)
-        posts = tuple(box((grip_x / 2, y, z + s * (half - radius)), (grip_x / 2, radius * 0.7, radius * 0.7), metal) for s in (-1, 1))
+        posts = tuple(
+            box((grip_x / 2, y, z + s * (half - radius)), (grip_x / 2, radius * 0.7, radius * 0.7), metal)
+            for s in (-1, 1)
+        )
         return (bar, *posts, *foot_plates)
     grip_half = half if design.handle_style == "round bar" else 0.62 * half
     ends = [np.array([grip_x, y, z + s * grip_half]) for s in (-1, 1)]

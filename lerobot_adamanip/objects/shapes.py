@@ -28,7 +28,9 @@ def chamfered_box(
     return convex_mesh(points, transform(center), material, collides=collides)
 
 
-def convex_mesh(points: NDArray[np.float64], pose_in_link: NDArray[np.float64], material: Material, *, collides: bool = True) -> Shape:
+def convex_mesh(
+    points: NDArray[np.float64], pose_in_link: NDArray[np.float64], material: Material, *, collides: bool = True
+) -> Shape:
     """The convex hull of points (P, 3) [m] as a mesh shape with outward faces."""
     import trimesh
 
@@ -38,7 +40,9 @@ def convex_mesh(points: NDArray[np.float64], pose_in_link: NDArray[np.float64], 
     return Shape("mesh", (), pose_in_link, material, collides, vertices, faces)
 
 
-def prism(center: ArrayLike, radius: float, half_length: float, sides: int, material: Material, *, top: float = 1.0) -> Shape:
+def prism(
+    center: ArrayLike, radius: float, half_length: float, sides: int, material: Material, *, top: float = 1.0
+) -> Shape:
     """A prism about x with ``sides`` faces, one face pair square to y; ``top`` scales the far end (a taper)."""
     angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = radius / np.cos(np.pi / sides) * np.stack([np.zeros(sides), np.cos(angles), np.sin(angles)], axis=-1)
@@ -59,7 +63,9 @@ def rod(start: ArrayLike, end: ArrayLike, radius: float, material: Material, *, 
     return Shape("capsule" if round_ends else "cylinder", (radius, length / 2), pose, material)
 
 
-def disk(center: ArrayLike, radius: float, half_thickness: float, material: Material, *, collides: bool = True) -> Shape:
+def disk(
+    center: ArrayLike, radius: float, half_thickness: float, material: Material, *, collides: bool = True
+) -> Shape:
     """A cylinder about x (facing out of an object's front)."""
     return Shape("cylinder", (radius, half_thickness), transform(center), material, collides)
 

@@ -136,7 +136,12 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     def _check_horizon(self) -> None:
         assert self.horizon and self.n_action_steps and self.down_dims and self.n_action_history_steps is not None
         factor = 2 ** (len(self.down_dims) - 1)
-        if self.horizon % factor or not 1 <= self.n_action_steps <= self.horizon or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
+        if (
+            self.horizon % factor
+            or not 1 <= self.n_action_steps <= self.horizon
+            or self.n_action_history_steps < 0
+            or self.n_obs_steps < 1
+        ):
             raise ConfigurationError(
                 explain(
                     "Horizons do not fit.",
@@ -190,7 +195,9 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             )  # fmt: skip
         self.input_features = {key: inputs[key] for key in wanted}
         self.input_features[POINT_CLOUD] = PolicyFeature(FeatureType.ENV, cloud)
-        self.output_features = {key: value for key, value in (self.output_features or {}).items() if value.type is FeatureType.ACTION}
+        self.output_features = {
+            key: value for key, value in (self.output_features or {}).items() if value.type is FeatureType.ACTION
+        }
 
     @property
     def state_dim(self) -> int:
@@ -203,7 +210,12 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         """Whether state and action start with the contract's ten numbers, so that poses can be moved and related."""
         action = self.action_feature
         state = (self.input_features or {}).get(STATE)
-        return action is not None and tuple(action.shape) == (ACTION_DIM,) and state is not None and state.shape[0] >= ACTION_DIM
+        return (
+            action is not None
+            and tuple(action.shape) == (ACTION_DIM,)
+            and state is not None
+            and state.shape[0] >= ACTION_DIM
+        )
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """AdamW."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torch.nn.functional as F  # noqa: N812  (torch's own convention)
+import torch.nn.functional as F
 from diffusers.schedulers.scheduling_ddim import DDIMScheduler
 from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d
@@ -39,7 +39,9 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
     config_class = DP3AdaptiveConfig
     name = "dp3_adaptive"
 
-    def __init__(self, config: DP3AdaptiveConfig, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs: Any):
+    def __init__(
+        self, config: DP3AdaptiveConfig, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs: Any
+    ):
         super().__init__(config)
         config.validate_features()
         self.config = config
@@ -196,7 +198,9 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         if cloud.shape[-2] < self.config.num_points:
             raise ConfigurationError(
                 explain(
-                    "Wrong number of points.", got=f"a cloud of {cloud.shape[-2]}", allowed=f"at least {self.config.num_points}",
+                    "Wrong number of points.",
+                    got=f"a cloud of {cloud.shape[-2]}",
+                    allowed=f"at least {self.config.num_points}",
                     try_=f"--env.num_points={self.config.num_points}",
                 )
             )
@@ -209,8 +213,10 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         if missing:
             raise ConfigurationError(
                 explain(
-                    "The observation lacks what the policy looks at.", got=", ".join(key for key in batch if "observation" in key),
-                    allowed=", ".join(self.config.input_features), try_="--env.type=adamanip_safe",
+                    "The observation lacks what the policy looks at.",
+                    got=", ".join(key for key in batch if "observation" in key),
+                    allowed=", ".join(self.config.input_features),
+                    try_="--env.type=adamanip_safe",
                 )
             )
         return self._observations(batch)
@@ -224,8 +230,10 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
             reasons = [line.strip() for line in str(error).splitlines() if line.strip()]
             raise ConfigurationError(
                 explain(
-                    f"The checkpoint {Path(model_file).parent} does not fit this policy.", got="; ".join(reasons[:3])[:400],
-                    allowed="weights saved with the same options", try_="leave --policy.* options as in its config.json",
+                    f"The checkpoint {Path(model_file).parent} does not fit this policy.",
+                    got="; ".join(reasons[:3])[:400],
+                    allowed="weights saved with the same options",
+                    try_="leave --policy.* options as in its config.json",
                 )
             ) from error
 

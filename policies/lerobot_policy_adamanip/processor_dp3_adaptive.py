@@ -54,7 +54,11 @@ class RigidAugmentationStep(ProcessorStep):
         moved = dict(observation)
         moved[POINT_CLOUD] = self._points(observation[POINT_CLOUD], rotation, shift)
         moved[STATE] = self._poses(observation[STATE], rotation, shift)
-        return {**transition, TransitionKey.OBSERVATION: moved, TransitionKey.ACTION: self._poses(actions, rotation, shift)}  # type: ignore[misc,typeddict-item]
+        return {
+            **transition,
+            TransitionKey.OBSERVATION: moved,
+            TransitionKey.ACTION: self._poses(actions, rotation, shift),
+        }  # type: ignore[misc,typeddict-item]
 
     def _points(self, points: Tensor, rotation: Tensor, shift: Tensor) -> Tensor:
         """(B, ..., 3), (B, 3, 3), (B, 3) -> (B, ..., 3)."""
@@ -110,7 +114,9 @@ def _about_z(angle: Tensor) -> Tensor:
 
 def make_dp3_adaptive_pre_post_processors(
     config: DP3AdaptiveConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
-) -> tuple[PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]]:
+) -> tuple[
+    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
+]:
     """Returns the pipelines around the policy. Their steps' names are part of the checkpoint."""
     steps = make_default_policy_processor_steps(config, dataset_stats)
     inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, steps.to_device]

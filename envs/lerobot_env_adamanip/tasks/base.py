@@ -174,7 +174,9 @@ class AdaManipTask(BaseEnv):
     def joint_positions(self) -> dict[str, float]:
         """Returns the object's joint positions [rad or m]: privileged, for mechanism, success and records."""
         raw = self.articulation._objs[0]
-        return {joint.name.rsplit("_", 1)[-1]: float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)}
+        return {
+            joint.name.rsplit("_", 1)[-1]: float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)
+        }
 
     def _after_control_step(self) -> None:
         self._apply_mechanism()
