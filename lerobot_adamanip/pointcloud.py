@@ -26,7 +26,10 @@ class Workspace:
     def contains(self, points: Cloud) -> NDArray[np.bool_]:
         """(N, 3) -> (N,): which points are inside."""
         lower, upper = np.asarray(self.lower, points.dtype), np.asarray(self.upper, points.dtype)
-        return np.all((points >= lower) & (points <= upper), axis=-1)
+        return np.asarray(np.all((points >= lower) & (points <= upper), axis=-1), np.bool_)
+
+
+DEFAULT_WORKSPACE = Workspace()
 
 
 def check_num_points(num_points: int) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 POINT_CLOUD = "observation.point_cloud"
 STATE = "observation.state"
@@ -41,6 +42,9 @@ IMAGE_SIZE = 256
 FPS = 4
 """Key frames have no clock. Four a second is the paper code's macro-step rate, and a comfortable video speed."""
 
+Statistics = dict[str, dict[str, NDArray[Any]]]
+"""Feature key -> statistic name -> values, as LeRobot keeps them."""
+
 FIXED_RANGE_DIMS = (*range(3, 9), GRIPPER_DIM)
 """Dimensions of a pose whose range is known: rotation 6D and gripper statistics are fixed to [-1, 1]."""
 
@@ -64,7 +68,7 @@ def dataset_features(num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMA
     }
 
 
-def fix_pose_statistics(stats: dict[str, dict[str, np.ndarray]]) -> dict[str, dict[str, np.ndarray]]:
+def fix_pose_statistics(stats: Statistics) -> Statistics:
     """Returns dataset statistics with rotation 6D and gripper ranges set to [-1, 1] in state and action.
 
     A dimension that hardly varies in the demonstrations explodes under LeRobot's MIN_MAX normalisation (its

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import sapien
 from mani_skill.utils.structs import Articulation
+from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
 from lerobot_adamanip.rotations import quaternion_from_matrix
@@ -18,12 +19,12 @@ FRICTION = 1.2
 """Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
 
 
-def sapien_pose(matrix: np.ndarray) -> sapien.Pose:
+def sapien_pose(matrix: NDArray[Any]) -> sapien.Pose:
     """(4, 4) -> sapien.Pose."""
     return sapien.Pose(p=matrix[:3, 3], q=quaternion_from_matrix(matrix[:3, :3]))
 
 
-def build_object(scene: Any, obj: ArticulatedObject, pose: np.ndarray) -> Articulation:
+def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Articulation:
     """Builds ``obj`` as a fixed-base articulation with its root at ``pose`` (4, 4), world frame."""
     builder = scene.create_articulation_builder()
     builder.initial_pose = sapien_pose(pose)
@@ -56,7 +57,7 @@ def _set_joint(link: Any, joint: Joint) -> None:
     )
 
 
-def _rotation_x_to(axis: np.ndarray) -> np.ndarray:
+def _rotation_x_to(axis: NDArray[Any]) -> NDArray[Any]:
     x = axis / np.linalg.norm(axis)
     helper = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
     y = np.cross(helper, x)
@@ -116,7 +117,8 @@ def _mesh_file(shape: Shape) -> Path:
     """SAPIEN reads meshes from files only: writes the mesh once under a name made of its content."""
     import trimesh
 
-    assert shape.vertices is not None and shape.faces is not None
+    assert shape.vertices is not None
+    assert shape.faces is not None
     digest = hashlib.sha256(shape.vertices.tobytes() + shape.faces.tobytes()).hexdigest()[:24]
     folder = Path(tempfile.gettempdir()) / "adamanip_meshes"
     path = folder / f"{digest}.obj"
@@ -127,6 +129,6 @@ def _mesh_file(shape: Shape) -> Path:
             shape.vertices[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3), process=False
         )
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".obj", delete=False) as stream:
-            stream.write(flat.export(file_type="obj", include_normals=True).encode())
+            stream.write(str(flat.export(file_type="obj", include_normals=True)).encode())
         Path(stream.name).replace(path)
     return path

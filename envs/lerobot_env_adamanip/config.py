@@ -53,7 +53,7 @@ class AdaManipEnvConfig(EnvConfig):
 
     def __post_init__(self) -> None:
         """Fills features from the options."""
-        self.task = self.task or self.category
+        self.task: str | None = self.task or self.category
         size = self.image_size
         table = {
             "action": (FeatureType.ACTION, (ACTION_DIM,), ACTION),

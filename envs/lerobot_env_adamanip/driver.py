@@ -91,10 +91,11 @@ class KeyframeDriver:
         self.kinematics, self.limits = kinematics, limits
         self._read, self._tick_simulation = read, tick
         self._dt, self._stiffness = control_dt, stiffness
-        self._target, self._target_velocity = read().qpos.copy(), np.zeros(NUM_ARM_JOINTS)
+        self._target: Array = read().qpos.copy()
+        self._target_velocity: Array = np.zeros(NUM_ARM_JOINTS)
         self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
-        self.effort = np.zeros(NUM_ARM_JOINTS)
+        self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
 
     def execute(self, action: NDArray[np.float32]) -> Feedback:

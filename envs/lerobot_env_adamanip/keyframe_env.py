@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.errors import SimulatorError, explain
 from lerobot_adamanip.experts.base import Feedback
 from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
-from lerobot_adamanip.pointcloud import Workspace, check_num_points
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import ACTION_DIM, DEFAULT_NUM_POINTS, FPS, IMAGE_SIZE, NUM_JOINTS, STATE_DIM
 from lerobot_env_adamanip.episode import EpisodeMonitor
 
@@ -46,7 +46,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         workspace: what of the scene the cloud keeps.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": FPS}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium declares it so)
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         max_key_frames: int = MAX_KEY_FRAMES,
         hidden_overrides: dict[str, Any] | None = None,
         episode_log: str | os.PathLike[str] | None = None,
-        workspace: Workspace = Workspace(),
+        workspace: Workspace = DEFAULT_WORKSPACE,
     ) -> None:
         parse_object_selection(category, objects)
         self.category, self.num_points, self.workspace = category, check_num_points(num_points), workspace
@@ -70,14 +70,15 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._observe_images = observe_images
         self._episode_log = Path(episode_log) if episode_log else None
         self._task_options = {
-            "objects": objects, "pose_preset": pose_preset, "image_size": image_size, "hidden_overrides": hidden_overrides,
-        }  # fmt: skip
+            "objects": objects,
+            "pose_preset": pose_preset,
+            "image_size": image_size,
+            "hidden_overrides": hidden_overrides,
+        }
         self._sim: Any = None
-        self._image = np.zeros((image_size, image_size, 3), np.uint8)
+        self._image: NDArray[np.uint8] = np.zeros((image_size, image_size, 3), np.uint8)
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
-        unbounded = {
-            "agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (num_points, 3),
-        }  # fmt: skip
+        unbounded = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (num_points, 3)}
         spaces: dict[str, gym.Space[Any]] = {
             key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in unbounded.items()
         }

@@ -13,8 +13,8 @@ class AdaManipPanda(Panda):
     """Panda with a soft wrist and a firm hand.
 
     ManiSkill's arm has 1000 N m/rad in every joint: it would twist a knob out of the fingers without noticing. A real
-    Franka under Cartesian impedance has tens of N m/rad about the tool, so a blocked turn is felt. ManiSkill's hand closes
-    with about 20 N on a thin bar; the Franka Hand grips with up to 140 N.
+    Franka under Cartesian impedance has tens of N m/rad about the tool, so a blocked turn is felt. ManiSkill's hand
+    closes with about 20 N on a thin bar; the Franka Hand grips with up to 140 N.
     """
 
     uid: ClassVar[str] = "adamanip_panda"

@@ -10,6 +10,7 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
@@ -122,7 +123,7 @@ class SafeExpert:
         return _angle_about(self.knob, x_before, x_now)
 
 
-def _angle_about(part: PartAnnotation, before: np.ndarray, now: np.ndarray) -> float:
+def _angle_about(part: PartAnnotation, before: NDArray[np.float64], now: NDArray[np.float64]) -> float:
     """Signed angle [rad] about the part's axis between two points (3,)."""
     first, second = before - part.axis_point, now - part.axis_point
     first = first - part.axis * (part.axis @ first)

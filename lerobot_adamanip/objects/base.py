@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.rotations import rotated_about_line, rotation_about, transform
 
@@ -51,7 +50,9 @@ class Shape:
 
 @dataclass(frozen=True)
 class Joint:
-    """How a link moves on its parent. The link's frame is that of its joint at position zero, axes parallel to the parent's.
+    """How a link moves on its parent.
+
+    The link's frame sits at its joint's origin, at position zero with axes parallel to the parent's.
 
     Attributes:
         name: as mechanisms call it.
@@ -145,7 +146,7 @@ class ArticulatedObject:
         return next(link.joint for link in self.links if link.joint is not None and link.joint.name == name)
 
 
-def facing(position: Sequence[float], roll: float = 0.0) -> Pose:
+def facing(position: ArrayLike, roll: float = 0.0) -> Pose:
     """Returns a grasp at ``position`` that approaches the front of an object (along its -x), fingers closing along y.
 
     ``roll`` [rad] turns the fingers about the approach.

@@ -157,10 +157,14 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
         ),
     )
     origin = np.asarray(door_origin)
-    knob_point = origin + (0.0, knob_y, knob_z)
+    knob_point = origin + np.array((0.0, knob_y, knob_z))
     parts = (
-        PartAnnotation("handle", facing(origin + (GRASP_REACH, handle_y, handle_z)), origin, np.asarray(door_axis)),
-        PartAnnotation("knob", facing(knob_point + (GRASP_REACH, 0.0, 0.0)), knob_point, np.array([-1.0, 0.0, 0.0])),
+        PartAnnotation(
+            "handle", facing(origin + np.array((GRASP_REACH, handle_y, handle_z))), origin, np.asarray(door_axis)
+        ),
+        PartAnnotation(
+            "knob", facing(knob_point + np.array((GRASP_REACH, 0.0, 0.0))), knob_point, np.array([-1.0, 0.0, 0.0])
+        ),
     )
     side = "left" if design.hinge_side < 0 else "right"
     return ArticulatedObject(
@@ -183,8 +187,8 @@ def _body_shapes(design: SafeDesign, foot: float) -> tuple[Shape, ...]:
     ]
     hinge_y = design.hinge_side * (w - WALL * 0.45)
     for dz in (-0.32, 0.32):
-        center = np.array([0.004, hinge_y, z + dz * 2 * h])
-        shapes.append(rod(center - (0, 0, 0.025), center + (0, 0, 0.025), 0.007, design.metal))
+        center, half = np.array([0.004, hinge_y, z + dz * 2 * h]), np.array([0.0, 0.0, 0.025])
+        shapes.append(rod(center - half, center + half, 0.007, design.metal))
     if foot:
         for x in (-0.12 * design.depth, -0.88 * design.depth):
             shapes += [box((x, y, foot / 2), (0.02, 0.02, foot / 2), dark) for y in (-w + 0.04, w - 0.04)]

@@ -54,44 +54,44 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     preset: str = "fast"
 
     # Observation steps, the present one included.
-    n_obs_steps: int | None = None  # type: ignore[assignment]
+    n_obs_steps: int = None  # type: ignore[assignment]
     # Past actions the policy is conditioned on; 0 is plain DP3.
-    n_action_history_steps: int | None = None
+    n_action_history_steps: int = None  # type: ignore[assignment]
     # Actions generated at once.
-    horizon: int | None = None
+    horizon: int = None  # type: ignore[assignment]
     # Of those, executed before the next are generated.
-    n_action_steps: int | None = None
+    n_action_steps: int = None  # type: ignore[assignment]
 
     # Points used: the first of the dataset's, which are a farthest-point sample.
-    num_points: int | None = None
+    num_points: int = None  # type: ignore[assignment]
     # mlp: DP3's PointNet. pointnet2: hierarchical, the paper's.
-    encoder: str | None = None
+    encoder: str = None  # type: ignore[assignment]
     # Widths of the encoder's layers (mlp) or levels (pointnet2).
-    encoder_dims: tuple[int, ...] | None = None
+    encoder_dims: tuple[int, ...] = None  # type: ignore[assignment]
     # Features a cloud is condensed to.
-    encoder_out_dim: int | None = None
+    encoder_out_dim: int = None  # type: ignore[assignment]
     # Points also relative to the tool, and positions of history and chunk relative to it.
-    tcp_relative: bool | None = None
+    tcp_relative: bool = None  # type: ignore[assignment]
     # pose: tool pose and gripper (the state's first ten). full: joint positions and velocities too.
-    proprioception: str | None = None
+    proprioception: str = None  # type: ignore[assignment]
     # Also look at the external joint torque.
     use_effort: bool = False
 
     # Channels of the U-Net's levels.
-    down_dims: tuple[int, ...] | None = None
-    kernel_size: int | None = None
+    down_dims: tuple[int, ...] = None  # type: ignore[assignment]
+    kernel_size: int = None  # type: ignore[assignment]
     n_groups: int = 8
-    diffusion_step_embed_dim: int | None = None
+    diffusion_step_embed_dim: int = None  # type: ignore[assignment]
     use_film_scale_modulation: bool = True
     gradient_checkpointing: bool = False
 
     # DDPM or DDIM.
-    noise_scheduler_type: str | None = None
+    noise_scheduler_type: str = None  # type: ignore[assignment]
     num_train_timesteps: int = 100
-    num_inference_steps: int | None = None
+    num_inference_steps: int = None  # type: ignore[assignment]
     beta_schedule: str = "squaredcos_cap_v2"
     # epsilon (noise) or sample (the clean action, as DP3).
-    prediction_type: str | None = None
+    prediction_type: str = None  # type: ignore[assignment]
     # Normalised actions are clipped to this while sampling; chunks may leave the demonstrations' range a little.
     clip_sample_range: float = 1.5
 
@@ -100,10 +100,10 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     ema_max: float = 0.9999
 
     # Training only: each sample's scene is shifted by up to this [m] and turned about the vertical by up to this [rad].
-    augmentation_translation: float | None = None
-    augmentation_yaw: float | None = None
+    augmentation_translation: float = None  # type: ignore[assignment]
+    augmentation_yaw: float = None  # type: ignore[assignment]
     # Training only: noise on the action history, normalised units.
-    history_noise_std: float | None = None
+    history_noise_std: float = None  # type: ignore[assignment]
 
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
@@ -115,11 +115,11 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     )
     license: str | None = "apache-2.0"
 
-    optimizer_lr: float | None = None
-    optimizer_weight_decay: float | None = None
+    optimizer_lr: float = None  # type: ignore[assignment]
+    optimizer_weight_decay: float = None  # type: ignore[assignment]
     optimizer_betas: tuple[float, float] = (0.95, 0.999)
     scheduler_name: str = "cosine"
-    scheduler_warmup_steps: int | None = None
+    scheduler_warmup_steps: int = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         """Fills in the preset and rejects combinations that cannot work."""
@@ -134,7 +134,6 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         self._check_horizon()
 
     def _check_horizon(self) -> None:
-        assert self.horizon and self.n_action_steps and self.down_dims and self.n_action_history_steps is not None
         factor = 2 ** (len(self.down_dims) - 1)
         if (
             self.horizon % factor
@@ -160,7 +159,6 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     @property
     def action_delta_indices(self) -> list[int]:
         """History (negative) and chunk (from 0) in one window."""
-        assert self.horizon is not None and self.n_action_history_steps is not None
         return list(range(-self.n_action_history_steps, self.horizon))
 
     @property
@@ -184,7 +182,6 @@ class DP3AdaptiveConfig(PreTrainedConfig):
                 )
             )  # fmt: skip
         cloud = tuple(inputs[POINT_CLOUD].shape)
-        assert self.num_points is not None
         if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < self.num_points:
             raise ConfigurationError(
                 explain(
@@ -219,7 +216,6 @@ class DP3AdaptiveConfig(PreTrainedConfig):
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """AdamW."""
-        assert self.optimizer_lr is not None and self.optimizer_weight_decay is not None
         return AdamWConfig(lr=self.optimizer_lr, betas=self.optimizer_betas, weight_decay=self.optimizer_weight_decay)
 
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:

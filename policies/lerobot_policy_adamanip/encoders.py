@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 def _mlp(dims: Sequence[int]) -> nn.Sequential:
     """Linear, LayerNorm, ReLU per width. LayerNorm, not BatchNorm: statistics of a batch do not suit EMA weights."""
     layers: list[nn.Module] = []
-    for first, second in zip(dims[:-1], dims[1:], strict=True):
+    for first, second in itertools.pairwise(dims):
         layers += [nn.Linear(first, second), nn.LayerNorm(second), nn.ReLU()]
     return nn.Sequential(*layers)
 

@@ -13,6 +13,7 @@ from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 from mani_skill.utils.building.ground import build_ground
 from mani_skill.utils.structs.types import SimConfig
+from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.mechanisms import Mechanism
@@ -78,7 +79,7 @@ class AdaManipTask(BaseEnv):
 
     # What a category defines ------------------------------------------------------------------------------------
 
-    def make_mechanism(self, obj: ArticulatedObject) -> Mechanism:
+    def make_mechanism(self, obj: ArticulatedObject) -> Mechanism[Any]:
         """Returns the rules of an object of this category."""
         raise NotImplementedError
 
@@ -202,7 +203,7 @@ class AdaManipTask(BaseEnv):
         qpos, qvel = np.asarray(raw.get_qpos(), np.float64), np.asarray(raw.get_qvel(), np.float64)
         return ArmState(qpos[:NUM_ARM_JOINTS], qvel[:NUM_ARM_JOINTS], qpos[NUM_ARM_JOINTS:])
 
-    def _tick(self, target: np.ndarray, velocity: np.ndarray, finger: float) -> None:
+    def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
         joints = self.agent.robot._objs[0].active_joints
         for joint, position, speed in zip(joints, target, velocity, strict=False):
             joint.set_drive_target(position)
@@ -215,4 +216,5 @@ class AdaManipTask(BaseEnv):
 
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """1 while the success conditions hold."""
-        return info["success"].float()
+        reward: torch.Tensor = info["success"].float()
+        return reward

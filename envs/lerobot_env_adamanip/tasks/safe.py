@@ -32,7 +32,7 @@ class SafeTask(AdaManipTask):
 
     category: ClassVar[str] = "safe"
 
-    def make_mechanism(self, obj: ArticulatedObject) -> Mechanism:
+    def make_mechanism(self, obj: ArticulatedObject) -> Mechanism[Any]:
         """Lock, random rotation direction and switch contact."""
         return SafeMechanism(door_upper=DOOR_UPPER, knob_range=knob_range(obj))
 
