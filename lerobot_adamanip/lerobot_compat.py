@@ -134,7 +134,8 @@ class FastDatasetReader(DatasetReader):
 
     def _get_query_indices(self, abs_idx: int, ep_idx: int) -> tuple[dict[str, list[int]], dict[str, torch.Tensor]]:
         start, end = self._tables().bounds[ep_idx]
-        queries, padding = {}, {}
+        queries: dict[str, list[int]] = {}
+        padding: dict[str, torch.Tensor] = {}
         for key, deltas in self.delta_indices.items():
             queries[key] = [max(start, min(end - 1, abs_idx + delta)) for delta in deltas]
             padding[f"{key}_is_pad"] = torch.BoolTensor([not start <= abs_idx + delta < end for delta in deltas])

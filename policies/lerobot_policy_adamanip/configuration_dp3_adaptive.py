@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +12,7 @@ from lerobot.optim.optimizers import AdamWConfig
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
 from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
-from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, POSE_NAMES, STATE
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {
@@ -20,8 +21,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "n_obs_steps": 1, "n_action_history_steps": 8, "horizon": 4, "n_action_steps": 1,
         "down_dims": (128, 256), "kernel_size": 3, "diffusion_step_embed_dim": 64,
         "noise_scheduler_type": "DDIM", "prediction_type": "sample", "num_inference_steps": 10,
-        "augmentation_translation": 0.03, "augmentation_yaw": 0.1, "history_noise_std": 0.01,
-        "optimizer_lr": 6e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 100,
+        "augmentation_translation": 0.03, "augmentation_yaw": 0.1, "history_noise_std": 0.02,
+        "clip_sample_range": 6.0, "optimizer_lr": 5e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 100,
     },
     "paper": {
         "num_points": 4096, "encoder": "pointnet2", "encoder_dims": (64, 128, 256, 512), "encoder_out_dim": 128,
@@ -30,16 +31,17 @@ PRESETS: dict[str, dict[str, Any]] = {
         "down_dims": (256, 512, 1024), "kernel_size": 5, "diffusion_step_embed_dim": 256,
         "noise_scheduler_type": "DDPM", "prediction_type": "epsilon", "num_inference_steps": 100,
         "augmentation_translation": 0.0, "augmentation_yaw": 0.0, "history_noise_std": 0.0,
-        "optimizer_lr": 1e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 500,
+        "clip_sample_range": 1.0, "optimizer_lr": 1e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 500,
     },
 }  # fmt: skip
-"""``paper``: Table 4 of the paper (batch size 64 is lerobot-train's ``--batch_size=64``). ``fast``: for two CPU cores."""
+"""``fast``: trains and acts on two CPU cores. ``paper``: the paper's table of parameters; its batch size of 64 is not
+the policy's to set: ``--batch_size=64``. What the table does not say (schedules, widths) is as in the paper's code."""
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
 @dataclass
 class DP3AdaptiveConfig(PreTrainedConfig):
-    """Fields left at None take the preset's value; a value given on the command line wins.
+    """Fields that are None here take the preset's value; one given on the command line wins. Saved are the values.
 
     Time axis, for ``n_obs_steps = 2``, ``n_action_history_steps = 3``, ``horizon = 4``, ``n_action_steps = 2``::
 
@@ -48,36 +50,55 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         history     a    a    a
         generated                  a    a    a    a
         executed                   a    a
+
+    Args:
+        preset: ``fast`` or ``paper``.
+        n_obs_steps: observed steps, the present one included.
+        n_action_history_steps: past actions that the policy is conditioned on; 0 is plain DP3.
+        horizon: actions generated at once.
+        n_action_steps: of those, executed before the next are generated.
+        num_points: points used, the first of the dataset's (any first points are a farthest-point sample).
+        encoder: ``mlp`` (DP3's PointNet) or ``pointnet2`` (hierarchical, the paper's).
+        encoder_dims: widths of the encoder's layers (``mlp``) or levels (``pointnet2``).
+        encoder_out_dim: features a cloud is condensed to.
+        tcp_relative: points also relative to the tool; history and chunk in positions relative to it. Takes effect
+            where state and action are the contract's poses.
+        proprioception: ``pose`` (tool pose and gripper, the state's first ten) or ``full`` (joints too).
+        use_effort: also look at the external joint torque.
+        down_dims: channels of the U-Net's levels; it halves the chunk between levels.
+        noise_scheduler_type: ``DDPM`` or ``DDIM``.
+        prediction_type: ``epsilon`` (noise) or ``sample`` (the clean action, as DP3).
+        clip_sample_range: bound of an action while sampling: normalised units, or 0.15 m where positions are relative.
+        ema_power: the averaged weights' decay at step n is 1 - (1 + n)^-ema_power, at most ``ema_max``.
+        augmentation_translation: training only: scenes are shifted by up to this along each axis [m] ...
+        augmentation_yaw: ... and turned by up to this about the vertical [rad] ...
+        augmentation_center: ... through this point (x, y, z) [m], robot base frame. Joint positions do not follow.
+        history_noise_std: training only: noise on the action history, normalised units.
+        pose_layout: whether state and action are named as the contract's poses; found from the dataset's names.
+        action_feature_names: names of the action's numbers, from the dataset; lerobot-rollout maps them to a robot's.
     """
 
-    # fast, or paper: where fields left at None come from.
     preset: str = "fast"
 
-    # Observation steps, the present one included.
+    # As in the base class, whose types are not visible to type checkers.
+    input_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
+    output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
+
+    # None is "from the preset" until __post_init__ has run; the types are those after it.
     n_obs_steps: int = None  # type: ignore[assignment]
-    # Past actions the policy is conditioned on; 0 is plain DP3.
     n_action_history_steps: int = None  # type: ignore[assignment]
-    # Actions generated at once.
     horizon: int = None  # type: ignore[assignment]
-    # Of those, executed before the next are generated.
     n_action_steps: int = None  # type: ignore[assignment]
 
-    # Points used: the first of the dataset's, which are a farthest-point sample.
     num_points: int = None  # type: ignore[assignment]
-    # mlp: DP3's PointNet. pointnet2: hierarchical, the paper's.
     encoder: str = None  # type: ignore[assignment]
-    # Widths of the encoder's layers (mlp) or levels (pointnet2).
     encoder_dims: tuple[int, ...] = None  # type: ignore[assignment]
-    # Features a cloud is condensed to.
     encoder_out_dim: int = None  # type: ignore[assignment]
-    # Points also relative to the tool, and positions of history and chunk relative to it.
     tcp_relative: bool = None  # type: ignore[assignment]
-    # pose: tool pose and gripper (the state's first ten). full: joint positions and velocities too.
     proprioception: str = None  # type: ignore[assignment]
-    # Also look at the external joint torque.
     use_effort: bool = False
 
-    # Channels of the U-Net's levels.
+    # Read by LeRobot's U-Net under these names.
     down_dims: tuple[int, ...] = None  # type: ignore[assignment]
     kernel_size: int = None  # type: ignore[assignment]
     n_groups: int = 8
@@ -85,25 +106,23 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     use_film_scale_modulation: bool = True
     gradient_checkpointing: bool = False
 
-    # DDPM or DDIM.
     noise_scheduler_type: str = None  # type: ignore[assignment]
     num_train_timesteps: int = 100
     num_inference_steps: int = None  # type: ignore[assignment]
     beta_schedule: str = "squaredcos_cap_v2"
-    # epsilon (noise) or sample (the clean action, as DP3).
     prediction_type: str = None  # type: ignore[assignment]
-    # Normalised actions are clipped to this while sampling; chunks may leave the demonstrations' range a little.
-    clip_sample_range: float = 1.5
+    clip_sample_range: float = None  # type: ignore[assignment]
 
-    # Exponential moving average of the weights: decay at step n is 1 - (1 + n)^-power, at most ema_max.
     ema_power: float = 0.75
     ema_max: float = 0.9999
 
-    # Training only: each sample's scene is shifted by up to this [m] and turned about the vertical by up to this [rad].
     augmentation_translation: float = None  # type: ignore[assignment]
     augmentation_yaw: float = None  # type: ignore[assignment]
-    # Training only: noise on the action history, normalised units.
+    augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
     history_noise_std: float = None  # type: ignore[assignment]
+
+    pose_layout: bool | None = None
+    action_feature_names: list[str] | None = None
 
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
@@ -127,26 +146,59 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             if getattr(self, name) is None:
                 setattr(self, name, value)
         super().__post_init__()
-        require_choice("encoder", str(self.encoder), ("mlp", "pointnet2"))
-        require_choice("proprioception", str(self.proprioception), ("pose", "full"))
-        require_choice("noise_scheduler_type", str(self.noise_scheduler_type), ("DDPM", "DDIM"))
-        require_choice("prediction_type", str(self.prediction_type), ("epsilon", "sample"))
+        require_choice("encoder", self.encoder, ("mlp", "pointnet2"))
+        require_choice("proprioception", self.proprioception, ("pose", "full"))
+        require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
+        require_choice("prediction_type", self.prediction_type, ("epsilon", "sample"))
+        self._check_sizes()
         self._check_horizon()
+        self._check_normalization()
+        if "lerobot.datasets.lerobot_dataset" in sys.modules:
+            # Whoever has datasets loaded is about to read one; who evaluates only does not pay for the import.
+            from lerobot_adamanip import lerobot_compat
+
+            lerobot_compat.apply()
+
+    def _check_sizes(self) -> None:
+        widths = tuple(self.down_dims)
+        fits = widths and all(width > 0 and width % self.n_groups == 0 for width in widths) and self.kernel_size % 2
+        sampled = 1 <= self.num_inference_steps <= self.num_train_timesteps
+        if not fits or not sampled or self.num_points < 1 or not self.encoder_dims:
+            got = ("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps")
+            raise ConfigurationError(
+                explain(
+                    "Sizes do not fit.",
+                    got=", ".join(f"{name}={getattr(self, name)}" for name in got),
+                    allowed="down_dims that n_groups divides, an odd kernel_size, num_points >= 1, some encoder_dims, "
+                    f"1 <= num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
+                    try_="--policy.preset=fast, and none of these",
+                )
+            )
+
+    def _check_normalization(self) -> None:
+        """Relating poses to clouds undoes the normalisation, and knows how to for one kind only."""
+        modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
+        if self.tcp_relative and any(mode is not NormalizationMode.MIN_MAX for mode in modes):
+            raise ConfigurationError(
+                explain(
+                    "tcp_relative does not go with this normalisation.",
+                    got=", ".join(map(str, modes)),
+                    allowed="MIN_MAX for STATE and for ACTION",
+                    try_="--policy.tcp_relative=false",
+                )
+            )
 
     def _check_horizon(self) -> None:
         factor = 2 ** (len(self.down_dims) - 1)
-        if (
-            self.horizon % factor
-            or not 1 <= self.n_action_steps <= self.horizon
-            or self.n_action_history_steps < 0
-            or self.n_obs_steps < 1
-        ):
+        fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
+        if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
+            got = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
             raise ConfigurationError(
                 explain(
                     "Horizons do not fit.",
-                    got=f"horizon={self.horizon}, n_action_steps={self.n_action_steps}, n_obs_steps={self.n_obs_steps}, "
-                    f"n_action_history_steps={self.n_action_history_steps}, down_dims={tuple(self.down_dims)}",
-                    allowed=f"horizon a multiple of {factor}, 1 <= n_action_steps <= horizon, n_obs_steps >= 1, history >= 0",
+                    got=", ".join(f"{name}={getattr(self, name)}" for name in got),
+                    allowed=f"horizon a multiple of {factor}, 1 <= n_action_steps <= horizon, "
+                    "n_obs_steps >= 1, n_action_history_steps >= 0",
                     try_="--policy.horizon=4 --policy.n_action_steps=1",
                 )
             )
@@ -169,50 +221,53 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     def validate_features(self) -> None:
         """Keeps cloud and state (and effort if asked for) as inputs; the cloud becomes ENV, which is left as it is.
 
-        LeRobot has no point-cloud type: as STATE it would be normalised slot by slot, which an unordered set is not.
+        LeRobot has no point-cloud type: as STATE it would be normalised under the state's mode. What the policy does
+        not look at, images above all, is dropped, so that a checkpoint evaluates wherever clouds are.
+
+        Raises:
+            ConfigurationError: an input is missing, or clouds have fewer points than ``num_points``.
         """
-        inputs = dict(self.input_features or {})
+        inputs: dict[str, PolicyFeature] = dict(self.input_features or {})
         wanted = [POINT_CLOUD, STATE] + ([EFFORT] if self.use_effort else [])
-        missing = [key for key in wanted if key not in inputs]
-        if missing:
+        if any(key not in inputs for key in wanted):
             raise ConfigurationError(
                 explain(
-                    f"dp3_adaptive needs {' and '.join(wanted)}.", got=", ".join(inputs) or "no inputs",
-                    allowed="a dataset that has them", try_="adamanip collect",
+                    "dp3_adaptive misses an input.",
+                    got=", ".join(inputs) or "no inputs",
+                    allowed=f"a dataset with {', '.join(wanted)}",
+                    try_="adamanip collect, or another --policy.type",
                 )
-            )  # fmt: skip
+            )
         cloud = tuple(inputs[POINT_CLOUD].shape)
         if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < self.num_points:
-            raise ConfigurationError(
-                explain(
-                    "Wrong number of points.", got=f"clouds of shape {cloud}",
-                    allowed=f"at least {self.num_points} points, the policy's num_points",
-                    try_=f"--policy.num_points={cloud[0] if cloud else '?'}, or collect with --num-points {self.num_points}",
-                )
-            )  # fmt: skip
+            raise wrong_number_of_points(cloud, self.num_points)
+        outputs: dict[str, PolicyFeature] = self.output_features or {}
         self.input_features = {key: inputs[key] for key in wanted}
         self.input_features[POINT_CLOUD] = PolicyFeature(FeatureType.ENV, cloud)
-        self.output_features = {
-            key: value for key, value in (self.output_features or {}).items() if value.type is FeatureType.ACTION
-        }
+        self.output_features = {key: value for key, value in outputs.items() if key == ACTION}
+
+    def set_dataset_feature_metadata(self, features: dict[str, dict[str, Any]]) -> None:
+        """Learns from a dataset's names whether states and actions are poses. LeRobot calls this before training."""
+        action, state = (_flat_names(features.get(key, {}).get("names")) for key in (ACTION, STATE))
+        if action and state:
+            self.pose_layout = action == list(POSE_NAMES) and state[:ACTION_DIM] == list(POSE_NAMES)
 
     @property
     def state_dim(self) -> int:
         """Dimensions of the state that are used."""
-        full = int(self.input_features[STATE].shape[0])
-        return min(full, ACTION_DIM) if self.proprioception == "pose" else full
+        full = int((self.input_features or {})[STATE].shape[0])
+        return ACTION_DIM if self.proprioception == "pose" and self.has_pose_layout else full
 
     @property
     def has_pose_layout(self) -> bool:
-        """Whether state and action start with the contract's ten numbers, so that poses can be moved and related."""
-        action = self.action_feature
-        state = (self.input_features or {}).get(STATE)
-        return (
-            action is not None
-            and tuple(action.shape) == (ACTION_DIM,)
-            and state is not None
-            and state.shape[0] >= ACTION_DIM
-        )
+        """Whether action and the state's start are the contract's ten numbers, so that they can be moved and related.
+
+        Names decide; where a dataset has none, sizes do.
+        """
+        action, state = self.action_feature, (self.input_features or {}).get(STATE)
+        if self.pose_layout is False or action is None or state is None:
+            return False
+        return tuple(action.shape) == (ACTION_DIM,) and int(state.shape[0]) >= ACTION_DIM
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """AdamW."""
@@ -221,3 +276,22 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
         """Cosine with warm-up."""
         return DiffuserSchedulerConfig(name=self.scheduler_name, num_warmup_steps=self.scheduler_warmup_steps)
+
+
+def wrong_number_of_points(shape: tuple[int, ...], num_points: int) -> ConfigurationError:
+    """Returns the error for clouds of a shape (N, 3) that is too small for a policy that uses ``num_points``."""
+    return ConfigurationError(
+        explain(
+            "Wrong number of points.",
+            got=f"clouds of shape {tuple(shape)}",
+            allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
+            try_=f"clouds of {num_points} points (--num-points, --env.num_points), or a policy trained with fewer",
+        )
+    )
+
+
+def _flat_names(names: Any) -> list[str]:
+    """A feature's names: LeRobot allows a list, a dict of lists, or nothing."""
+    if isinstance(names, dict):
+        return [name for group in names.values() for name in (group if isinstance(group, list) else [str(group)])]
+    return list(names or [])

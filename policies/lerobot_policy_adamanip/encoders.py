@@ -37,6 +37,27 @@ class PointNetEncoder(nn.Module):
         return projected
 
 
+MAX_DISTANCES = 2**27
+"""Distances held at once while looking for neighbours: half a gigabyte. A training batch of the paper has 2^30."""
+
+
+@torch.no_grad()
+def ball_query(centres: Tensor, xyz: Tensor, radius: float, neighbours: int) -> Tensor:
+    """Returns the nearest points within a radius of centres. (B, C, 3), (B, N, 3) -> indices (B, C, neighbours).
+
+    Where fewer are within the radius, the nearest (the centre itself, if it is a point) stands in for the rest.
+    """
+    rows = max(1, MAX_DISTANCES // (centres.shape[1] * xyz.shape[1]))
+    found = []
+    for start in range(0, len(xyz), rows):
+        part, cloud = centres[start : start + rows].float(), xyz[start : start + rows].float()
+        # Differences, not the inner-product form: that one loses a centre's distance to itself in rounding.
+        distance = torch.cdist(part, cloud, compute_mode="donot_use_mm_for_euclid_dist")
+        nearest, index = distance.topk(min(neighbours, cloud.shape[1]), dim=-1, largest=False)
+        found.append(torch.where(nearest <= radius, index, index[..., :1]))
+    return torch.cat(found)
+
+
 class SetAbstraction(nn.Module):
     """One level of PointNet++ (Qi et al. 2017): centres, their neighbours within a radius, a PointNet on each group.
 
@@ -58,9 +79,7 @@ class SetAbstraction(nn.Module):
     def forward(self, xyz: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
         """(B, N, 3), (B, N, in_dim) -> (B, centres, 3), (B, centres, dims[-1])."""
         centres = xyz[:, : self.centres]
-        distance, index = torch.cdist(centres, xyz).topk(min(self.neighbours, xyz.shape[1]), dim=-1, largest=False)
-        # Beyond the radius the centre itself stands in: the ball query's repetition.
-        index = torch.where(distance <= self.radius, index, index[..., :1])
+        index = ball_query(centres, xyz, self.radius, self.neighbours)
         batch = torch.arange(xyz.shape[0], device=xyz.device)[:, None, None]
         grouped = torch.cat([(xyz[batch, index] - centres[:, :, None]) / self.radius, features[batch, index]], dim=-1)
         return centres, self.mlp(grouped).amax(dim=-2)
@@ -69,8 +88,9 @@ class SetAbstraction(nn.Module):
 class PointNet2Encoder(nn.Module):
     """PointNet++, single-scale grouping, then the maximum over what is left.
 
-    Radii and group sizes are those of the paper's code; its segmentation decoder, whose output at point 0 it used as the
-    cloud's feature, is replaced by pooling.
+    Centres, group sizes and widths are those of the paper's code at 4096 points, and so are the radii, in units of the
+    scaled cloud. Its segmentation decoder, whose output at point 0 it took for the cloud's feature, is replaced by
+    pooling.
 
     Args:
         in_dim: numbers per point, coordinates first.

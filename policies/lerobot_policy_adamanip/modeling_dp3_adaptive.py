@@ -1,12 +1,13 @@
 """``dp3_adaptive``: a diffusion policy over point clouds that remembers what it has tried.
 
-Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. The cloud is encoded, joined with state and
-history into one vector, and modulates (FiLM) LeRobot's conditional U-Net, which denoises a chunk of actions.
+Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. The cloud is encoded, joined with
+state and history into one vector, and modulates (FiLM) LeRobot's conditional U-Net, which denoises a chunk of actions.
 """
 
 from __future__ import annotations
 
 import copy
+import logging
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -21,19 +22,37 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.schema import ACTION, EFFORT, POINT_CLOUD, STATE
-from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig, wrong_number_of_points
 from lerobot_policy_adamanip.encoders import make_encoder
 
 ACTION_IS_PAD = "action_is_pad"
 RELATIVE_SCALE = 0.15
 """Positions relative to the tool are given in this unit [m]: the length of a typical key frame."""
+BODY_RANGE = 3.0
+"""Bound of normalised proprioception; the demonstrations are within 1."""
 
 
 class DP3AdaptivePolicy(PreTrainedPolicy):
     """LeRobot policy. Training uses `forward`; at run time `select_action` keeps the histories.
 
-    The action history of training comes from the dataset's own ``action`` column (negative ``action_delta_indices``), that
-    of run time from a queue of the actions returned; what lies before the episode's start is zero, and marked so, in both.
+    Time axis of a training batch, for H = ``n_action_history_steps`` and T = ``horizon``, t the present::
+
+        batch["action"]   row  0 ... H-1 | H ... H+T-1       observations   row 0 ... S-1
+                          step t-H ... t-1 | t ... t+T-1                    step t-S+1 ... t
+                          history        | labels
+
+    At run time the history is a queue of the normalised actions that `select_action` returned, one per step, whether
+    they came from an old chunk or a new one. Before the episode's start both hold zeros, marked by a validity bit:
+    LeRobot pads the window with the episode's first action, which at the start is the label. Observations before it
+    repeat the first one, as LeRobot's padding does. The action that the environment receives is the remembered one
+    unnormalised, its rotation orthonormalised and its gripper clipped; recorded actions are so already, which makes the
+    two histories the same for a policy that acts as the demonstrations do.
+
+    Args:
+        config: of which `validate_features` is called here.
+        dataset_stats: of the training data; relates normalised numbers to metres. Not needed to load a checkpoint.
+        dataset_meta: of the training data; is told that no videos are needed.
+        kwargs: whatever else LeRobot passes.
     """
 
     config_class = DP3AdaptiveConfig
@@ -44,7 +63,20 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
     ):
         super().__init__(config)
         config.validate_features()
-        self.config = config
+        if config.action_feature is None:
+            raise ConfigurationError(
+                explain(
+                    "The dataset has no actions.",
+                    got="no column `action`",
+                    allowed="demonstrations",
+                    try_="adamanip collect",
+                )
+            )
+        if config.tcp_relative and not config.has_pose_layout:
+            logging.getLogger(__name__).warning(
+                "State and action are not the ten pose numbers of the contract: tcp_relative, augmentation and "
+                "orthonormalisation do not apply."
+            )
         self.frames = PoseFrames(config, dataset_stats)
         self.model = ActionDenoiser(config)
         # The averaged weights are part of the policy, so that they are saved, resumed and evaluated.
@@ -58,11 +90,31 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
             clip_sample=True,
             clip_sample_range=config.clip_sample_range,
         )
+        self._meet_dataset(dataset_meta)
+        self.reset()
+
+    @classmethod
+    def from_pretrained(
+        cls, pretrained_name_or_path, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs
+    ):
+        """As LeRobot's, but strict about weights. New data's statistics, by which finetuning normalises, are taken.
+
+        The unit of the cloud stays that of the checkpoint, for which its encoder was trained.
+        """
+        policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
+        policy.frames.set_pose_statistics(dataset_stats)
+        policy._meet_dataset(dataset_meta)
+        return policy
+
+    def _meet_dataset(self, dataset_meta: Any) -> None:
         if dataset_meta is not None:
             from lerobot_adamanip.lerobot_compat import skip_videos
 
             skip_videos(dataset_meta)
-        self.reset()
+
+    def supports_rtc(self) -> bool:
+        """No: real-time chunking asks for chunks only, so that the histories would never advance."""
+        return False
 
     # Training ---------------------------------------------------------------------------------------------------
 
@@ -90,6 +142,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         steps = torch.randint(0, self.config.num_train_timesteps, (len(target),), device=target.device)
         model = self._active_model()
         predicted = model.unet(self.noise_scheduler.add_noise(target, noise, steps), steps, global_cond=condition)
+        # Padded labels repeat the episode's last action: they are no demonstrations, so they carry no loss.
         wanted = noise if self.config.prediction_type == "epsilon" else target
         real = (~batch[ACTION_IS_PAD][:, past:]).unsqueeze(-1).to(predicted.dtype)
         error = F.mse_loss(predicted, wanted, reduction="none") * real
@@ -118,7 +171,10 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
         """Returns the next action (B, A), normalised, and remembers it as executed.
 
-        The environment executes it with its rotation orthonormalised; what is remembered, as in training, is the command.
+        Args:
+            batch: one observation, normalised: cloud (B, N, 3) [m], state (B, D). An ``action`` is ignored.
+            noise: what denoising starts from, (B, T, A); drawn if None.
+            kwargs: ignored.
         """
         observation = self._single(batch)
         self._observed.append(observation)
@@ -133,7 +189,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the chunk (B, T, A) that would follow ``batch``, given what has been observed and done; changes nothing."""
+        """Returns the chunk (B, T, A) that would follow ``batch`` after what was observed and done; changes nothing."""
         observed = deque(self._observed, maxlen=self.config.n_obs_steps)
         observation = self._single(batch)
         observed.append(observation)
@@ -158,13 +214,14 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         history, valid = self.executed_history(len(state), state)
         condition = self.condition(observations, history, valid)
         shape = (len(state), self.config.horizon, self.config.action_feature.shape[0])
-        sample = torch.randn(shape, device=state.device, dtype=condition.dtype) if noise is None else noise
+        # In float32 under autocast too: ten steps of rounding would cost millimetres.
+        sample = torch.randn(shape, device=state.device, dtype=torch.float32) if noise is None else noise
         self.noise_scheduler.set_timesteps(self.config.num_inference_steps)
         unet = self._active_model().unet
         for step in self.noise_scheduler.timesteps:
             steps = torch.full((len(sample),), int(step), dtype=torch.long, device=sample.device)
             predicted = unet(sample, steps, global_cond=condition)
-            sample = self.noise_scheduler.step(predicted, step, sample).prev_sample
+            sample = self.noise_scheduler.step(predicted.float(), step, sample).prev_sample
         return self.frames.to_absolute(sample, state[:, -1])
 
     # Shared -----------------------------------------------------------------------------------------------------
@@ -185,6 +242,8 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         body = [state[..., : self.config.state_dim]]
         if self.config.use_effort:
             body.append(observations[EFFORT])
+        # Dimensions that hardly vary in the demonstrations explode under MIN_MAX as soon as they do.
+        body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
         return self._active_model().condition(points, torch.cat(body, dim=-1), past)
 
     def _active_model(self) -> ActionDenoiser:
@@ -192,34 +251,30 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         return self.model if self.training or int(self.ema_steps) == 0 else self.ema_model
 
     def _observations(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Picks the inputs, and of each cloud the first points."""
-        picked = {key: batch[key] for key in self.config.input_features}
-        cloud = picked[POINT_CLOUD]
-        if cloud.shape[-2] < self.config.num_points:
+        """Picks the inputs, and of each cloud the first points; the batch stays as it is."""
+        wanted = self.config.input_features
+        if any(batch.get(key) is None for key in wanted):
             raise ConfigurationError(
                 explain(
-                    "Wrong number of points.",
-                    got=f"a cloud of {cloud.shape[-2]}",
-                    allowed=f"at least {self.config.num_points}",
-                    try_=f"--env.num_points={self.config.num_points}",
+                    "The observation lacks what the policy looks at.",
+                    got=", ".join(key for key in batch if key.startswith("observation")) or "no observation",
+                    allowed=", ".join(wanted),
+                    try_="--env.type=adamanip_safe, or another environment with point clouds",
                 )
             )
+        picked = {key: batch[key] for key in wanted}
+        cloud = picked[POINT_CLOUD]
+        if cloud.shape[-2] < self.config.num_points:
+            raise wrong_number_of_points(tuple(cloud.shape[-2:]), self.config.num_points)
         picked[POINT_CLOUD] = cloud[..., : self.config.num_points, :3]
         return picked
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """One step's inputs, each (B, ...)."""
-        missing = [key for key in self.config.input_features if batch.get(key) is None]
-        if missing:
-            raise ConfigurationError(
-                explain(
-                    "The observation lacks what the policy looks at.",
-                    got=", ".join(key for key in batch if "observation" in key),
-                    allowed=", ".join(self.config.input_features),
-                    try_="--env.type=adamanip_safe",
-                )
-            )
-        return self._observations(batch)
+        """One step's inputs, each (B, ...). LeRobot adds a missing batch dimension to states, but not to clouds."""
+        observation = self._observations(batch)
+        if observation[POINT_CLOUD].dim() == 2:
+            observation[POINT_CLOUD] = observation[POINT_CLOUD][None]
+        return observation
 
     @classmethod
     def _load_as_safetensor(cls, model, model_file: str, map_location: str, strict: bool):
@@ -238,11 +293,26 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
             ) from error
 
     def generate_model_card(self, *args: Any, **kwargs: Any):
-        """LeRobot's card, with what this policy is and where it comes from put first."""
+        """LeRobot's card, headed by ``hub_cards/model_card.md``: what this policy is, sees and does."""
         from lerobot_adamanip.demos.card import card_template
 
-        card = super().generate_model_card(*args, **kwargs)
-        card.text = card_template("model_card.md").template.rstrip() + "\n\n" + card.text.lstrip()
+        card, config = super().generate_model_card(*args, **kwargs), self.config
+        own = card_template("model_card.md").substitute(
+            repo_id=config.repo_id or "<this repository>",
+            preset=config.preset,
+            encoder=config.encoder,
+            num_points=config.num_points,
+            inputs=", ".join(f"`{key}` {tuple(feature.shape)}" for key, feature in config.input_features.items()),
+            outputs=", ".join(f"`{key}` {tuple(feature.shape)}" for key, feature in config.output_features.items()),
+            n_obs_steps=config.n_obs_steps,
+            n_action_history_steps=config.n_action_history_steps,
+            horizon=config.horizon,
+            n_action_steps=config.n_action_steps,
+            sampler=f"{config.noise_scheduler_type}, {config.num_inference_steps} steps, {config.prediction_type}",
+            parameters=f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.1f}",
+            updates=int(self.ema_steps),
+        )
+        card.text = own.rstrip() + "\n\n" + card.text.lstrip()
         return card
 
 
@@ -260,15 +330,22 @@ class PoseFrames(nn.Module):
             ("state_center", 3, 0.0), ("state_half", 3, 1.0), ("action_center", 3, 0.0), ("action_half", 3, 1.0),
         ):  # fmt: skip
             self.register_buffer(name, torch.full((size,), value))
-        if stats:
+        if stats and POINT_CLOUD in stats:
             lower, upper = _range(stats, POINT_CLOUD)
             self.cloud_center.copy_((lower + upper) / 2)
-            self.cloud_scale.copy_(((upper - lower) / 2).max())
-            if self.relative:
-                for key, name in ((STATE, "state"), (ACTION, "action")):
-                    lower, upper = _range(stats, key)
-                    getattr(self, f"{name}_center").copy_((lower + upper) / 2)
-                    getattr(self, f"{name}_half").copy_(((upper - lower) / 2).clamp(min=1e-6))
+            self.cloud_scale.copy_(((upper - lower) / 2).max().clamp(min=1e-3))
+        self.set_pose_statistics(stats)
+
+    def set_pose_statistics(self, stats: dict | None) -> None:
+        """Sets what LeRobot's MIN_MAX normalises positions with: it must be the same as in the processors."""
+        if not stats or not self.relative:
+            return
+        for key, name in ((STATE, "state"), (ACTION, "action")):
+            lower, upper = _range(stats, key)
+            center, half = getattr(self, f"{name}_center"), getattr(self, f"{name}_half")
+            center.copy_((lower + upper) / 2)
+            # LeRobot replaces a range of zero by 1e-8; so does this, in float32.
+            half.copy_(torch.where(upper == lower, torch.full_like(upper, 1e-8), upper - lower) / 2)
 
     @property
     def point_dim(self) -> int:
