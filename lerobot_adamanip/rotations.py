@@ -21,12 +21,22 @@ def matrix_from_rotation_6d(rotation_6d: ArrayLike) -> Array:
     Rows that vanish or are parallel do not name a rotation; they fall back to a rotation about the usable one.
     """
     array = np.asarray(rotation_6d, dtype=np.float64)
-    first, second = array[..., :3], array[..., 3:]
+    first, second = _scaled(array[..., :3]), _scaled(array[..., 3:])
     x = _normalised(first, fallback=np.array([1.0, 0.0, 0.0]))
     y = second - np.sum(x * second, axis=-1, keepdims=True) * x
     helper = np.where(np.abs(x[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     y = _normalised(y, fallback=_normalised(np.cross(x, helper), fallback=np.array([0.0, 1.0, 0.0])))
     return np.stack([x, y, np.cross(x, y)], axis=-2)
+
+
+def _scaled(vector: Array) -> Array:
+    """Rows brought near length 1 by a power of two, which rounds nothing.
+
+    Squares of huge numbers would overflow, and what a projection leaves of a huge parallel row is rounding error, which
+    must not pass for a direction.
+    """
+    _, exponent = np.frexp(np.max(np.abs(vector), axis=-1, keepdims=True))
+    return np.asarray(np.ldexp(vector, -exponent))
 
 
 def _normalised(vector: Array, fallback: Array) -> Array:

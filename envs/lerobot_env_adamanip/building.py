@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -120,7 +121,8 @@ def _mesh_file(shape: Shape) -> Path:
     assert shape.vertices is not None
     assert shape.faces is not None
     digest = hashlib.sha256(shape.vertices.tobytes() + shape.faces.tobytes()).hexdigest()[:24]
-    folder = Path(tempfile.gettempdir()) / "adamanip_meshes"
+    # Per user: on a shared machine the others may neither write to the folder nor read the files.
+    folder = Path(tempfile.gettempdir()) / f"adamanip_meshes_{os.getuid()}"
     path = folder / f"{digest}.obj"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)

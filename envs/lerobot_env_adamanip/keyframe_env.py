@@ -11,12 +11,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import SimulatorError, explain
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, explain
 from lerobot_adamanip.experts.base import Feedback
 from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import ACTION_DIM, DEFAULT_NUM_POINTS, FPS, IMAGE_SIZE, NUM_JOINTS, STATE_DIM
 from lerobot_env_adamanip.episode import EpisodeMonitor
+from lerobot_env_adamanip.layout import randomization
 
 Observation = dict[str, Any]
 TASK_IDS = {"safe": "AdaManip-Safe-v1"}
@@ -63,6 +64,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         workspace: Workspace = DEFAULT_WORKSPACE,
     ) -> None:
         parse_object_selection(category, objects)
+        randomization(pose_preset)
+        _check_range("image size [px]", image_size, 16, 2048, "--env.image_size=256")
+        _check_range("number of key frames per episode", max_key_frames, 1, 10_000, "--env.episode_length=45")
         self.category, self.num_points, self.workspace = category, check_num_points(num_points), workspace
         self.task = self.task_description = DESCRIPTIONS[category]
         self.render_mode = "rgb_array"
@@ -76,6 +80,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             "hidden_overrides": hidden_overrides,
         }
         self._sim: Any = None
+        self._monitor: EpisodeMonitor | None = None
         self._image: NDArray[np.uint8] = np.zeros((image_size, image_size, 3), np.uint8)
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
         unbounded = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (num_points, 3)}
@@ -97,7 +102,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         episode_seed = seed if seed is not None else int(self.np_random.integers(2**31))
-        sim = self._ensure_sim()
+        sim = self._started()
+        self._monitor = None  # a reset that fails leaves no episode to go on with
         wanted = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim.reset(seed=episode_seed, options={"reconfigure": True, **wanted})
         self._monitor = EpisodeMonitor(sim, episode_seed)
@@ -105,11 +111,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
-        sim = self._ensure_sim()
+        sim, monitor = self._running(), self._episode()
         feedback = sim.driver.execute(np.asarray(action))
-        success = self._monitor.after_key_frame(feedback)
-        truncated = not success and self._monitor.key_frames >= self._max_episode_steps
-        if (success or truncated) and self._episode_log is not None:
+        had_ended = monitor.success or monitor.key_frames >= self._max_episode_steps
+        success = monitor.after_key_frame(feedback)
+        truncated = not success and monitor.key_frames >= self._max_episode_steps
+        if (success or truncated) and not had_ended and self._episode_log is not None:
             self._append_record()
         return self._observe(), float(success), success, truncated, {"is_success": success}
 
@@ -121,34 +128,34 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Ends the simulator."""
         if self._sim is not None:
             self._sim.close()
-            self._sim = None
+            self._sim = self._monitor = None
 
     # For experts, recorders and reports ---------------------------------------------------------------------------
 
     @property
     def feedback(self) -> Feedback:
         """What was felt at the latest key frame."""
-        feedback: Feedback = self._ensure_sim().driver.feedback
+        feedback: Feedback = self._running().driver.feedback
         return feedback
 
     @property
     def annotations(self) -> dict[str, PartAnnotation]:
         """Annotated part poses at the episode's start, robot base frame."""
-        annotations: dict[str, PartAnnotation] = self._ensure_sim().layout.annotations
+        annotations: dict[str, PartAnnotation] = self._running().layout.annotations
         return annotations
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden state: privileged; for the static expert and records only."""
-        hidden: dict[str, Any] = self._ensure_sim().hidden_state()
+        hidden: dict[str, Any] = self._running().hidden_state()
         return hidden
 
     def episode_record(self) -> dict[str, Any]:
         """Returns what is worth keeping of the episode so far, JSON-able; see `EpisodeMonitor.record`."""
-        return self._monitor.record()
+        return self._episode().record()
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
-        camera = self._ensure_sim()._sensors["front"]
+        camera = self._running()._sensors["front"]
         parameters = camera.get_params()
         opencv_from_gl = np.diag([1.0, -1.0, -1.0, 1.0])
         camera_in_base = parameters["cam2world_gl"][0].cpu().numpy() @ opencv_from_gl
@@ -161,15 +168,24 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     # Inside -----------------------------------------------------------------------------------------------------
 
-    def _ensure_sim(self) -> Any:
+    def _started(self) -> Any:
         if self._sim is None:
             self._sim = make_task(self.category, **self._task_options)
+        return self._sim
+
+    def _episode(self) -> EpisodeMonitor:
+        if self._monitor is None:
+            raise gym.error.ResetNeeded("No episode is running: call reset() first.")
+        return self._monitor
+
+    def _running(self) -> Any:
+        self._episode()
         return self._sim
 
     def _observe(self) -> Observation:
         from lerobot_env_adamanip.observation import capture, state_vector, workspace_cloud
 
-        sim = self._ensure_sim()
+        sim = self._running()
         self._image, points = capture(sim.scene, sim._sensors["front"])
         arm = sim._arm_state()
         observation: Observation = {
@@ -193,6 +209,11 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             os.close(descriptor)
 
 
+def _check_range(what: str, got: int, lowest: int, highest: int, try_: str) -> None:
+    if not lowest <= got <= highest:
+        raise ConfigurationError(explain(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", try_=try_))
+
+
 def make_task(category: str, **options: Any) -> Any:
     """Builds the ManiSkill task of a category, without observations of its own.
 
@@ -202,7 +223,7 @@ def make_task(category: str, **options: Any) -> Any:
     try:
         import mani_skill.envs  # noqa: F401  (ManiSkill's own tasks, and its registry)
 
-        import lerobot_env_adamanip.tasks.safe  # noqa: F401  (registers the task)
+        import lerobot_env_adamanip.tasks  # noqa: F401  (registers the tasks)
     except ImportError as error:
         raise SimulatorError(
             explain(
@@ -213,7 +234,9 @@ def make_task(category: str, **options: Any) -> Any:
     try:
         return gym.make(TASK_IDS[category], obs_mode="none", reward_mode="none", **options).unwrapped
     except RuntimeError as error:
-        if not any(word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")):
+        if isinstance(error, AdaManipError) or not any(
+            word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")
+        ):
             raise
         raise SimulatorError(
             explain(

@@ -27,6 +27,8 @@ from lerobot_env_adamanip.robot import AdaManipPanda
 CAMERA = "front"
 CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
 """Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
+CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
+"""Names under which ManiSkill knows CPU physics."""
 _LAYOUT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
@@ -39,6 +41,9 @@ class AdaManipTask(BaseEnv):
     Success conditions: see the category.
 
     CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation forbids.
+
+    ManiSkill's ``state`` observation is the arm's joint positions and velocities alone; neither the object's joints nor
+    anything hidden is in it. ``info`` tells the door's angle, which `KeyframeEnv` does not pass on.
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
@@ -59,8 +64,16 @@ class AdaManipTask(BaseEnv):
         hidden_overrides: Mapping[str, Any] | None = None,
         robot_uids: str = "adamanip_panda",
         num_envs: int = 1,
+        sim_backend: str = "auto",
         **kwargs: Any,
     ) -> None:
+        if sim_backend not in CPU_BACKENDS:
+            raise ConfigurationError(
+                explain(
+                    "AdaManip tasks need CPU physics: their joint limits change while they run.",
+                    got=f"sim_backend={sim_backend!r}", allowed=", ".join(CPU_BACKENDS), try_="leave sim_backend out",
+                )
+            )  # fmt: skip
         if num_envs != 1:
             raise ConfigurationError(
                 explain(
@@ -72,7 +85,6 @@ class AdaManipTask(BaseEnv):
         self.spread = randomization(pose_preset)
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._shader = image_size, shader
-        self.key_frame_limits = None
         kwargs.setdefault("reconfiguration_freq", 1)
         kwargs.setdefault("render_backend", "cpu" if not torch.cuda.is_available() else "gpu")
         super().__init__(*args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", **kwargs)
