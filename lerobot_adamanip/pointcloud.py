@@ -44,17 +44,19 @@ def check_num_points(num_points: int) -> int:
 def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
     """Returns ``num_points`` of the cloud, each the farthest from those before it. (M, 3) -> (num_points, 3).
 
-    The order makes any prefix a farthest-point sample itself, so one dataset serves every smaller N. Starts at the
-    first point, so equal clouds give equal samples. A cloud with fewer points is repeated from its start; an empty
-    one is all zeros (a camera that sees nothing must not end an episode).
+    The order makes any prefix a farthest-point sample itself, so one dataset serves every smaller N. Equal clouds give
+    equal samples: the first point is the first of the sampler's own tree, which the points alone determine. A cloud
+    with fewer points is repeated from its start; an empty one is all zeros (a camera that sees nothing must not end an
+    episode).
     """
     check_num_points(num_points)
     if len(points) == 0:
         return np.zeros((num_points, 3), np.float32)
     wanted = min(num_points, len(points))
-    if wanted < 2:
+    if len(points) < 2:
         return np.repeat(points[:1], num_points, axis=0).astype(np.float32)
-    indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=KDTREE_HEIGHT, start_idx=0)
+    height = min(KDTREE_HEIGHT, len(points).bit_length() - 1)  # a tree of 2^h buckets needs as many points
+    indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=height, start_idx=0)
     chosen = points[np.asarray(indices, dtype=np.int64)]
     return (
         np.resize(chosen, (num_points, 3)).astype(np.float32)
