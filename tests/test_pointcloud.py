@@ -1,0 +1,134 @@
+"""Clouds: the crop, and an order of which every prefix is itself a farthest-point sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.pointcloud import Workspace, check_num_points, farthest_point_order
+
+fast = settings(max_examples=30, deadline=None)
+seeds = st.integers(0, 2**31)
+
+
+def cloud(size: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (size, 3)).astype(np.float32)
+
+
+def rows(points: np.ndarray) -> set[tuple[float, ...]]:
+    return set(map(tuple, points.tolist()))
+
+
+@fast
+@given(seeds, st.integers(2, 800), st.data())
+def test_a_prefix_of_a_sample_is_the_smaller_sample(seed: int, size: int, data: st.DataObject) -> None:
+    points = cloud(size, seed)
+    many = data.draw(st.integers(1, size))
+    few = data.draw(st.integers(1, many))
+    assert np.array_equal(farthest_point_order(points, many)[:few], farthest_point_order(points, few))
+
+
+@fast
+@given(seeds, st.integers(2, 400))
+def test_each_point_is_the_farthest_from_those_before_it(seed: int, size: int) -> None:
+    points = cloud(size, seed)
+    sample = farthest_point_order(points, min(size, 40)).astype(np.float64)
+    nearest = np.linalg.norm(points - sample[0], axis=1)
+    for chosen in sample[1:]:
+        index = np.flatnonzero((points == chosen).all(1))[0]
+        assert nearest[index] >= nearest.max() - 1e-5
+        nearest = np.minimum(nearest, np.linalg.norm(points - chosen, axis=1))
+
+
+@fast
+@given(seeds, st.integers(1, 300), st.integers(1, 500))
+def test_a_sample_is_of_the_cloud_s_own_points_each_once(seed: int, size: int, wanted: int) -> None:
+    points = cloud(size, seed)
+    sample = farthest_point_order(points, wanted)
+    assert sample.shape == (wanted, 3)
+    assert sample.dtype == np.float32
+    assert rows(sample) <= rows(points)
+    assert len(rows(sample)) == min(size, wanted)
+
+
+@fast
+@given(seeds, st.integers(1, 60), st.integers(1, 400))
+def test_a_cloud_of_too_few_points_is_repeated_from_its_start(seed: int, size: int, wanted: int) -> None:
+    sample = farthest_point_order(cloud(size, seed), wanted)
+    for start in range(size, wanted, size):
+        part = sample[start : start + size]
+        assert np.array_equal(part, sample[: len(part)])
+
+
+def test_equal_clouds_give_equal_samples_and_stay_as_they_are() -> None:
+    points = cloud(5000)
+    before = points.copy()
+    first = farthest_point_order(points, 512)
+    np.random.default_rng(1).random(100)
+    assert np.array_equal(first, farthest_point_order(points.copy(), 512))
+    assert np.array_equal(points, before)
+    first[:] = 0
+    assert np.array_equal(points, before), "a sample is no view of the cloud"
+
+
+def test_a_sample_covers_the_cloud_better_than_chance() -> None:
+    points = cloud(4000)
+
+    def hole(sample: np.ndarray) -> float:
+        return float(np.linalg.norm(points[:, None] - sample[None], axis=-1).min(1).max())
+
+    assert hole(farthest_point_order(points, 128)) < 0.75 * hole(points[:128])
+
+
+@pytest.mark.parametrize("size", [1, 2, 33, 700])
+def test_points_that_coincide_are_no_obstacle(size: int) -> None:
+    same = np.full((size, 3), 0.5, np.float32)
+    assert np.array_equal(farthest_point_order(same, 64), np.full((64, 3), 0.5))
+
+
+@pytest.mark.parametrize("layout", [np.asfortranarray, lambda p: np.repeat(p, 2, axis=0)[::2], lambda p: p[:, :]])
+def test_the_array_s_memory_layout_does_not_matter(layout: object) -> None:
+    points = cloud(600)
+    assert np.array_equal(farthest_point_order(layout(points), 100), farthest_point_order(points, 100))  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("wanted", [1, 7, 4096])
+def test_a_camera_that_sees_nothing_gives_zeros(wanted: int) -> None:
+    empty = farthest_point_order(np.zeros((0, 3), np.float32), wanted)
+    assert empty.shape == (wanted, 3)
+    assert empty.dtype == np.float32
+    assert not empty.any()
+
+
+@pytest.mark.parametrize("wanted", [0, -1, 16_385])
+def test_an_impossible_number_of_points_is_refused(wanted: int) -> None:
+    with pytest.raises(ConfigurationError, match=r"1 \.\.\. 16384"):
+        farthest_point_order(cloud(10), wanted)
+    with pytest.raises(ConfigurationError, match=str(wanted)):
+        check_num_points(wanted)
+
+
+@pytest.mark.parametrize("wanted", [1, 1024, 16_384])
+def test_a_possible_number_of_points_is_returned(wanted: int) -> None:
+    assert check_num_points(wanted) == wanted
+
+
+@fast
+@given(seeds)
+def test_the_crop_keeps_exactly_what_lies_in_the_box(seed: int) -> None:
+    box = Workspace((-0.5, -0.2, 0.0), (0.5, 0.7, 0.4))
+    points = cloud(200, seed)
+    expected = [all(lo <= c <= up for lo, c, up in zip(box.lower, p, box.upper, strict=True)) for p in points.tolist()]
+    assert box.contains(points).tolist() == expected
+
+
+def test_the_box_is_closed_and_what_is_no_number_lies_outside() -> None:
+    box = Workspace((0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
+    corners = np.array([box.lower, box.upper], np.float32)
+    assert box.contains(corners).all()
+    assert not box.contains(np.nextafter(corners, np.array([[-9], [9]], np.float32))).any()
+    assert not box.contains(np.array([[np.nan, 0.3, 0.4], [np.inf, 0.3, 0.4]], np.float32)).any()
+    assert box.contains(np.zeros((0, 3), np.float32)).shape == (0,)
