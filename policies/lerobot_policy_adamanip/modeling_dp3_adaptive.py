@@ -20,6 +20,8 @@ from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUn
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor, nn
 
+# LeRobot looks a checkpoint's processing steps up by name: whoever loads the policy has to have them registered.
+import lerobot_policy_adamanip.processor_dp3_adaptive  # noqa: F401
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.schema import ACTION, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig, wrong_number_of_points
