@@ -1,0 +1,180 @@
+"""What a list of episodes amounts to: success with intervals, tries, failures by object. Pure functions."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
+
+Z95 = 1.959963984540054
+"""Two-sided 95 % quantile of the normal distribution."""
+BEST_BLOCKED_PULLS = 1.0
+BEST_WRONG_TURNS = 0.5
+"""On average, of a knob that turns to either side with equal chance."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of episodes with its 95 % Wilson interval; ``rate`` is None, and the interval [0, 1], of no episodes."""
+
+    count: int
+    episodes: int
+    rate: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Tries:
+    """Tries that led nowhere, per episode.
+
+    Attributes:
+        made: mean per episode.
+        best: the same mean for the best strategy that does not see the hidden state either.
+        wasted: ``made - best``. Below zero: luck, or success without the tries that knowing nothing costs on average.
+        wrong_turns_known: whether every record holds its wrong turns, so that they are counted on both sides.
+    """
+
+    made: float
+    best: float
+    wasted: float
+    wrong_turns_known: bool
+
+
+@dataclass(frozen=True)
+class ObjectResult:
+    """Episodes and failures on one object."""
+
+    episodes: int
+    failures: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What an evaluation amounts to.
+
+    Attributes:
+        episodes: counted, each once.
+        repeats: records dropped because the same episode came again later in the log.
+        overall, locked, unlocked, seen, unseen: success of all episodes and of those that were so.
+        tried_locked_door_first: of the locked episodes, those that took the handle first and pulled in vain.
+        key_frames_of_successes: mean; None without a success.
+        tries: that led nowhere.
+        objects: per object id, in order.
+    """
+
+    episodes: int
+    repeats: int
+    overall: Rate
+    locked: Rate
+    unlocked: Rate
+    seen: Rate
+    unseen: Rate
+    tried_locked_door_first: Rate
+    key_frames_of_successes: float | None
+    tries: Tries
+    objects: dict[str, ObjectResult]
+
+
+def wilson_interval(count: int, episodes: int, z: float = Z95) -> tuple[float, float]:
+    """Returns Wilson's score interval of a share ``count / episodes``; (0, 1) of no episodes. ``z`` is the quantile."""
+    if not 0 <= count <= episodes:
+        raise ValueError(f"count must be in 0 ... {episodes}, got {count}")
+    if episodes == 0:
+        return 0.0, 1.0
+    share, z2 = count / episodes, z * z
+    middle = (share + z2 / (2 * episodes)) / (1 + z2 / episodes)
+    half = z / (1 + z2 / episodes) * math.sqrt(share * (1 - share) / episodes + z2 / (4 * episodes**2))
+    # Rounding must not push the bounds past what they are exactly.
+    low = 0.0 if count == 0 else max(0.0, middle - half)
+    high = 1.0 if count == episodes else min(1.0, middle + half)
+    return min(low, share), max(high, share)
+
+
+def rate(count: int, episodes: int) -> Rate:
+    """Returns a `Rate`."""
+    low, high = wilson_interval(count, episodes)
+    return Rate(count, episodes, count / episodes if episodes else None, low, high)
+
+
+def difference_interval(first: Rate, second: Rate) -> tuple[float, float, float]:
+    """Returns ``first - second`` and its 95 % interval (Newcombe 1998, method 10).
+
+    Where zero lies outside, the difference is real. Two rates of no episodes differ by anything: (0, -1, 1).
+    """
+    if first.rate is None or second.rate is None:
+        return 0.0, -1.0, 1.0
+    difference = first.rate - second.rate
+    down = math.hypot(first.rate - first.low, second.high - second.rate)
+    up = math.hypot(first.high - first.rate, second.rate - second.low)
+    return difference, max(-1.0, difference - down), min(1.0, difference + up)
+
+
+def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
+    """Returns the records with each episode once, the last one winning, in the order of those kept.
+
+    An episode is its seed, object and hidden state. So an evaluation that was repeated into the same log is counted
+    once, and one seed on seen and on unseen objects is two episodes.
+    """
+    last: dict[tuple[object, ...], EpisodeRecord] = {}
+    for record in records:
+        last.pop(record.identity, None)
+        last[record.identity] = record
+    return list(last.values())
+
+
+def tried_locked_door_first(record: EpisodeRecord) -> bool:
+    """Whether a robot took the handle first and pulled at a door that was locked."""
+    return record.locked and record.first_part == "handle" and record.blocked_pulls >= 1
+
+
+def count_tries(records: Sequence[EpisodeRecord]) -> Tries:
+    """Counts tries that led nowhere, against the best possible under the same uncertainty.
+
+    Made: each pull at the handle that the shut door blocked (``blocked_pulls``); turning the knob of a safe that was
+    not locked, one (``knob_turned``); and each turn of the knob against its direction (``wrong_turns``), where all
+    records hold it. Best: who does not see the hidden state pulls first, because that is cheaper than turning a knob.
+    That costs nothing if the safe is open, and one blocked pull if it is locked; then one of two directions has to be
+    chosen, wrongly half of the time: half a wrong turn, left out on both sides where the records do not hold it.
+    """
+    known = bool(records) and all(record.wrong_turns is not None for record in records)
+    made = best = 0.0
+    for record in records:
+        made += record.blocked_pulls + (record.wrong_turns or 0) * known + (record.knob_turned and not record.locked)
+        best += (BEST_BLOCKED_PULLS + BEST_WRONG_TURNS * known) * record.locked
+    number = max(1, len(records))
+    return Tries(made / number, best / number, (made - best) / number, known)
+
+
+def summarise(records: Sequence[EpisodeRecord]) -> Summary:
+    """Summarises the records of an evaluation, each episode counted once."""
+    kept = without_repeats(records)
+
+    def success(where: Callable[[EpisodeRecord], bool]) -> Rate:
+        chosen = [record for record in kept if where(record)]
+        return rate(sum(record.success for record in chosen), len(chosen))
+
+    locked = [record for record in kept if record.locked]
+    lengths = [record.key_frames for record in kept if record.success]
+    return Summary(
+        episodes=len(kept),
+        repeats=len(records) - len(kept),
+        overall=success(lambda _: True),
+        locked=success(lambda record: record.locked),
+        unlocked=success(lambda record: not record.locked),
+        seen=success(lambda record: not record.unseen),
+        unseen=success(lambda record: record.unseen),
+        tried_locked_door_first=rate(sum(map(tried_locked_door_first, locked)), len(locked)),
+        key_frames_of_successes=sum(lengths) / len(lengths) if lengths else None,
+        tries=count_tries(kept),
+        objects=_by_object(kept),
+    )
+
+
+def _by_object(records: Sequence[EpisodeRecord]) -> dict[str, ObjectResult]:
+    episodes = Counter(record.object_id for record in records)
+    failures = Counter(record.object_id for record in records if not record.success)
+    return {name: ObjectResult(episodes[name], failures[name]) for name in sorted(episodes)}

@@ -1,0 +1,71 @@
+"""Pictures of evaluations. Matplotlib is imported when one is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
+from lerobot_adamanip.evaluation.metrics import Rate, rate, summarise, without_repeats
+
+_GROUPS = ("overall", "unlocked", "locked", "seen", "unseen")
+
+
+def cumulative_rates(records: Sequence[EpisodeRecord]) -> list[Rate]:
+    """Returns success after 1, 2, ... episodes, each counted once, in order of seeds."""
+    kept = sorted(without_repeats(records), key=lambda record: (record.seed, record.object_id))
+    done, rates = 0, []
+    for number, record in enumerate(kept, start=1):
+        done += record.success
+        rates.append(rate(done, number))
+    return rates
+
+
+def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: Path) -> None:
+    """Draws success by group beside success over episodes, with 95 % intervals, one colour per label, to ``path``."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)  # no display, and no global state of pyplot's
+    bars, curve = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    _draw_bars(bars, evaluations)
+    for label, records in evaluations.items():
+        rates = cumulative_rates(records)
+        counts = range(1, len(rates) + 1)
+        (line,) = curve.plot(counts, [100 * (r.rate or 0.0) for r in rates], label=label, linewidth=1.8)
+        low, high = [100 * r.low for r in rates], [100 * r.high for r in rates]
+        curve.fill_between(counts, low, high, alpha=0.15, color=line.get_color(), linewidth=0)
+    curve.set(xlabel="episodes", ylabel="success so far [%]", ylim=(0, 103))
+    curve.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for axes in (bars, curve):
+        axes.grid(axis="y", alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle("Success with 95 % Wilson intervals", fontsize=11)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+
+
+def _draw_bars(axes: object, evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> None:
+    from matplotlib.axes import Axes
+
+    assert isinstance(axes, Axes)
+    summaries = {label: summarise(records) for label, records in evaluations.items()}
+    groups = [g for g in _GROUPS if any(getattr(summary, g).episodes for summary in summaries.values())]
+    width = 0.8 / len(summaries)
+    for index, (label, summary) in enumerate(summaries.items()):
+        rates: list[Rate] = [getattr(summary, group) for group in groups]
+        places = [x + (index - (len(summaries) - 1) / 2) * width for x in range(len(groups))]
+        values = [100 * (r.rate or 0.0) for r in rates]
+        # A group without episodes has no bar, and no interval that would look like a measurement.
+        below = [v - 100 * r.low if r.episodes else 0.0 for v, r in zip(values, rates, strict=True)]
+        above = [100 * r.high - v if r.episodes else 0.0 for v, r in zip(values, rates, strict=True)]
+        axes.bar(places, values, 0.92 * width, yerr=[below, above], capsize=3, label=label, ecolor="0.25")
+        for x, r in zip(places, rates, strict=True):
+            axes.text(
+                x, 1.5, f"{r.count}/{r.episodes}", ha="center", va="bottom", fontsize=7, color="white", rotation=90
+            )
+    axes.set_xticks(range(len(groups)), groups)
+    axes.set(ylabel="success [%]", ylim=(0, 103))
+    axes.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, borderaxespad=0.2)
