@@ -1,0 +1,220 @@
+"""The fast reader gives what LeRobot's own reader gives, bit for bit; and decodes videos only where they are wanted."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import torch
+from lerobot.datasets import lerobot_dataset
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+from lerobot_adamanip import lerobot_compat
+
+LENGTHS = (5, 8, 2)
+FPS = 4
+CAMERA, PICTURE = "observation.images.front", "observation.images.still"
+FEATURES: dict[str, dict[str, Any]] = {
+    "observation.point_cloud": {"dtype": "float32", "shape": (6, 3), "names": None},
+    "observation.state": {"dtype": "float32", "shape": (4,), "names": None},
+    "observation.precise": {"dtype": "float64", "shape": (2,), "names": None},
+    "observation.bytes": {"dtype": "uint8", "shape": (3,), "names": None},
+    "observation.touch": {"dtype": "bool", "shape": (1,), "names": None},
+    "action": {"dtype": "float32", "shape": (3,), "names": None},
+    "complementary_info.phase": {"dtype": "int64", "shape": (1,), "names": None},
+    "complementary_info.note": {"dtype": "string", "shape": (1,), "names": None},
+    CAMERA: {"dtype": "video", "shape": (64, 64, 3), "names": ["height", "width", "channels"]},
+    PICTURE: {"dtype": "image", "shape": (8, 8, 3), "names": ["height", "width", "channels"]},
+}
+BOTH_ENDS = {
+    "observation.point_cloud": [-1, 0],
+    "observation.precise": [0],
+    "observation.bytes": [-2, 0],
+    "observation.touch": [0, 1],
+    "complementary_info.phase": [-1, 0, 1],
+    "action": list(range(-3, 4)),
+    CAMERA: [-1, 0],
+    PICTURE: [0, 1],
+}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Episodes of `LENGTHS` frames with every kind of column. Not to be written to."""
+    rng, path = np.random.default_rng(5), tmp_path_factory.mktemp("reader") / "dataset"
+    dataset = LeRobotDataset.create("local/reader", fps=FPS, features=FEATURES, root=path)
+    for episode, length in enumerate(LENGTHS):
+        for index in range(length):
+            frame: dict[str, Any] = {"task": f"task {episode}", "complementary_info.note": f"{episode}.{index}"}
+            for key, feature in FEATURES.items():
+                shape, dtype = feature["shape"], feature["dtype"]
+                if dtype in ("video", "image"):
+                    frame[key] = rng.integers(0, 256, shape, dtype=np.uint8)
+                elif dtype != "string":
+                    frame[key] = rng.normal(scale=100, size=shape).astype(dtype)
+            dataset.add_frame(frame)
+        dataset.save_episode()
+    dataset.finalize()
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _reader_as_before() -> Iterator[None]:
+    before = lerobot_dataset.DatasetReader
+    yield
+    lerobot_dataset.DatasetReader = before  # type: ignore[misc]
+
+
+def opened(root: Path, prepare: Callable[[], object], **options: Any) -> LeRobotDataset:
+    prepare()
+    deltas = options.pop("deltas", None)
+    if deltas is not None:
+        options["delta_timestamps"] = {key: [step / FPS for step in steps] for key, steps in deltas.items()}
+    return LeRobotDataset("local/reader", root=root, video_backend="pyav", **options)
+
+
+def assert_same(one: dict[str, Any], other: dict[str, Any], without: tuple[str, ...] = ()) -> None:
+    assert [key for key in one if key not in without] == list(other)
+    for key, value in other.items():
+        if isinstance(value, torch.Tensor):
+            assert value.dtype == one[key].dtype, key
+            assert value.shape == one[key].shape, key
+            assert torch.equal(value, one[key]), key
+        else:
+            assert value == one[key], key
+
+
+@pytest.mark.parametrize("deltas", [None, BOTH_ENDS], ids=["rows", "windows"])
+@pytest.mark.parametrize("episodes", [None, [1], [0, 2]], ids=str)
+@pytest.mark.parametrize("return_uint8", [False, True], ids=["float", "uint8"])
+def test_items_equal_those_of_the_stock_reader(
+    root: Path, deltas: dict[str, list[int]] | None, episodes: list[int] | None, return_uint8: bool
+) -> None:
+    options = {"deltas": deltas, "episodes": episodes, "return_uint8": return_uint8}
+    stock = opened(root, lerobot_compat.restore, **options)
+    fast = opened(root, lerobot_compat.apply, **options)
+    assert isinstance(fast.reader, lerobot_compat.FastDatasetReader)
+    assert not isinstance(stock.reader, lerobot_compat.FastDatasetReader)
+    assert len(fast) == len(stock) == sum(LENGTHS[e] for e in (episodes or range(3)))
+    for index in range(len(stock)):
+        assert_same(stock[index], fast[index])
+    assert_same(stock[-1], fast[-1])
+    with pytest.raises(IndexError):
+        fast[len(fast)]
+
+
+def test_image_transforms_see_the_same_images(root: Path) -> None:
+    options = {"image_transforms": lambda image: image * 0.5, "deltas": {"action": [-1, 0]}}
+    assert_same(opened(root, lerobot_compat.restore, **options)[3], opened(root, lerobot_compat.apply, **options)[3])
+
+
+def test_marked_videos_are_not_decoded_and_everything_else_stays(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = {"image_transforms": lambda image: image * 0.5, "deltas": BOTH_ENDS}
+    full, lean = (opened(root, lerobot_compat.apply, **options) for _ in range(2))
+    lerobot_compat.skip_videos(lean.meta)
+    expected = [full[index] for index in range(len(full))]
+    monkeypatch.setattr(
+        lerobot_compat.FastDatasetReader, "_query_videos", lambda *_: pytest.fail("a video was decoded")
+    )
+    for index, item in enumerate(expected):
+        assert CAMERA in item
+        assert_same(item, lean[index], without=(CAMERA,))
+
+
+def test_reader_and_mark_travel_into_data_loading_processes(root: Path) -> None:
+    dataset = opened(root, lerobot_compat.apply, deltas={"action": [-1, 0, 1]})
+    here = [dataset[index] for index in range(4)]
+    # As in lerobot-train: the loader exists before the first item is asked for, the policy has marked the metadata.
+    lerobot_compat.skip_videos(dataset.meta)
+    loader = torch.utils.data.DataLoader(
+        dataset, batch_size=None, sampler=range(4), num_workers=1, multiprocessing_context="spawn"
+    )
+    for one, other in zip(here, loader, strict=True):
+        assert_same(one, other, without=(CAMERA,))
+
+
+def test_numeric_columns_are_read_without_copying_the_dataset(root: Path) -> None:
+    dataset = opened(root, lerobot_compat.apply)
+    store = lerobot_compat.ColumnStore(dataset.hf_dataset)
+    assert "observation.point_cloud" in store
+    assert "complementary_info.note" not in store
+    assert PICTURE not in store
+    rows = store.rows("observation.point_cloud", [2, 0, 2])
+    assert rows.shape == (3, 6, 3)
+    assert torch.equal(rows[0], rows[2])
+    rows[0] = 0.0
+    assert store.rows("observation.point_cloud", [2]).any(), "an item is the reader's to give away: changing it is safe"
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        pa.array(["a", "b"]),
+        pa.array([1.0, None]),
+        pa.array([[1.0], [2.0, 3.0, 4.0]]),
+        pa.array([[1.0, None], [2.0, 3.0]]),
+    ],
+    ids=["text", "null", "ragged", "null inside"],
+)
+def test_what_is_no_plain_array_is_left_to_lerobot(column: pa.Array) -> None:
+    assert lerobot_compat._view(column) is None
+
+
+def test_slices_of_arrow_memory_keep_their_rows() -> None:
+    for kind in (pa.list_(pa.float32()), pa.list_(pa.float32(), 2), pa.large_list(pa.int64())):
+        column = pa.array([[1, 2], [3, 4], [5, 6]], type=kind).slice(1, 2)
+        view = lerobot_compat._view(column)
+        assert view is not None
+        assert view.tolist() == [[3, 4], [5, 6]]
+
+
+def test_apply_is_idempotent_and_can_be_undone() -> None:
+    lerobot_compat.restore()
+    stock = lerobot_dataset.DatasetReader
+    assert lerobot_compat.apply()
+    assert lerobot_compat.apply()
+    assert lerobot_dataset.DatasetReader is lerobot_compat.FastDatasetReader
+    lerobot_compat.restore()
+    assert lerobot_dataset.DatasetReader is stock
+
+
+def test_an_unknown_lerobot_keeps_its_own_reader_and_says_so_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    lerobot_compat.restore()
+    monkeypatch.setattr(lerobot_compat.lerobot, "__version__", "0.99.0")
+    with caplog.at_level(logging.WARNING):
+        assert not lerobot_compat.apply()
+        assert not lerobot_compat.apply()
+    assert lerobot_dataset.DatasetReader is not lerobot_compat.FastDatasetReader
+    assert len([message for message in caplog.messages if "0.99.0" in message]) == 1
+
+
+def test_measurement_reports_both_readers_and_leaves_things_as_they_were(root: Path) -> None:
+    lerobot_compat.restore()
+    measured = lerobot_compat.measure_reader(root, {"action": [-1, 0, 1]}, items=3)
+    assert measured.keys() == {"stock_ms", "fast_ms", "speedup"}
+    assert all(value > 0 for value in measured.values())
+    assert lerobot_dataset.DatasetReader is not lerobot_compat.FastDatasetReader
+
+
+@pytest.mark.parametrize("with_datasets", [True, False])
+def test_the_plugin_brings_the_reader_only_where_datasets_are_read(with_datasets: bool) -> None:
+    code = f"""
+import sys
+if {with_datasets}: import lerobot.datasets.lerobot_dataset
+import lerobot_policy_adamanip
+lerobot_policy_adamanip.DP3AdaptiveConfig(device="cpu")
+loaded = "lerobot.datasets.lerobot_dataset" in sys.modules
+applied = loaded and sys.modules["lerobot.datasets.lerobot_dataset"].DatasetReader.__name__ == "FastDatasetReader"
+print(loaded, applied)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-2:] == [str(with_datasets)] * 2
