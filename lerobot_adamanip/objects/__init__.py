@@ -28,7 +28,7 @@ def object_id(category: str, number: int) -> str:
 
 def parse_object_id(identifier: str) -> tuple[str, int]:
     """Returns ("safe", 7) for ``safe_007``; raises `ConfigurationError` for anything else."""
-    match = re.fullmatch(r"([a-z_]+)_(\d{3,6})", identifier)
+    match = re.fullmatch(r"([a-z_]+)_([0-9]{3}|[1-9][0-9]{3,5})", identifier)  # one object, one id
     if match is None or match[1] not in _GENERATORS:
         raise ConfigurationError(
             explain(
