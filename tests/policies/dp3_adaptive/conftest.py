@@ -1,0 +1,140 @@
+"""A tiny recorded dataset with video, and tiny policies made from it the way LeRobot makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.rotations import rotation_6d_from_matrix, rotation_about
+
+REPO_ID = "local/tiny"
+EPISODE_LENGTHS = (9, 12, 8)
+NUM_POINTS = 64
+TINY: dict[str, Any] = {
+    "num_points": 32,
+    "encoder_dims": (16, 24),
+    "encoder_out_dim": 16,
+    "down_dims": (32, 64),
+    "n_groups": 8,
+    "diffusion_step_embed_dim": 16,
+    "num_train_timesteps": 10,
+    "num_inference_steps": 2,
+    "device": "cpu",
+    "push_to_hub": False,
+}
+
+
+def _pose(draw: np.random.Generator, position: np.ndarray) -> np.ndarray:
+    rotation = rotation_about(draw.normal(size=3), float(draw.uniform(0, 3)))
+    return np.concatenate([position, rotation_6d_from_matrix(rotation), [float(draw.integers(2))]]).astype(np.float32)
+
+
+def _frame(draw: np.random.Generator, tool: np.ndarray, index: int) -> dict[str, Any]:
+    goal = tool + draw.normal(scale=0.05, size=3)
+    return {
+        schema.POINT_CLOUD: draw.uniform((0.3, -0.4, 0.4), (0.9, 0.4, 1.0), (NUM_POINTS, 3)).astype(np.float32),
+        schema.STATE: np.concatenate([_pose(draw, tool), draw.normal(size=14)]).astype(np.float32),
+        schema.EFFORT: draw.normal(size=7).astype(np.float32),
+        schema.FRONT_IMAGE: draw.integers(0, 255, (32, 32, 3)).astype(np.uint8),
+        schema.ACTION: _pose(draw, goal),
+        schema.PHASE: np.array([index], np.int64),
+        schema.TRIAL: np.array([index // 4], np.int64),
+        schema.OUTCOME: np.array([index % 3], np.int64),
+        "task": "open the safe",
+    }
+
+
+@pytest.fixture(scope="session")
+def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three recorded episodes with clouds of 64 points and a small video. Not to be written to."""
+    from lerobot.datasets.io_utils import write_stats
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    root = tmp_path_factory.mktemp("tiny") / "dataset"
+    draw = np.random.default_rng(7)
+    dataset = LeRobotDataset.create(REPO_ID, schema.FPS, schema.dataset_features(NUM_POINTS, 32), root=root)
+    for length in EPISODE_LENGTHS:
+        tool = np.array([0.55, 0.0, 0.7])
+        for index in range(length):
+            frame = _frame(draw, tool, index)
+            dataset.add_frame(frame)
+            tool = frame[schema.ACTION][:3].astype(np.float64)
+        dataset.save_episode()
+    dataset.finalize()
+    write_stats(schema.fix_pose_statistics(dataset.meta.stats), root)
+    return root
+
+
+@pytest.fixture
+def open_dataset(dataset_root: Path) -> Callable[..., Any]:
+    """Opens the dataset with the windows that a configuration asks for, as lerobot-train does."""
+
+    def build(config: Any = None, **options: Any) -> Any:
+        from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+        from lerobot.datasets.factory import resolve_delta_timestamps
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+        if config is not None:
+            meta = LeRobotDatasetMetadata(REPO_ID, root=dataset_root)
+            options["delta_timestamps"] = resolve_delta_timestamps(config, meta)
+        return LeRobotDataset(REPO_ID, root=dataset_root, **options)
+
+    return build
+
+
+@pytest.fixture
+def make_config() -> Callable[..., Any]:
+    """Builds a tiny configuration; what is given wins."""
+
+    def build(**changes: Any) -> Any:
+        from lerobot_policy_adamanip import DP3AdaptiveConfig
+
+        return DP3AdaptiveConfig(**{**TINY, **changes})
+
+    return build
+
+
+@pytest.fixture
+def make_tiny(make_config: Callable[..., Any], open_dataset: Callable[..., Any]) -> Callable[..., tuple[Any, ...]]:
+    """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories."""
+
+    def build(**changes: Any) -> tuple[Any, ...]:
+        from lerobot.policies.factory import make_policy, make_pre_post_processors
+
+        config = make_config(**changes)
+        dataset = open_dataset(config)
+        policy = make_policy(config, ds_meta=dataset.meta)
+        before, after = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
+        return policy, before, after, dataset
+
+    return build
+
+
+@pytest.fixture
+def batch_of() -> Callable[..., dict[str, Any]]:
+    """Collates items of a dataset and preprocesses them: what `forward` is given in training."""
+
+    def build(dataset: Any, before: Any, *indices: int) -> dict[str, Any]:
+        items = [dataset[index] for index in indices]
+        return dict(before(torch.utils.data.default_collate(items)))
+
+    return build
+
+
+@pytest.fixture
+def observation_of() -> Callable[..., dict[str, Any]]:
+    """Preprocesses the present observation of items: what `select_action` is given at run time."""
+
+    def build(dataset: Any, before: Any, *indices: int) -> dict[str, Any]:
+        items = [dataset[index] for index in indices]
+        keys = (schema.POINT_CLOUD, schema.STATE, schema.EFFORT)
+        # The last of the window is the present.
+        return dict(before({key: torch.stack([item[key][-1] for item in items]) for key in keys}))
+
+    return build

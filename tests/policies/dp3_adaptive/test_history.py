@@ -1,0 +1,144 @@
+"""What a policy is conditioned on: the same in training and at run time, and never the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from lerobot_adamanip import schema
+
+STILL = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0, "history_noise_std": 0.0}
+SHAPES = [(1, 3, 4, 1), (1, 3, 4, 2), (3, 5, 4, 1), (3, 5, 4, 2), (2, 1, 4, 4), (1, 0, 4, 2)]
+"""n_obs_steps, n_action_history_steps, horizon, n_action_steps."""
+MakeTiny = Callable[..., tuple[Any, ...]]
+
+
+def _config(shape: tuple[int, int, int, int]) -> dict[str, Any]:
+    names = ("n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")
+    return {**STILL, **dict(zip(names, shape, strict=True))}
+
+
+class Spy:
+    """Records what enters `condition`, and the vector that leaves it."""
+
+    def __init__(self, policy: Any) -> None:
+        self.seen: list[dict[str, torch.Tensor]] = []
+        original = policy.condition
+
+        def condition(observations: dict[str, torch.Tensor], history: Any, valid: Any) -> Any:
+            vector = original(observations, history, valid)
+            past = history.masked_fill(~valid[..., None], 0.0)
+            self.seen.append({**observations, "history": past, "valid": valid, "vector": vector.detach()})
+            return vector
+
+        policy.condition = condition
+
+
+def _steer(policy: Any, actions: torch.Tensor) -> Callable[[int], None]:
+    """Makes the policy 'generate' what was recorded: the chunk from a given frame on."""
+    frame = [0]
+
+    def chunk(sample: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        wanted = [min(frame[0] + step, len(actions) - 1) for step in range(sample.shape[1])]
+        return actions[wanted][None]
+
+    policy.frames.to_absolute = chunk
+    return lambda now: frame.__setitem__(0, now)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_training_and_run_time_condition_on_the_same_tensors(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, shape: tuple[int, int, int, int]
+) -> None:
+    policy, before, _, dataset = make_tiny(**_config(shape))
+    policy.eval()
+    spy = Spy(policy)
+    episode = dataset.meta.episodes[1]
+    frames = range(episode["dataset_from_index"], episode["dataset_to_index"])
+    past = policy.config.n_action_history_steps
+    labels = torch.cat([batch_of(dataset, before, index)[schema.ACTION][:, past] for index in frames])
+    at_frame = _steer(policy, labels)
+    for now, index in enumerate(frames):
+        with torch.no_grad():
+            policy.forward(batch_of(dataset, before, index))
+        trained = spy.seen.pop()
+        observation = observation_of(dataset, before, index)
+        # A prediction at every frame, between the borders of chunks too; it must not disturb what follows.
+        policy.predict_action_chunk(observation)
+        ran = spy.seen.pop()
+        for key, value in trained.items():
+            torch.testing.assert_close(ran[key], value, rtol=0, atol=1e-6, msg=f"{key} at frame {now}")
+        assert int(trained["valid"].sum()) == min(now, past)
+        replans = now % policy.config.n_action_steps == 0
+        at_frame(now)
+        executed = policy.select_action(observation)
+        torch.testing.assert_close(executed[0], labels[now], rtol=0, atol=0)
+        assert len(spy.seen) == replans
+        for generated in spy.seen:
+            torch.testing.assert_close(generated["vector"], trained["vector"], rtol=0, atol=1e-6)
+        spy.seen.clear()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("relative", [True, False])
+def test_the_first_frame_cannot_see_its_label(
+    make_tiny: MakeTiny, batch_of: Any, shape: tuple[int, int, int, int], relative: bool
+) -> None:
+    policy, before, _, dataset = make_tiny(**_config(shape), tcp_relative=relative)
+    spy = Spy(policy)
+    batch = batch_of(dataset, before, 0)
+    past = policy.config.n_action_history_steps
+    # LeRobot pads the history with the label: this is the leak that the mask is for.
+    assert all(torch.equal(batch[schema.ACTION][0, row], batch[schema.ACTION][0, past]) for row in range(past))
+    policy.forward(batch)
+    policy.forward({**batch, schema.ACTION: batch[schema.ACTION] + 3.0})
+    policy.forward({**batch, schema.ACTION: torch.full_like(batch[schema.ACTION], -7.0)})
+    first, *others = (seen["vector"] for seen in spy.seen)
+    assert all(torch.equal(first, other) for other in others)
+
+
+@pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1]])
+def test_labels_never_condition_but_every_past_action_does(
+    make_tiny: MakeTiny, batch_of: Any, shape: tuple[int, int, int, int]
+) -> None:
+    policy, before, _, dataset = make_tiny(**_config(shape))
+    spy = Spy(policy)
+    batch = batch_of(dataset, before, 6)
+    for row in range(batch[schema.ACTION].shape[1]):
+        changed = batch[schema.ACTION].clone()
+        changed[:, row] += 0.5
+        policy.forward({**batch, schema.ACTION: changed})
+    policy.forward(batch)
+    plain = spy.seen.pop()["vector"]
+    differs = [not torch.equal(seen["vector"], plain) for seen in spy.seen]
+    past = policy.config.n_action_history_steps
+    assert differs == [True] * past + [False] * (len(differs) - past)
+
+
+def test_without_history_it_is_plain_dp3(make_tiny: MakeTiny, batch_of: Any, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(**_config((1, 0, 4, 1)))
+    assert policy.model.history is None
+    assert torch.isfinite(policy.forward(batch_of(dataset, before, 0, 5))[0])
+    policy.eval()
+    noise = torch.randn(1, 4, 10)
+    observation = observation_of(dataset, before, 5)
+    first = policy.select_action(observation, noise=noise)
+    # Whatever was done before, the same observation leads to the same action.
+    torch.testing.assert_close(policy.select_action(observation, noise=noise), first, rtol=0, atol=0)
+
+
+def test_noise_on_the_history_is_for_training_only(make_tiny: MakeTiny, batch_of: Any) -> None:
+    changes = {**_config((1, 3, 4, 1)), "history_noise_std": 0.1}
+    policy, before, _, dataset = make_tiny(**changes)
+    spy = Spy(policy)
+    batch = batch_of(dataset, before, 6)
+    for mode in (True, True, False, False):
+        policy.train(mode)
+        policy.forward(batch)
+    noisy, noisier, clean, cleaner = (seen["history"] for seen in spy.seen)
+    assert not torch.equal(noisy, noisier)
+    assert torch.equal(clean, cleaner)
+    torch.testing.assert_close(clean, batch[schema.ACTION][:, :3], rtol=0, atol=0)

@@ -1,0 +1,203 @@
+"""What happens to samples before and to actions after the policy."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from lerobot.lerobot_types import TransitionKey
+from lerobot.processor import PolicyProcessorPipeline
+from lerobot.processor.converters import (
+    batch_to_transition,
+    policy_action_to_transition,
+    transition_to_batch,
+    transition_to_policy_action,
+)
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.rotations import matrix_from_rotation_6d
+from lerobot_policy_adamanip.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+
+
+@pytest.fixture
+def raw(make_config: Callable[..., Any], open_dataset: Callable[..., Any]) -> dict[str, Any]:
+    """A collated batch as the loader gives it: metres, two observation steps, seven actions."""
+    dataset = open_dataset(make_config(n_obs_steps=2, n_action_history_steps=3, horizon=4))
+    return dict(torch.utils.data.default_collate([dataset[index] for index in (0, 5, 12, 20)]))
+
+
+def _moved(raw: dict[str, Any], **options: Any) -> dict[str, Any]:
+    return dict(transition_to_batch(RigidAugmentationStep(**options)(batch_to_transition(raw))))
+
+
+def _matrices(poses: torch.Tensor) -> torch.Tensor:
+    return torch.from_numpy(matrix_from_rotation_6d(poses[..., 3:9].double().numpy()))
+
+
+@pytest.mark.parametrize("options", [{"translation": 0.2}, {"yaw": 1.0}, {"translation": 0.1, "yaw": 3.0}])
+def test_a_moved_scene_is_the_same_scene(raw: dict[str, Any], options: dict[str, float]) -> None:
+    moved = _moved(raw, **options)
+    assert not torch.allclose(moved[schema.POINT_CLOUD], raw[schema.POINT_CLOUD])
+    for batch_before, batch_after in zip(_views(raw), _views(moved), strict=True):
+        torch.testing.assert_close(batch_after, batch_before, rtol=0, atol=1e-5)
+
+
+def _views(batch: dict[str, Any]) -> list[torch.Tensor]:
+    """What does not depend on where the scene stands: everything as seen from the tool, and heights' differences."""
+    cloud, state, action = batch[schema.POINT_CLOUD], batch[schema.STATE], batch[schema.ACTION]
+    tool = _matrices(state[:, -1])
+    origin = state[:, -1, :3].double()
+    points = (cloud.double() - origin[:, None, None]).flatten(1, 2) @ tool
+    actions = (action[..., :3].double() - origin[:, None]) @ tool
+    # In the tool's frame: R_tool^T R_action.
+    turns = tool.transpose(-1, -2)[:, None] @ _matrices(action)
+    distances = torch.linalg.vector_norm(cloud.double() - state[..., None, :3].double(), dim=-1)
+    gram = batch[schema.ACTION][..., 3:9].double().unflatten(-1, (2, 3))
+    return [points, actions, turns, distances, gram @ gram.transpose(-1, -2), action[..., 9:], state[..., 9:]]
+
+
+def test_every_sample_moves_on_its_own_and_its_time_steps_together(raw: dict[str, Any]) -> None:
+    moved = _moved(raw, translation=0.2)
+    shift = moved[schema.POINT_CLOUD] - raw[schema.POINT_CLOUD]
+    per_sample = shift.flatten(1, 2)
+    torch.testing.assert_close(per_sample, per_sample[:, :1].expand_as(per_sample), rtol=0, atol=1e-6)
+    assert len({tuple(row.tolist()) for row in per_sample[:, 0].round(decimals=5)}) == len(per_sample)
+    assert shift.abs().max() <= 0.2 + 1e-6
+    actions = (moved[schema.ACTION] - raw[schema.ACTION])[..., :3]
+    torch.testing.assert_close(actions, per_sample[:, :1].expand_as(actions), rtol=0, atol=1e-6)
+
+
+def test_a_turn_is_about_the_vertical_through_the_centre(raw: dict[str, Any]) -> None:
+    center = (0.3, -0.2, 0.9)
+    moved = _moved(raw, yaw=2.0, center=center)
+    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
+        torch.testing.assert_close(moved[key][..., 2], raw[key][..., 2], rtol=0, atol=1e-6)
+        before, after = (batch[key][..., :2] - torch.tensor(center[:2]) for batch in (raw, moved))
+        torch.testing.assert_close(after.norm(dim=-1), before.norm(dim=-1), rtol=0, atol=1e-5)
+
+
+def test_nothing_is_moved_by_nothing_or_without_actions(raw: dict[str, Any]) -> None:
+    transition = batch_to_transition(raw)
+    assert RigidAugmentationStep()(transition) is transition
+    running = batch_to_transition({**raw, schema.ACTION: None})
+    assert RigidAugmentationStep(translation=0.3, yaw=1.0)(running) is running
+    barely = _moved(raw, yaw=1e-9)
+    torch.testing.assert_close(barely[schema.ACTION], raw[schema.ACTION], rtol=0, atol=1e-6)
+
+
+def test_the_given_transition_is_not_written_to(raw: dict[str, Any]) -> None:
+    transition = batch_to_transition(raw)
+    known = copy.deepcopy(transition)
+    RigidAugmentationStep(translation=0.3, yaw=1.0)(transition)
+    OrthonormaliseStep()(transition)
+    assert torch.equal(transition[TransitionKey.ACTION], known[TransitionKey.ACTION])
+    for key, value in known[TransitionKey.OBSERVATION].items():
+        assert torch.equal(transition[TransitionKey.OBSERVATION][key], value), key
+
+
+def test_colours_of_points_do_not_move(raw: dict[str, Any]) -> None:
+    colours = torch.rand(*raw[schema.POINT_CLOUD].shape[:-1], 3)
+    coloured = torch.cat([raw[schema.POINT_CLOUD], colours], dim=-1)
+    moved = _moved({**raw, schema.POINT_CLOUD: coloured}, translation=0.2, yaw=0.5)
+    assert torch.equal(moved[schema.POINT_CLOUD][..., 3:], colours)
+
+
+def test_images_and_efforts_pass_as_they_are(raw: dict[str, Any]) -> None:
+    moved = _moved(raw, translation=0.2, yaw=0.5)
+    for key in (schema.EFFORT, schema.FRONT_IMAGE, "action_is_pad", "task"):
+        same = torch.equal(moved[key], raw[key]) if isinstance(raw[key], torch.Tensor) else moved[key] == raw[key]
+        assert same, key
+
+
+def test_any_ten_numbers_become_a_pose() -> None:
+    degenerate = torch.zeros(4, 10)
+    degenerate[1, 3:9] = torch.tensor([1.0, 2, 3, 2, 4, 6])
+    degenerate[2, 3:6] = torch.tensor([1e-9, 0, 0])
+    degenerate[3, 6:9] = torch.tensor([0.0, 0, 5])
+    for actions in (torch.randn(50, 10) * 3, torch.randn(2, 4, 10), degenerate):
+        whole = OrthonormaliseStep()(policy_action_to_transition(actions))[TransitionKey.ACTION]
+        rows = whole[..., 3:9].unflatten(-1, (2, 3))
+        torch.testing.assert_close(
+            rows @ rows.transpose(-1, -2), torch.eye(2).expand(*rows.shape[:-2], 2, 2), rtol=0, atol=1e-5
+        )
+        assert torch.equal(whole[..., :3], actions[..., :3])
+        assert torch.equal(whole[..., 9], actions[..., 9].clamp(0, 1))
+        # As the environment's own reading of the command: the policy's step changes nothing about it.
+        expected = matrix_from_rotation_6d(actions[..., 3:9].double().numpy())[..., :2, :]
+        np.testing.assert_allclose(rows.numpy(), expected, atol=1e-4)
+
+
+def test_a_pose_stays_as_it_is_and_other_actions_are_no_poses(raw: dict[str, Any]) -> None:
+    poses = raw[schema.ACTION]
+    whole = OrthonormaliseStep()(policy_action_to_transition(poses))[TransitionKey.ACTION]
+    torch.testing.assert_close(whole, poses, rtol=0, atol=1e-6)
+    joints = torch.randn(3, 7)
+    assert OrthonormaliseStep()(policy_action_to_transition(joints))[TransitionKey.ACTION] is joints
+
+
+def test_tool_frames_are_inverse_to_each_other(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny()
+    batch = batch_of(dataset, before, 0, 9, 20)
+    state, actions = batch[schema.STATE][:, -1], batch[schema.ACTION]
+    relative = policy.frames.to_relative(actions, state)
+    torch.testing.assert_close(policy.frames.to_absolute(relative, state), actions, rtol=0, atol=1e-5)
+    torch.testing.assert_close(policy.frames.to_relative(policy.frames.to_absolute(actions, state), state), actions,
+                               rtol=0, atol=1e-5)  # fmt: skip
+    torch.testing.assert_close(relative[..., 3:], actions[..., 3:])
+
+
+def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
+    """What the policy calls relative is the difference of goal and tool in metres, as recorded."""
+    changes = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0}
+    policy, before, _, dataset = make_tiny(**changes)
+    from lerobot_policy_adamanip.modeling_dp3_adaptive import RELATIVE_SCALE
+
+    item = dataset[13]
+    batch = batch_of(dataset, before, 13)
+    state = batch[schema.STATE][:, -1]
+    relative = policy.frames.to_relative(batch[schema.ACTION], state)[0, :, :3] * RELATIVE_SCALE
+    torch.testing.assert_close(relative, item[schema.ACTION][:, :3] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
+    points = policy.frames.points(batch[schema.POINT_CLOUD], batch[schema.STATE])[0, -1, :, 3:] * RELATIVE_SCALE
+    torch.testing.assert_close(points, item[schema.POINT_CLOUD][-1] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
+
+
+def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, batch_of: Any, tmp_path: Path) -> None:
+    policy, before, after, dataset = make_tiny(
+        augmentation_translation=0.07, augmentation_yaw=0.3, augmentation_center=(0.1, 0.2, 0.3)
+    )
+    before.save_pretrained(tmp_path)
+    after.save_pretrained(tmp_path)
+    loaded = PolicyProcessorPipeline.from_pretrained(tmp_path, config_filename=f"{before.name}.json")
+    (augmentation,) = [step for step in loaded.steps if isinstance(step, RigidAugmentationStep)]
+    assert (augmentation.translation, augmentation.yaw) == (0.07, 0.3)
+    assert tuple(augmentation.center) == (0.1, 0.2, 0.3)
+    item = torch.utils.data.default_collate([dataset[3]])
+    torch.manual_seed(2)
+    expected = before(copy.deepcopy(item))
+    torch.manual_seed(2)
+    found = loaded(copy.deepcopy(item))
+    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
+        torch.testing.assert_close(found[key], expected[key], rtol=0, atol=0)
+    restored = PolicyProcessorPipeline.from_pretrained(
+        tmp_path, config_filename=f"{after.name}.json",
+        to_transition=policy_action_to_transition, to_output=transition_to_policy_action,
+    )  # fmt: skip
+    assert any(isinstance(step, OrthonormaliseStep) for step in restored.steps)
+    action = torch.randn(2, 10)
+    torch.testing.assert_close(restored(action), after(action), rtol=0, atol=0)
+
+
+def test_normalising_and_back_gives_the_recorded_action(make_tiny: MakeTiny, batch_of: Any) -> None:
+    _, before, after, dataset = make_tiny(augmentation_translation=0.0, augmentation_yaw=0.0)
+    past = 8
+    batch = batch_of(dataset, before, 4)
+    torch.testing.assert_close(
+        after(batch[schema.ACTION][:, past]), dataset[4][schema.ACTION][past][None], rtol=0, atol=1e-5
+    )

@@ -1,0 +1,155 @@
+"""select_action and predict_action_chunk: what they leave alone, remember and forget."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from lerobot_adamanip import schema
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+SAMPLERS = [(kind, target) for kind in ("DDPM", "DDIM") for target in ("epsilon", "sample")]
+
+
+def _same(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    return first.keys() == second.keys() and all(
+        torch.equal(first[key], second[key]) if isinstance(first[key], torch.Tensor) else first[key] == second[key]
+        for key in first
+    )
+
+
+def _state(policy: Any) -> Any:
+    return copy.deepcopy((policy._observed, policy._executed, policy._planned, policy.state_dict()))
+
+
+@pytest.mark.parametrize(("kind", "target"), SAMPLERS)
+def test_every_sampler_gives_finite_actions_that_noise_and_seed_decide(
+    make_tiny: MakeTiny, observation_of: Any, kind: str, target: str
+) -> None:
+    policy, before, after, dataset = make_tiny(noise_scheduler_type=kind, prediction_type=target, n_action_steps=2)
+    policy.eval()
+    observation = observation_of(dataset, before, 3, 14)
+    noise = torch.randn(2, policy.config.horizon, 10)
+
+    def act(start: torch.Tensor) -> torch.Tensor:
+        policy.reset()
+        torch.manual_seed(5)
+        return torch.stack([policy.select_action(observation, noise=start) for _ in range(3)])
+
+    actions = act(noise)
+    assert actions.shape == (3, 2, 10)
+    assert torch.isfinite(actions).all()
+    assert torch.equal(act(noise), actions)
+    assert not torch.equal(act(noise + 0.5), actions)
+    command = after(actions[0])
+    assert command.shape == (2, 10)
+    assert torch.isfinite(command).all()
+
+
+def test_a_chunk_is_executed_before_the_next_is_made(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(n_action_steps=3)
+    policy.eval()
+    calls = []
+    original = policy._generate
+    policy._generate = lambda *given: calls.append(1) or original(*given)
+    for step in range(7):
+        policy.select_action(observation_of(dataset, before, step))
+    assert len(calls) == 3
+
+
+def test_the_batch_is_left_as_it_was(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny()
+    policy.eval()
+    # lerobot-eval's batches hold these besides the observation.
+    batch = {**observation_of(dataset, before, 2), schema.ACTION: None, "task": ["open the safe"], "info": {}}
+    given = copy.deepcopy(batch)
+    for act in (policy.select_action, policy.predict_action_chunk):
+        act(batch)
+        assert _same(batch, given)
+
+
+def test_a_chunk_predicted_changes_nothing_and_is_the_one_that_follows(
+    make_tiny: MakeTiny, observation_of: Any
+) -> None:
+    policy, before, _, dataset = make_tiny(n_obs_steps=3, n_action_history_steps=4, n_action_steps=2)
+    policy.eval()
+    noise = torch.randn(1, policy.config.horizon, 10)
+    for step in range(4):
+        observation = observation_of(dataset, before, step)
+        known = _state(policy)
+        chunk = policy.predict_action_chunk(observation, noise=noise)
+        again = policy.predict_action_chunk(observation, noise=noise)
+        assert torch.equal(chunk, again)
+        for then, now in zip(known[:3], _state(policy)[:3], strict=True):
+            assert len(then) == len(now)
+            assert all(
+                _same(a, b) if isinstance(a, dict) else torch.equal(a, b) for a, b in zip(then, now, strict=True)
+            )
+        assert _same(known[3], policy.state_dict())
+        assert chunk.shape == (1, policy.config.horizon, 10)
+        action = policy.select_action(observation, noise=noise)
+        if step % 2 == 0:
+            torch.testing.assert_close(action, chunk[:, 0], rtol=0, atol=0)
+
+
+def test_reset_forgets_the_episode(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(n_obs_steps=2, n_action_steps=3, n_action_history_steps=4)
+    policy.eval()
+    noise = torch.randn(1, policy.config.horizon, 10)
+
+    def episode() -> torch.Tensor:
+        steps = (policy.select_action(observation_of(dataset, before, step), noise=noise) for step in range(5))
+        return torch.stack(list(steps))
+
+    first = episode()
+    assert not torch.equal(episode(), first)
+    policy.reset()
+    assert torch.equal(episode(), first)
+    policy.reset()
+    # Another number of environments is another rollout.
+    assert policy.select_action(observation_of(dataset, before, 0, 1, 2)).shape == (3, 10)
+
+
+def test_what_was_done_changes_what_is_done(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(n_obs_steps=1, n_action_steps=1, n_action_history_steps=4)
+    policy.eval()
+    noise = torch.randn(1, policy.config.horizon, 10)
+    observation = observation_of(dataset, before, 5)
+    first, second = (policy.select_action(observation, noise=noise) for _ in range(2))
+    assert not torch.equal(first, second)
+
+
+@pytest.mark.parametrize("steps", [1, 2])
+def test_no_environment_sees_another(make_tiny: MakeTiny, observation_of: Any, steps: int) -> None:
+    policy, before, _, dataset = make_tiny(n_obs_steps=2, n_action_history_steps=3, n_action_steps=steps)
+    policy.eval()
+    noise = torch.randn(3, 4, 10)
+    walks = [(0, 10, 22), (1, 11, 23), (2, 12, 24), (3, 13, 25), (4, 14, 26)]
+
+    def run(rows: list[int]) -> torch.Tensor:
+        policy.reset()
+        taken = [
+            policy.select_action(observation_of(dataset, before, *(step[row] for row in rows)), noise=noise[rows])
+            for step in walks
+        ]
+        return torch.stack(taken)
+
+    together = run([0, 1, 2])
+    for rows in ([0], [1], [2], [0, 2], [2, 0, 1]):
+        torch.testing.assert_close(run(rows), together[:, rows], rtol=0, atol=1e-5)
+
+
+def test_a_single_observation_without_batch_dimension_is_understood(make_tiny: MakeTiny) -> None:
+    policy, before, after, dataset = make_tiny()
+    policy.eval()
+    item = dataset[4]
+    single = before({key: item[key][-1] for key in (schema.POINT_CLOUD, schema.STATE)})
+    assert after(policy.select_action(single)).shape == (1, 10)
+
+
+def test_real_time_chunking_is_declined(make_tiny: MakeTiny) -> None:
+    assert make_tiny()[0].supports_rtc() is False

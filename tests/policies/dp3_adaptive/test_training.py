@@ -1,0 +1,179 @@
+"""The loss, its gradients, and the averaged weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import ConfigurationError
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+VARIANTS: list[dict[str, Any]] = [
+    {},
+    {"encoder": "pointnet2", "n_obs_steps": 2, "horizon": 8, "n_action_steps": 3, "use_effort": True},
+    {"n_action_history_steps": 0, "tcp_relative": False, "proprioception": "full", "noise_scheduler_type": "DDPM"},
+    {"prediction_type": "epsilon", "gradient_checkpointing": True, "use_film_scale_modulation": False},
+]
+
+
+@pytest.mark.parametrize("changes", VARIANTS)
+def test_the_loss_is_finite_and_every_weight_learns(
+    make_tiny: MakeTiny, batch_of: Any, changes: dict[str, Any]
+) -> None:
+    policy, before, _, dataset = make_tiny(**changes)
+    loss, extra = policy.forward(batch_of(dataset, before, 0, 5, 8, 20))
+    assert torch.isfinite(loss)
+    assert all(isinstance(value, int | float) for value in (extra or {}).values())
+    loss.backward()
+    still = [name for name, weight in policy.model.named_parameters() if weight.grad is None or not weight.grad.any()]
+    assert not still
+    assert all(weight.grad is None for weight in policy.ema_model.parameters())
+
+
+def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(tcp_relative=False)
+    policy.eval()
+    batch = batch_of(dataset, before, 8, 3)
+    assert batch["action_is_pad"][0, -3:].all()
+    assert not batch["action_is_pad"][1].any() or policy.config.n_action_history_steps > 3
+    wild = batch[schema.ACTION].clone()
+    wild[0, -3:] = 50.0
+    losses = []
+    for actions in (batch[schema.ACTION], wild):
+        torch.manual_seed(3)
+        losses.append(policy.forward({**batch, schema.ACTION: actions}, reduction="none")[0])
+    # The U-Net sees padded rows beside real ones, so the prediction may differ; an error of 50 squared may not enter.
+    assert losses[1].max() < 100
+    assert torch.equal(losses[0][1], losses[1][1])
+
+
+def test_one_loss_per_sample_averages_to_the_mean(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny()
+    policy.eval()
+    batch = batch_of(dataset, before, 1, 2, 3)
+    torch.manual_seed(1)
+    each = policy.forward(batch, reduction="none")[0]
+    torch.manual_seed(1)
+    mean = policy.forward(batch)[0]
+    assert each.shape == (3,)
+    torch.testing.assert_close(each.mean(), mean)
+
+
+def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(history_noise_std=0.0, augmentation_translation=0.0, augmentation_yaw=0.0)
+    batch = batch_of(dataset, before, 0, 5)
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+
+    def loss() -> torch.Tensor:
+        torch.manual_seed(0)
+        return torch.stack([policy.forward(batch)[0] for _ in range(4)]).mean()
+
+    before_training = loss().item()
+    for _ in range(40):
+        optimizer.zero_grad()
+        policy.forward(batch)[0].backward()
+        optimizer.step()
+    assert loss().item() < 0.5 * before_training
+
+
+def test_averaged_weights_follow_and_are_used_only_outside_training(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any
+) -> None:
+    policy, before, _, dataset = make_tiny()
+    trained, averaged = list(policy.model.parameters()), list(policy.ema_model.parameters())
+    start = [weight.clone() for weight in averaged]
+    optimised = {id(weight) for weight in policy.get_optim_params()}
+    assert optimised == {id(weight) for weight in trained}
+    assert not any(weight.requires_grad for weight in averaged)
+    with torch.no_grad():
+        for weight in trained:
+            weight.add_(1.0)
+    policy.update()
+    assert int(policy.ema_steps) == 1
+    for weight, average, old in zip(trained, averaged, start, strict=True):
+        assert torch.all((average > old) & (average < weight))
+    for _ in range(300):
+        policy.update()
+    assert int(policy.ema_steps) == 301
+    torch.testing.assert_close(averaged, trained, rtol=1e-3, atol=1e-3)
+
+    batch, observation = batch_of(dataset, before, 4), observation_of(dataset, before, 4)
+    noise = torch.randn(1, policy.config.horizon, 10)
+
+    def outcome(mode: bool) -> torch.Tensor:
+        policy.train(mode)
+        torch.manual_seed(0)
+        loss = policy.forward(batch)[0].detach()
+        policy.reset()
+        return loss if mode else torch.cat([loss.flatten(), policy.select_action(observation, noise=noise).flatten()])
+
+    training, evaluating = outcome(True), outcome(False)
+    with torch.no_grad():
+        averaged[-1].add_(1.0)
+    assert torch.equal(outcome(True), training)
+    assert not torch.equal(outcome(False), evaluating)
+    with torch.no_grad():
+        averaged[-1].sub_(1.0)
+        trained[-1].add_(1.0)
+    assert not torch.equal(outcome(True), training)
+    torch.testing.assert_close(outcome(False), evaluating, rtol=1e-4, atol=1e-4)
+
+
+def test_an_untrained_average_is_not_used(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny()
+    policy.eval()
+    assert policy._active_model() is policy.model
+    policy.update()
+    assert policy._active_model() is policy.ema_model
+
+
+def test_decay_is_bounded(make_tiny: MakeTiny) -> None:
+    policy, *_ = make_tiny(ema_max=0.5)
+    policy.ema_steps.fill_(10**6)
+    weight, average = next(policy.model.parameters()), next(policy.ema_model.parameters())
+    with torch.no_grad():
+        weight.fill_(1.0)
+        average.fill_(0.0)
+    policy.update()
+    torch.testing.assert_close(average, torch.full_like(average, 0.5))
+
+
+@pytest.mark.parametrize("missing", [schema.POINT_CLOUD, schema.STATE])
+def test_an_observation_without_cloud_or_state_is_refused(
+    make_tiny: MakeTiny, observation_of: Any, missing: str
+) -> None:
+    policy, before, _, dataset = make_tiny()
+    observation = observation_of(dataset, before, 0)
+    for broken in ({**observation, missing: None}, {k: v for k, v in observation.items() if k != missing}):
+        with pytest.raises(ConfigurationError, match=missing):
+            policy.select_action(broken)
+    policy.select_action(observation)
+
+
+def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny()
+    policy.eval()
+    noise = torch.randn(1, policy.config.horizon, 10)
+    observation = observation_of(dataset, before, 3)
+    cloud = observation[schema.POINT_CLOUD]
+
+    def act(points: torch.Tensor) -> torch.Tensor:
+        policy.reset()
+        chosen: torch.Tensor = policy.select_action({**observation, schema.POINT_CLOUD: points}, noise=noise)
+        return chosen
+
+    full = act(cloud)
+    assert torch.equal(act(cloud[:, :32]), full)
+    assert torch.equal(act(torch.cat([cloud[:, :32], torch.rand(1, 99, 3)], dim=1)), full)
+    assert not torch.equal(act(cloud + 0.1), full)
+    with pytest.raises(ConfigurationError, match="31"):
+        act(cloud[:, :31])
+
+
+def test_a_policy_for_more_points_than_recorded_is_refused(make_tiny: MakeTiny) -> None:
+    with pytest.raises(ConfigurationError, match="65"):
+        make_tiny(num_points=65)
