@@ -20,8 +20,8 @@ KDTREE_HEIGHT = 5
 class Workspace:
     """An axis-aligned box in the robot's base frame [m]; what lies outside is not part of the cloud."""
 
-    lower: tuple[float, float, float] = (0.20, -0.5, 0.40)
-    upper: tuple[float, float, float] = (1.0, 0.5, 1.2)
+    lower: tuple[float, float, float] = (0.30, -0.36, 0.48)
+    upper: tuple[float, float, float] = (0.80, 0.36, 1.05)
 
     def contains(self, points: Cloud) -> NDArray[np.bool_]:
         """(N, 3) -> (N,): which points are inside."""
