@@ -99,7 +99,5 @@ def to_json(obj: ArticulatedObject) -> dict[str, Any]:
         "size": [round(float(length), 4) for length in obj.size],
         "description": obj.description,
         "parts": [part.name for part in obj.parts],
-        "joints": {
-            joint["name"]: {"kind": joint["kind"], "limits": [float(x) for x in joint["limits"]]} for joint in joints
-        },
+        "joints": {joint.name: {"kind": joint.kind, "limits": list(map(float, joint.limits))} for joint in joints},
     }

@@ -121,12 +121,8 @@ def print_tables(summaries: dict[str, Summary]) -> None:
     console = Console(file=sys.stdout, soft_wrap=True)
     if not console.is_terminal:
         console.width = _FILE_WIDTH
-    table = Table(
-        Column("", no_wrap=True),
-        *(Column(escape(label), no_wrap=True) for label in summaries),
-        box=None,
-        pad_edge=False,
-    )
+    columns = [Column(escape(label), no_wrap=True) for label in ("", *summaries)]
+    table = Table(*columns, box=None, pad_edge=False)
     for name, cells in _rows(list(summaries.values())):
         table.add_row(name, *cells)
     console.print("Success with 95 % Wilson intervals", style="bold")

@@ -1,0 +1,64 @@
+"""`adamanip objects`: the list, the sheet's layout, and portraits that show something."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lerobot_adamanip.cli import main as cli
+from lerobot_adamanip.cli.contact_sheet import Portrait, compose_sheet
+from lerobot_adamanip.objects import make_object
+
+
+def test_the_list_needs_no_simulator(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["objects", "--objects", "34:38", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [row["object_id"] for row in listed["objects"]] == ["safe_034", "safe_035", "safe_036", "safe_037"]
+    assert [row["seen"] for row in listed["objects"]] == [True, True, False, False]
+    assert all({"door", "knob"} == set(row["joints"]) and row["description"] for row in listed["objects"])
+    assert listed["sheet"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--category", "teapot"], "category"),
+        (["--objects", "4:4"], "Wrong selection"),
+        (["--columns", "0"], "cannot be drawn"),
+        (["--size", "5"], "cannot be drawn"),
+        (["--sheet", "sheet.txt"], "Unknown kind of picture"),
+    ],
+)
+def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["objects", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("count", "columns"), [(1, 9), (5, 2), (6, 3)])
+def test_every_portrait_is_on_the_sheet_once(count: int, columns: int, tmp_path: Path) -> None:
+    shades = [30 + 25 * number for number in range(count)]
+    portraits = [
+        Portrait(np.full((80, 80, 3), (shade, 0, 255 - shade), np.uint8), f"safe_{n:03d}", "arch, pointer, hinge left")
+        for n, shade in enumerate(shades)
+    ]
+    compose_sheet(portraits, columns=columns, path=tmp_path / "deep" / "sheet.png")
+    sheet = np.asarray(Image.open(tmp_path / "deep" / "sheet.png").convert("RGB"))
+    for shade in shades:
+        assert (sheet == (shade, 0, 255 - shade)).all(-1).sum() == 80 * 80
+
+
+@pytest.mark.sim
+def test_a_portrait_shows_the_object_and_its_door() -> None:
+    from lerobot_env_adamanip.gallery import photograph
+
+    safe = make_object("safe_014")
+    shut, ajar = (photograph(safe, size=96, open_fraction=fraction).astype(int) for fraction in (0.0, 0.4))
+    assert shut.shape == (96, 96, 3)
+    middle, corner = shut[36:60, 36:60], shut[:10, :10]
+    assert np.abs(middle.mean((0, 1)) - corner.mean((0, 1))).max() > 25
+    assert (np.abs(shut - ajar).max(-1) > 20).mean() > 0.05
+    assert np.array_equal(shut, photograph(safe, size=96).astype(int))
