@@ -97,6 +97,7 @@ class KeyframeDriver:
         self._ticks = self._strained = 0
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
+        self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
 
     def execute(self, action: NDArray[np.float32]) -> Feedback:
         """Runs one key frame and returns what was felt. The arm's targets end where the arm is.
@@ -104,7 +105,7 @@ class KeyframeDriver:
         Raises:
             ConfigurationError: the action has the wrong shape, or is not finite.
         """
-        goal, gripper = self._checked(action)
+        goal, gripper = self.goal = self._checked(action)
         self._ticks = self._strained = 0
         gripper_moves = abs(self._finger_goal(gripper) - self._finger_target) > 5e-3
         self._finger_target = self._finger_goal(gripper)

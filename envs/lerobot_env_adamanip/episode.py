@@ -10,8 +10,10 @@ from lerobot_adamanip.experts.base import Feedback, Outcome
 
 NEAR_PART = 0.06
 """A closed hand within this distance of a part's grasp holds it [m]."""
-HELD = (0.05, 0.75)
-"""Finger opening of a hand that holds something."""
+PULLED = 0.015
+"""A goal missed by more than this was a pull, not just a grip that shifted [m]."""
+AJAR = 0.05
+"""A door opened by less than this did not give [rad]."""
 TURNED = np.deg2rad(8.0)
 """A knob turned by more than this was tried [rad]."""
 
@@ -38,12 +40,13 @@ class EpisodeMonitor:
         """Takes note of a key frame's end. Returns whether the episode has succeeded; once true, it stays so."""
         self.key_frames += 1
         joints = self._sim.joint_positions()
-        if HELD[0] < feedback.gripper < HELD[1]:
-            nearest = min(self._grasps, key=lambda name: self._distance(name, feedback))
-            if self._distance(nearest, feedback) < NEAR_PART:
-                self.first_part = self.first_part or nearest
-                if nearest == "handle" and feedback.outcome is Outcome.STALLED and joints["door"] < 0.05:
-                    self.blocked_pulls += 1
+        goal, grip = self._sim.driver.goal
+        nearest = min(self._grasps, key=lambda name: self._distance(name, feedback))
+        if grip < 0.5 and self._distance(nearest, feedback) < NEAR_PART:
+            self.first_part = self.first_part or nearest
+            missed = np.linalg.norm(goal[:3, 3] - feedback.tcp_in_base[:3, 3]) > PULLED
+            if nearest == "handle" and feedback.outcome is Outcome.STALLED and missed and joints["door"] < AJAR:
+                self.blocked_pulls += 1
         self.knob_turned |= bool(abs(joints.get("knob", 0.0)) > TURNED)
         self.success |= bool(self._sim.evaluate()["success"][0])
         return self.success
@@ -54,8 +57,8 @@ class EpisodeMonitor:
     def record(self) -> dict[str, Any]:
         """Returns the record, JSON-able.
 
-        Keys: ``seed``, ``object_id``, ``hidden_state``, ``success``, ``key_frames``, ``first_part`` (held first, or
-        None), ``blocked_pulls`` (pulls at the handle that ended in a stall with the door shut), ``knob_turned``,
+        Keys: ``seed``, ``object_id``, ``hidden_state``, ``success``, ``key_frames``, ``first_part`` (the hand closed at
+        first, or None), ``blocked_pulls`` (pulls at the handle that ended in a stall with the door shut), ``knob_turned``,
         ``door_angle`` [rad].
         """
         return {
