@@ -1,0 +1,223 @@
+"""The documents stay true: code runs, commands parse, tables are the code's, links lead somewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.cli.main import load
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")))
+
+
+class Block(NamedTuple):
+    document: str
+    number: int
+    language: str
+    mark: str
+    code: str
+
+
+def blocks(language: str) -> list[Block]:
+    """Fenced blocks of a language; ``mark`` is what a comment `<!-- test: ... -->` right above says."""
+    found = []
+    for document in DOCUMENTS:
+        text = (ROOT / document).read_text(encoding="utf-8")
+        pattern = r"(?:<!-- test: ([^>]*) -->\n)?^```(\w+)\n(.*?)^```$"
+        for number, match in enumerate(re.finditer(pattern, text, re.MULTILINE | re.DOTALL)):
+            if match[2] == language:
+                found.append(Block(document, number, language, match[1] or "", match[3]))
+    return found
+
+
+def commands(prefix: str) -> list[Any]:
+    """Command lines of the bash blocks that start with ``prefix``, as argument lists, shell variables put in."""
+    found = []
+    for block in blocks("bash"):
+        variables: dict[str, str] = {}
+        for line in block.code.replace("\\\n", " ").splitlines():
+            for name, value in variables.items():
+                line = line.replace(f'"${name}"', shlex.quote(value))  # noqa: PLW2901
+            words = shlex.split(line, comments=True)
+            if len(words) == 1 and re.match(r"[A-Z_]+=", words[0]):
+                name, _, value = words[0].partition("=")
+                variables[name] = value
+            elif words and words[0].startswith(prefix):
+                found.append(pytest.param(words, id=f"{block.document}: {' '.join(words)[:70]}"))
+    return found
+
+
+def python_blocks() -> list[Any]:
+    return [
+        pytest.param(
+            block, id=f"{block.document}-{block.number}", marks=[pytest.mark.sim] * block.mark.startswith("sim")
+        )
+        for block in blocks("python")
+    ]
+
+
+def test_documents_hold_what_is_tested_here() -> None:
+    assert len(commands("adamanip")) > 5
+    assert len(commands("lerobot-train")) > 4
+    assert len(commands("lerobot-eval")) > 3
+    assert python_blocks()
+
+
+@pytest.mark.parametrize("words", commands("adamanip"))
+def test_adamanip_commands_parse(words: list[str]) -> None:
+    import tyro
+
+    tyro.cli(load(words[1]), args=words[2:], config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
+    """The configuration class of a LeRobot command, and its arguments less those that need a checkpoint on disk."""
+    from lerobot.configs.eval import EvalPipelineConfig
+    from lerobot.configs.train import TrainPipelineConfig
+
+    kinds: dict[str, type] = {"lerobot-train": TrainPipelineConfig, "lerobot-eval": EvalPipelineConfig}
+    files = ("--policy.path=", "--config_path=")
+    return kinds[words[0]], [word for word in words[1:] if not word.startswith(files)]
+
+
+@pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval")])
+def test_lerobot_commands_parse(words: list[str]) -> None:
+    import draccus
+
+    import lerobot_env_adamanip  # noqa: F401  (as LeRobot does with every installed plugin)
+
+    kind, arguments = lerobot_config(words)
+    if "--resume=true" in arguments:  # the rest is in the checkpoint's file
+        arguments += ["--dataset.repo_id=local/x", "--policy.type=dp3_adaptive"]
+    config = draccus.parse(config_class=kind, args=arguments)
+    policy, env = config.policy, config.env
+    for given in arguments:
+        key, _, value = given.removeprefix("--").partition("=")
+        if key == "policy.type":
+            assert policy.type == value
+        if key == "env.type":
+            assert env.type == value
+        if key == "policy.input_features":
+            check_input_features(policy.input_features)
+
+
+def check_input_features(features: dict[str, Any]) -> None:
+    """What the documents tell ACT and diffusion to look at exists, in LeRobot's shape (channels first)."""
+    table = schema.dataset_features()
+    for key, feature in features.items():
+        shape = tuple(table[key]["shape"])
+        assert tuple(feature.shape) == ((shape[2], *shape[:2]) if key == schema.FRONT_IMAGE else shape)
+
+
+@pytest.mark.parametrize("words", commands("lerobot-dataset-viz"))
+def test_options_of_the_viewer_exist(words: list[str]) -> None:
+    from importlib.util import find_spec
+
+    spec = find_spec("lerobot.scripts.lerobot_dataset_viz")
+    assert spec is not None
+    assert spec.origin is not None
+    source = Path(spec.origin).read_text(encoding="utf-8")
+    for word in words[1:]:
+        if word.startswith("--"):
+            assert f'"{word}"' in source
+
+
+def test_make_targets_exist() -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    text = "\n".join((ROOT / document).read_text(encoding="utf-8") for document in DOCUMENTS)
+    assert set(re.findall(r"\bmake ([a-z]+)\b(?=[`\n ]*(?:#|`|$|\())", text)) <= targets
+
+
+def run_block(code: str, folder: Path) -> None:
+    # In a process of its own: an example must not lean on what another test has imported.
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.parametrize("block", python_blocks())
+def test_python_runs(block: Block, tmp_path: Path) -> None:
+    if "outputs/demos" in block.mark:
+        collect: Any = load("collect")
+        root = tmp_path / "outputs" / "demos"
+        root.parent.mkdir()
+        with contextlib.redirect_stdout(io.StringIO()):
+            assert collect(root=root, expert="static", objects="safe_000", episodes_per_object=1, json=True).run() == 0
+    run_block(block.code, tmp_path)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_links_and_images_exist(document: str) -> None:
+    path = ROOT / document
+    for target in re.findall(r"\]\(([^)\s]+)\)", path.read_text(encoding="utf-8")):
+        if not target.startswith(("http://", "https://", "#")):
+            assert (path.parent / target.partition("#")[0]).exists(), target
+
+
+def test_images_are_small() -> None:
+    for path in (ROOT / "docs" / "images").glob("*.[pgj][nip][gf]"):
+        assert path.stat().st_size < 600_000, path.name
+
+
+def table(name: str) -> list[list[str]]:
+    """Cells of the rows of a marked table in concepts.md, without its header."""
+    text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
+    match = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", text, re.DOTALL)
+    assert match is not None
+    return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in match[1].splitlines()[2:]]
+
+
+def test_contract_table_is_the_schema() -> None:
+    written = [(key, dtype, shape) for key, dtype, shape, _ in table("contract")]
+    features = schema.dataset_features()
+    assert written == [(key, feature["dtype"], str(tuple(feature["shape"]))) for key, feature in features.items()]
+
+
+def test_labels_in_the_contract_table_are_the_codes() -> None:
+    from lerobot_adamanip.experts import Outcome, Phase
+
+    meaning = {key: text for key, _, _, text in table("contract")}
+    said = {"TIMEOUT": "time limit"}
+    for key, labels in ((schema.PHASE, Phase), (schema.OUTCOME, Outcome)):
+        for label in labels:
+            assert f"{label.value} {said.get(label.name, label.name.lower())}" in meaning[key]
+
+
+@pytest.mark.sim  # the driver's module imports sapien
+def test_motion_limits_are_the_codes() -> None:
+    from lerobot_env_adamanip.driver import MotionLimits
+
+    written = {name: float(value) for name, value, _ in table("limits")}
+    actual = {key: value for key, value in dataclasses.asdict(MotionLimits()).items() if not key.startswith("reach_")}
+    assert written == actual
+
+
+def test_seed_numbers_are_the_codes() -> None:
+    from lerobot_adamanip.demos.options import DEMO_SEED_START
+
+    text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
+    assert f"{DEMO_SEED_START:,}" in text
+
+
+def test_history_drawings_are_the_presets() -> None:
+    from lerobot_policy_adamanip.configuration_dp3_adaptive import PRESETS
+
+    text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
+    names = ("n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")
+    assert ", ".join(f"`{name} = {PRESETS['fast'][name]}`" for name in names) in " ".join(text.split())
+    assert f"({', '.join(str(PRESETS['paper'][name]) for name in names)})" in text
+
+
+def test_text_is_free_of_machine_paths() -> None:
+    for document in DOCUMENTS:
+        assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", (ROOT / document).read_text(encoding="utf-8"))
