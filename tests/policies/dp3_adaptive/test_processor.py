@@ -168,8 +168,8 @@ def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
     torch.testing.assert_close(points, item[schema.POINT_CLOUD][-1] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
 
 
-def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, batch_of: Any, tmp_path: Path) -> None:
-    policy, before, after, dataset = make_tiny(
+def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, tmp_path: Path) -> None:
+    _, before, after, dataset = make_tiny(
         augmentation_translation=0.07, augmentation_yaw=0.3, augmentation_center=(0.1, 0.2, 0.3)
     )
     before.save_pretrained(tmp_path)

@@ -123,8 +123,8 @@ def test_averaged_weights_follow_and_are_used_only_outside_training(
     torch.testing.assert_close(outcome(False), evaluating, rtol=1e-4, atol=1e-4)
 
 
-def test_an_untrained_average_is_not_used(make_tiny: MakeTiny, observation_of: Any) -> None:
-    policy, before, _, dataset = make_tiny()
+def test_an_untrained_average_is_not_used(make_tiny: MakeTiny) -> None:
+    policy, *_ = make_tiny()
     policy.eval()
     assert policy._active_model() is policy.model
     policy.update()

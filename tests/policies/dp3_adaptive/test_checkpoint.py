@@ -1,0 +1,181 @@
+"""Saved, loaded, fine-tuned and pushed policies."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.policies.factory import make_policy, make_pre_post_processors
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_policy_adamanip.modeling_dp3_adaptive import DP3AdaptivePolicy
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+
+
+def _trained(make_tiny: MakeTiny, batch_of: Any, **changes: Any) -> tuple[Any, ...]:
+    """A policy whose averaged weights differ from the trained ones."""
+    policy, before, after, dataset = make_tiny(**changes)
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=1e-2)
+    for _ in range(3):
+        optimizer.zero_grad()
+        policy.forward(batch_of(dataset, before, 0, 7))[0].backward()
+        optimizer.step()
+        policy.update()
+    return policy, before, after, dataset
+
+
+@pytest.mark.parametrize("changes", [{}, {"encoder": "pointnet2", "tcp_relative": False, "preset": "paper"}])
+def test_a_loaded_policy_acts_and_trains_as_the_saved_one(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, tmp_path: Path, changes: dict[str, Any]
+) -> None:
+    policy, before, _, dataset = _trained(make_tiny, batch_of, **changes)
+    policy.save_pretrained(tmp_path)
+    loaded = DP3AdaptivePolicy.from_pretrained(tmp_path)
+    assert not loaded.training
+    saved, found = policy.state_dict(), loaded.state_dict()
+    assert saved.keys() == found.keys()
+    assert all(torch.equal(saved[key], found[key]) for key in saved)
+    assert int(loaded.ema_steps) == 3
+    assert any(key.startswith("ema_model.") for key in saved)
+    noise = torch.randn(1, policy.config.horizon, 10)
+    policy.eval()
+    for step in (0, 1, 2):
+        observation = observation_of(dataset, before, step)
+        actions = []
+        for actor in (policy, loaded):
+            torch.manual_seed(4)
+            actions.append(actor.select_action(observation, noise=noise))
+        assert torch.equal(*actions)
+    losses = []
+    for actor in (policy.train(), loaded.train()):
+        torch.manual_seed(4)
+        losses.append(actor.forward(batch_of(dataset, before, 3))[0])
+    assert torch.equal(*losses)
+
+
+def test_a_checkpoint_loads_through_lerobots_factories(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, tmp_path: Path
+) -> None:
+    policy, before, after, dataset = _trained(make_tiny, batch_of)
+    policy.save_pretrained(tmp_path)
+    before.save_pretrained(tmp_path)
+    after.save_pretrained(tmp_path)
+    config = PreTrainedConfig.from_pretrained(tmp_path)
+    config.pretrained_path = tmp_path
+    loaded = make_policy(config, ds_meta=dataset.meta)
+    again, _ = make_pre_post_processors(config, pretrained_path=str(tmp_path))
+    noise = torch.randn(1, policy.config.horizon, 10)
+    expected = policy.eval().select_action(observation_of(dataset, before, 5), noise=noise)
+    found = loaded.eval().select_action(observation_of(dataset, again, 5), noise=noise)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"down_dims": (64, 64)}, {"encoder_dims": (16, 16)}, {"n_action_history_steps": 2}, {"encoder": "pointnet2"}],
+)
+def test_a_checkpoint_of_other_dimensions_is_one_clear_error(
+    make_tiny: MakeTiny, tmp_path: Path, changes: dict[str, Any]
+) -> None:
+    policy, *_ = make_tiny()
+    policy.save_pretrained(tmp_path)
+    settings = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps({**settings, **changes}))
+    with pytest.raises(ConfigurationError) as caught:
+        DP3AdaptivePolicy.from_pretrained(tmp_path)
+    message = str(caught.value)
+    assert str(tmp_path) in message
+    assert all(word in message for word in ("got:", "allowed:", "try:"))
+    assert len(message) < 1000
+
+
+def test_weights_that_are_missing_are_not_left_at_random(make_tiny: MakeTiny, tmp_path: Path) -> None:
+    from safetensors.torch import load_file, save_file
+
+    policy, *_ = make_tiny()
+    policy.save_pretrained(tmp_path)
+    weights = load_file(tmp_path / "model.safetensors")
+    lost = next(iter(weights))
+    save_file({key: value for key, value in weights.items() if key != lost}, tmp_path / "model.safetensors")
+    with pytest.raises(ConfigurationError, match=lost.split(".")[-1]):
+        DP3AdaptivePolicy.from_pretrained(tmp_path)
+
+
+def test_fine_tuning_measures_poses_as_the_new_data_are_normalised(
+    make_tiny: MakeTiny, batch_of: Any, tmp_path: Path
+) -> None:
+    """LeRobot normalises with the new data's statistics; what undoes it must use the same, or metres are none."""
+    still = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0}
+    policy, before, after, dataset = _trained(make_tiny, batch_of, **still)
+    for part in (policy, before, after):
+        part.save_pretrained(tmp_path)
+    other = dataset.meta
+    for key in (schema.STATE, schema.ACTION):
+        other.stats[key]["min"] = other.stats[key]["min"] - 0.5
+        other.stats[key]["max"] = other.stats[key]["max"] + 0.1
+    config = PreTrainedConfig.from_pretrained(tmp_path)
+    config.pretrained_path = tmp_path
+    tuned = make_policy(config, ds_meta=other)
+    stats = {"stats": other.stats}
+    # As lerobot-train does for --policy.path.
+    again, _ = make_pre_post_processors(
+        config,
+        pretrained_path=str(tmp_path),
+        preprocessor_overrides={"normalizer_processor": stats},
+        postprocessor_overrides={"unnormalizer_processor": stats},
+    )
+    old, new = batch_of(dataset, before, 6), batch_of(dataset, again, 6)
+    assert not torch.allclose(old[schema.ACTION], new[schema.ACTION], atol=1e-2)
+    expected = policy.frames.to_relative(old[schema.ACTION], old[schema.STATE][:, -1])
+    found = tuned.frames.to_relative(new[schema.ACTION], new[schema.STATE][:, -1])
+    torch.testing.assert_close(found[..., :3], expected[..., :3], rtol=0, atol=1e-5)
+    # The encoder keeps the units it was trained in.
+    assert torch.equal(tuned.frames.cloud_center, policy.frames.cloud_center)
+    assert torch.equal(tuned.frames.cloud_scale, policy.frames.cloud_scale)
+
+
+def test_pushing_uploads_weights_and_a_card_of_this_policy(
+    make_tiny: MakeTiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from huggingface_hub import ModelCard
+    from lerobot.configs.default import DatasetConfig
+    from lerobot.configs.train import TrainPipelineConfig
+    from lerobot.policies import pretrained
+
+    uploaded: dict[str, str] = {}
+
+    class Hub:
+        def create_repo(self, repo_id: str, **_: Any) -> Any:
+            return SimpleNamespace(repo_id=repo_id)
+
+        def upload_folder(self, *, folder_path: Path, **_: Any) -> Any:
+            for path in Path(folder_path).iterdir():
+                uploaded[path.name] = path.read_text(encoding="utf-8") if path.suffix in {".md", ".json"} else ""
+            return SimpleNamespace(repo_url=SimpleNamespace(url="somewhere"))
+
+    monkeypatch.setattr(pretrained, "HfApi", Hub)
+    # It asks the Hub whether the header is lawful.
+    monkeypatch.setattr(ModelCard, "validate", lambda *_, **__: None)
+    policy, *_, dataset = make_tiny(n_action_history_steps=5, repo_id="someone/opens-safes", tags=["safe"])
+    policy.update()
+    training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="someone/safe-demos"), policy=policy.config)
+    policy.push_model_to_hub(training, dataset_meta=dataset.meta)
+    assert {"README.md", "config.json", "model.safetensors", "train_config.json"} <= uploaded.keys()
+    card = ModelCard(uploaded["README.md"])
+    assert card.data.license == "apache-2.0"
+    assert card.data.datasets == "someone/safe-demos"
+    assert {"robotics", "lerobot", "dp3_adaptive", "safe"} <= set(card.data.tags)
+    assert card.text.lstrip().startswith("# dp3_adaptive")
+    for fact in ("someone/opens-safes", "last 5 actions", schema.POINT_CLOUD, "averaged over 1 updates"):
+        assert fact in card.text
+    assert "$" not in card.text.split("Limits:")[0]
+    # LeRobot's own part is kept below.
+    assert "lerobot" in card.text.split("Limits:")[1].lower()
