@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
@@ -18,6 +19,9 @@ from lerobot_adamanip.rotations import transform
 
 PRE_GRASP = 0.10
 """Distance at which a part is approached and left [m]."""
+JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
+"""Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; what
+leads there varies, so that a policy learns to correct the last 10 cm by what it sees."""
 PULL_ANGLES = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
 """Door angles of the pulls [rad]; the first is the try."""
 TURN_STEP = np.deg2rad(40.0)
@@ -77,9 +81,15 @@ class SafeExpert:
 
     def _hold(self, part: PartAnnotation, angle: float) -> Generator[Goal, Feedback, Feedback]:
         grasp = part.turned(angle)
-        yield Goal(grasp @ transform((0.0, 0.0, -PRE_GRASP)), 1.0, Phase.APPROACH, self.trial)
+        before = grasp @ transform((0.0, 0.0, -PRE_GRASP)) @ self._jitter()
+        yield Goal(before, 1.0, Phase.APPROACH, self.trial)
         yield Goal(grasp, 1.0, Phase.APPROACH, self.trial)
         return (yield Goal(grasp, 0.0, Phase.GRASP, self.trial))
+
+    def _jitter(self) -> NDArray[np.float64]:
+        shift = JITTER_POSITION * np.clip(self.rng.normal(size=3), -2, 2)
+        turn = JITTER_ROTATION * np.clip(self.rng.normal(size=3), -2, 2)
+        return transform(shift, Rotation.from_rotvec(turn).as_matrix())
 
     def _let_go(self) -> Generator[Goal, Feedback, None]:
         self.felt = yield Goal(self.felt.tcp_in_base, 1.0, Phase.RELEASE, self.trial)
