@@ -1,4 +1,4 @@
-"""The policy ``dp3_adaptive``. Importing this registers configuration and processor steps; the model comes on first use."""
+"""The policy ``dp3_adaptive``. Importing this registers configuration and processor steps; the model comes later."""
 
 # LeRobot loads a checkpoint's processors by registered name before it imports the policy's processor file.
 from lerobot_policy_adamanip import processor_dp3_adaptive
