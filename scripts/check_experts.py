@@ -1,0 +1,163 @@
+"""Runs the scripted experts over every safe, without rendering, and prints how often they open it.
+
+The adaptive expert never sees the hidden state; the static one does. Success counts the episodes whose door ends open
+by more than pi/7 within the key frames of an episode. For example:
+``python scripts/check_experts.py --seeds 3 --workers 4 --json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from typing import Any
+
+from lerobot_adamanip.evaluation.metrics import wilson_interval
+
+CATEGORY = "safe"
+SEED_OFFSET = 5_000_000
+"""Away from the seeds of demonstrations and evaluations."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One to run, and afterwards how it went."""
+
+    kind: str
+    split: str
+    object_id: str
+    seed: int
+    success: bool = False
+    key_frames: int = 0
+    hidden: dict[str, Any] | None = None
+
+
+def run(episodes: list[Episode]) -> list[Episode]:
+    """Runs episodes one after the other in one simulator."""
+    return list(_run_each(episodes))
+
+
+def _run_each(episodes: list[Episode]) -> Iterator[Episode]:
+    warnings.filterwarnings("ignore")
+    import gymnasium as gym
+
+    import lerobot_env_adamanip.tasks  # noqa: F401  (registers the tasks)
+
+    env = gym.make("AdaManip-Safe-v1", obs_mode="none", reward_mode="none").unwrapped
+    try:
+        for episode in episodes:
+            env.reset(seed=episode.seed, options={"object_id": episode.object_id})
+            yield _drive(env, episode)
+    finally:
+        env.close()
+
+
+def _drive(env: Any, episode: Episode) -> Episode:
+    import numpy as np
+
+    from lerobot_adamanip.experts import make_expert
+    from lerobot_env_adamanip.keyframe_env import MAX_KEY_FRAMES
+
+    hidden = env.hidden_state()
+    expert = make_expert(
+        CATEGORY, episode.kind, env.layout.annotations, generator=np.random.default_rng(episode.seed),
+        hidden=hidden if episode.kind == "static" else None,
+    )  # fmt: skip
+    success, count, goal = False, 0, next(expert)
+    while not success and count < MAX_KEY_FRAMES:
+        felt = env.driver.execute(goal.action())
+        count, success = count + 1, bool(env.evaluate()["success"][0])
+        try:
+            goal = expert.send(felt)
+        except StopIteration:
+            break
+    return Episode(episode.kind, episode.split, episode.object_id, episode.seed, success, count, hidden)
+
+
+def plan(kinds: list[str], seeds: int, unseen: int) -> list[Episode]:
+    """Every safe, ``seeds`` times for each expert; both experts meet the same episodes."""
+    from lerobot_adamanip.objects import seen_objects, unseen_objects
+
+    splits = {"seen": seen_objects(CATEGORY), "unseen": unseen_objects(CATEGORY, unseen)}
+    return [
+        Episode(kind, split, name, SEED_OFFSET + 1000 * repeat + number)
+        for repeat in range(seeds)
+        for split, names in splits.items()
+        for number, name in enumerate(names, start=0 if split == "seen" else len(splits["seen"]))
+        for kind in kinds
+    ]
+
+
+def run_all(episodes: list[Episode], workers: int, done: Callable[[int], None]) -> list[Episode]:
+    """Runs them in ``workers`` processes; ``done`` hears of every batch that has ended."""
+    batches = [episodes[start : start + 8] for start in range(0, len(episodes), 8)]
+    finished: list[Episode] = []
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(run, batch) for batch in batches]):
+            finished += future.result()
+            done(len(finished))
+    return finished
+
+
+def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
+    """A row for each expert, split and lock: success with its 95 % Wilson interval, mean key frames of successes."""
+    rows = []
+    for kind, split in sorted({(e.kind, e.split) for e in episodes}):
+        for locked in (None, True, False):
+            chosen = [e for e in episodes if (e.kind, e.split) == (kind, split)]
+            if locked is not None:
+                chosen = [e for e in chosen if e.hidden and e.hidden["locked"] is locked]
+            opened = [e for e in chosen if e.success]
+            low, high = wilson_interval(len(opened), len(chosen))
+            frames = sum(e.key_frames for e in opened) / len(opened) if opened else None
+            rows.append(
+                {"expert": kind, "split": split, "locked": locked, "episodes": len(chosen), "opened": len(opened),
+                 "wilson_95": [low, high], "mean_key_frames": frames}
+            )  # fmt: skip
+    return rows
+
+
+def _table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
+    lines = [f"{'expert':9} {'split':7} {'lock':9} {'opened':>9}  95 % interval   key frames"]
+    for row in rows:
+        lock = {None: "all", True: "locked", False: "unlocked"}[row["locked"]]
+        low, high = row["wilson_95"]
+        frames = "-" if row["mean_key_frames"] is None else f"{row['mean_key_frames']:.1f}"
+        count = f"{row['opened']}/{row['episodes']}"
+        lines.append(f"{row['expert']:9} {row['split']:7} {lock:9} {count:>9}  {low:.3f} ... {high:.3f}  {frames:>9}")
+    lines += [f"failed: {e.kind} {e.object_id} seed {e.seed} {e.hidden}" for e in failures]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Parses, runs, prints. Returns 0 if every safe was opened, 1 otherwise."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=1, help="episodes of each safe and expert")
+    parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
+    parser.add_argument("--unseen", type=int, default=20, help="number of unseen safes")
+    parser.add_argument("--experts", nargs="+", choices=("adaptive", "static"), default=["adaptive", "static"])
+    parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    options = parser.parse_args()
+    if min(options.seeds, options.workers, options.unseen) < 1:
+        parser.error("--seeds, --workers and --unseen are at least 1")
+    # One thread each: the workers share the cores already.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    from tqdm import tqdm
+
+    episodes = plan(options.experts, options.seeds, options.unseen)
+    with tqdm(total=len(episodes), unit="episode", disable=None) as bar:
+        finished = run_all(episodes, options.workers, lambda count: bar.update(count - bar.n))
+    rows, failures = summarise(finished), [e for e in finished if not e.success]
+    content = {"results": rows, "failures": [asdict(e) for e in failures]}
+    sys.stdout.write((json.dumps(content) if options.json else _table(rows, failures)) + "\n")
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

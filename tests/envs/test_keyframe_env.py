@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.episode_log import read_log
+from lerobot_adamanip.experts import Outcome, Phase
+from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+pytestmark = pytest.mark.sim
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[KeyframeEnv]:
+    made = KeyframeEnv("safe", max_key_frames=30, **SMALL)
+    yield made
+    made.close()
+
+
+# Gymnasium's contract ---------------------------------------------------------------------------------------------
+
+
+def check_observation(env: KeyframeEnv, observation: dict[str, Any]) -> None:
+    assert env.observation_space.contains(observation)
+    assert observation["pixels"]["front"].dtype == np.uint8
+    for key in ("agent_pos", "effort", "point_cloud"):
+        assert observation[key].dtype == np.float32
+        assert np.isfinite(observation[key]).all()
+
+
+def test_reset_and_step_keep_gymnasiums_contract(env: KeyframeEnv) -> None:
+    observation, info = env.reset(seed=5)
+    check_observation(env, observation)
+    assert info == {"is_success": False}
+    observation, reward, terminated, truncated, info = env.step(stay(env))
+    check_observation(env, observation)
+    assert (reward, terminated, truncated) == (0.0, False, False)
+    assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
+    assert info["is_success"] is False
+    assert set(info) == {"is_success"}
+    assert env.action_space.contains(stay(env))
+
+
+def test_what_lerobot_asks_of_an_environment(env: KeyframeEnv) -> None:
+    assert env.task == env.task_description == "Open the safe."
+    assert env._max_episode_steps == 30
+    assert env.metadata["render_fps"] > 0
+    observation, _ = env.reset(seed=5, options={"lerobot_new_rollout": True})
+    frame = env.render()
+    assert frame.shape == (64, 64, 3)
+    assert np.array_equal(frame, observation["pixels"]["front"])
+    frame[:] = 0  # a copy: who draws on it does not draw on the observation
+    assert observation["pixels"]["front"].any()
+
+
+def test_the_state_is_the_contracts(env: KeyframeEnv) -> None:
+    observation, _ = env.reset(seed=5)
+    pose, gripper = pose_from_vector(observation["agent_pos"][:10])
+    np.testing.assert_allclose(pose, env.feedback.tcp_in_base, atol=1e-5)
+    assert gripper == pytest.approx(1.0, abs=0.02)
+    cloud = observation["point_cloud"]
+    assert env.workspace.contains(cloud).all()
+    assert len(np.unique(cloud, axis=0)) == len(cloud)
+    camera = np.asarray(env.camera_parameters()["extrinsics"])
+    ahead = (cloud - camera[:3, 3]) @ camera[:3, 2]
+    assert (ahead > 0).all()  # OpenCV axes: z points into the view
+
+
+def test_an_earlier_observation_is_not_overwritten(env: KeyframeEnv) -> None:
+    first, _ = env.reset(seed=6)
+    before = digest(first)
+    grasp_handle(env)
+    assert digest(first) == before
+
+
+def test_an_episode_is_truncated_and_never_both(env: KeyframeEnv) -> None:
+    env.reset(seed=5)
+    ends = [env.step(stay(env))[2:4] for _ in range(30)]
+    assert ends == [(False, False)] * 29 + [(False, True)]
+
+
+def test_success_terminates_with_a_reward_and_a_true_bool(env: KeyframeEnv) -> None:
+    _, phases, info = expert_episode(env, 5, hidden_overrides={"locked": False})
+    assert info["is_success"] is True
+    assert phases[-1] is Phase.OPEN
+    record = env.episode_record()
+    assert record["success"] is True
+    assert record["key_frames"] == len(phases)
+    assert record["door_angle"] > np.pi / 7
+    assert json.loads(json.dumps(record)) == record
+
+
+def test_object_id_chooses_seen_and_unseen_objects(env: KeyframeEnv) -> None:
+    for name in ("safe_002", "safe_041"):
+        env.reset(seed=5, options={"object_id": name})
+        assert env.episode_record()["object_id"] == name
+
+
+def test_a_refused_reset_leaves_no_episode_and_the_next_works(env: KeyframeEnv) -> None:
+    for options in ({"object_id": "fridge_001"}, {"hidden_overrides": {"lokced": True}}):
+        with pytest.raises(ConfigurationError):
+            env.reset(seed=5, options=options)
+        with pytest.raises(gym.error.ResetNeeded):
+            env.step(np.zeros(10, np.float32))
+    assert env.observation_space.contains(env.reset(seed=5)[0])
+
+
+def test_nothing_runs_before_reset_or_after_close() -> None:
+    made = KeyframeEnv("safe", **SMALL)
+    for use in (lambda: made.step(np.zeros(10, np.float32)), made.hidden_state, made.episode_record):
+        with pytest.raises(gym.error.ResetNeeded):
+            use()
+    made.close()
+    made.close()
+
+
+# Repeatability ----------------------------------------------------------------------------------------------------
+
+FRESH = """
+import json, sys
+sys.path.insert(0, {folder!r})
+from envs_helpers import SMALL, expert_episode
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+env = KeyframeEnv("safe", max_key_frames=30, **SMALL)
+print(json.dumps(expert_episode(env, 11, hidden_overrides={{"locked": True}})[0]))
+"""
+
+
+def test_one_seed_is_one_episode_byte_for_byte(env: KeyframeEnv) -> None:
+    locked = {"hidden_overrides": {"locked": True}}
+    first, phases, _ = expert_episode(env, 11, **locked)
+    assert {Phase.TRY, Phase.UNLOCK, Phase.OPEN} <= set(phases)
+    other, _, _ = expert_episode(env, 12, **locked)
+    again, _, _ = expert_episode(env, 11, **locked)
+    assert again == first
+    assert other[0] != first[0]
+    assert in_fresh_process(FRESH.format(folder=str(Path(__file__).parent))) == first
+
+
+def test_unseeded_resets_differ_and_follow_from_the_seed_before(env: KeyframeEnv) -> None:
+    runs = []
+    for _ in range(2):
+        hashes = [digest(env.reset(seed=3)[0])]
+        hashes += [digest(env.reset()[0]) for _ in range(2)]
+        runs.append(hashes)
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) == 3
+
+
+# Hidden state -----------------------------------------------------------------------------------------------------
+
+
+def first_of(phases: list[Phase], wanted: Phase) -> int:
+    """Number of observations (the reset's included) before the key frame of that phase has run."""
+    return phases.index(wanted) + 1
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_a_lock_shows_only_when_the_door_is_touched(env: KeyframeEnv, seed: int) -> None:
+    free, phases, _ = expert_episode(env, seed, hidden_overrides={"locked": False})
+    locked, _, _ = expert_episode(env, seed, hidden_overrides={"locked": True})
+    touched, pulled = first_of(phases, Phase.GRASP), first_of(phases, Phase.TRY)
+    assert touched == 3  # reset and two approaches
+    assert free[:touched] == locked[:touched]
+    assert free[pulled] != locked[pulled]
+
+
+def test_grasping_tells_little_of_the_lock_and_pulling_all(env: KeyframeEnv) -> None:
+    """Closing fingers centre a free door on themselves, by less than a millimetre: real doors do so as well."""
+    tools, doors = [], []
+    for locked in (False, True):
+        env.reset(seed=21, options={"hidden_overrides": {"locked": locked}})
+        grasp_handle(env)
+        tools.append(env.feedback.tcp_in_base[:3, 3])
+        doors.append(env.episode_record()["door_angle"])
+    assert np.linalg.norm(tools[0] - tools[1]) < 1e-3
+    assert doors[1] == pytest.approx(0.0, abs=1e-5)
+    assert 0 <= doors[0] < np.deg2rad(0.3)
+
+
+def test_the_knobs_direction_shows_only_when_it_is_touched(env: KeyframeEnv) -> None:
+    runs = [expert_episode(env, 23, hidden_overrides={"locked": True, "direction": direction}) for direction in (1, -1)]
+    phases, turned = runs[0][1], first_of(runs[0][1], Phase.UNLOCK)
+    assert phases[turned - 2] is Phase.GRASP
+    assert runs[0][0][: turned - 1] == runs[1][0][: turned - 1]
+    assert runs[0][0][turned] != runs[1][0][turned]
+    assert all(info["is_success"] for _, _, info in runs)
+
+
+def test_the_knobs_direction_never_shows_on_an_unlocked_safe(env: KeyframeEnv) -> None:
+    one, other = (
+        expert_episode(env, 24, hidden_overrides={"locked": False, "direction": direction})[0] for direction in (1, -1)
+    )
+    assert one == other
+
+
+# Actions nobody should send ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", [np.zeros(9), np.zeros((1, 10)), np.full(10, np.nan), np.r_[np.zeros(9), np.inf]])
+def test_malformed_actions_are_refused_and_the_episode_goes_on(env: KeyframeEnv, action: Any) -> None:
+    env.reset(seed=5)
+    with pytest.raises(ConfigurationError, match="Malformed action"):
+        env.step(action)
+    check_observation(env, env.step(stay(env))[0])
+    assert env.episode_record()["key_frames"] == 1
+
+
+def test_wild_actions_neither_crash_nor_explode(env: KeyframeEnv) -> None:
+    env.reset(seed=5)
+    rng = np.random.default_rng(0)
+    wild = [np.full(10, 1e6), np.full(10, -1e6), np.zeros(10), np.full(10, 3e38), rng.normal(size=10) * 10]
+    for action in wild:
+        observation, *_ = env.step(action.astype(np.float32))
+        check_observation(env, observation)
+        assert env.feedback.outcome in tuple(Outcome)
+        assert np.abs(observation["agent_pos"][:3]).max() < 1.5
+        assert np.abs(observation["agent_pos"][17:]).max() < 3.0  # [rad/s]: a Panda's joint limit
+    assert -0.02 < env.episode_record()["door_angle"] < np.pi
+
+
+def test_out_of_reach_is_told_and_the_arm_comes_back(env: KeyframeEnv) -> None:
+    env.reset(seed=5)
+    home = stay(env)
+    far = home.copy()
+    far[:3] = (0.45, 0.69, 0.74)  # inside the box, beyond the arm with a level hand
+    env.step(far)
+    assert env.feedback.outcome in (Outcome.UNREACHABLE, Outcome.STALLED)
+    env.step(home)
+    assert env.feedback.outcome is Outcome.REACHED
+
+
+# Episode log ------------------------------------------------------------------------------------------------------
+
+
+def test_each_ended_episode_is_logged_once(env: KeyframeEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "logs" / "episodes.jsonl"
+    monkeypatch.setattr(env, "_episode_log", path)
+    expert_episode(env, 5, hidden_overrides={"locked": False})
+    env.step(stay(env))  # stepping on after the end is no second episode
+    env.reset(seed=6)
+    env.step(stay(env))  # left unfinished
+    monkeypatch.setattr(env, "_max_episode_steps", 2)
+    env.reset(seed=7)
+    for _ in range(2):
+        env.step(stay(env))
+    records = read_log(path)
+    assert [(record.seed, record.success) for record in records] == [(5, True), (7, False)]
+    assert [record.key_frames for record in records][1] == 2
