@@ -68,7 +68,8 @@ def _rotation_x_to(axis: NDArray[Any]) -> NDArray[Any]:
 
 def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[float]]:
     """Centre of mass and principal inertia of the box around a link's shapes: good enough, and never singular."""
-    centers = np.array([shape.pose_in_link[:3, 3] for shape in shapes if shape.collides] or [[0.0, 0.0, 0.0]])
+    solid = [shape.pose_in_link[:3, 3] for shape in shapes if shape.collides]
+    centers = np.stack(solid or [np.zeros(3)])
     lower, upper = centers.min(0) - 0.02, centers.max(0) + 0.02
     for shape in shapes:
         if shape.collides and shape.vertices is not None:
