@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# The whole loop at a size for two CPU cores: demonstrations of a few safes, dp3_adaptive trained on them, evaluated.
+# Sizes can be changed: SAFES=0:2 EPISODES=5 STEPS=200 EVALUATE=4 bash scripts/demo.sh
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+out=${OUT:-outputs/demo}
+safes=${SAFES:-0:4} episodes=${EPISODES:-20} steps=${STEPS:-2400} evaluate=${EVALUATE:-24}
+bin=.venv/bin
+export HF_HUB_OFFLINE=1 TOKENIZERS_PARALLELISM=false
+say() { printf '\n== %s\n' "$*"; }
+
+say "1/5  Pictures of the objects: $out/safes.png"
+mkdir -p "$out"
+"$bin/adamanip" objects --category safe --objects 0:36 --sheet "$out/safes.png"
+
+say "2/5  Adaptive demonstrations: pull, feel that it is locked, turn the knob, pull again"
+"$bin/adamanip" collect --category safe --expert adaptive --objects "$safes" --episodes-per-object "$episodes" \
+    --root "$out/demos" --repo-id local/adamanip-safe-demo --workers 2
+"$bin/adamanip" replay --root "$out/demos" --episode 0 --video "$out/demonstration.mp4"
+
+say "3/5  Training dp3_adaptive with lerobot-train"
+checkpoint=$out/train/checkpoints/last
+if [ -f "$checkpoint/pretrained_model/train_config.json" ]; then
+    echo "resuming $checkpoint"
+    "$bin/lerobot-train" --config_path="$checkpoint/pretrained_model/train_config.json" --resume=true --steps="$steps"
+else
+    rm -rf "$out/train"
+    "$bin/lerobot-train" --policy.type=dp3_adaptive --policy.device=cpu --policy.push_to_hub=false \
+        --env.type=adamanip_safe --env.objects="$safes" --env_eval_freq=0 \
+        --dataset.repo_id=local/adamanip-safe-demo --dataset.root="$out/demos" \
+        --batch_size=64 --steps="$steps" --save_freq=800 --log_freq=100 --num_workers=1 --output_dir="$out/train"
+fi
+
+say "4/5  Evaluating on scenes it has not seen, with lerobot-eval"
+rm -rf "$out/eval" "$out/eval.jsonl"
+"$bin/lerobot-eval" --policy.path="$checkpoint/pretrained_model" --policy.device=cpu \
+    --env.type=adamanip_safe --env.objects="$safes" --env.episode_log="$out/eval.jsonl" \
+    --eval.n_episodes="$evaluate" --eval.batch_size=2 --output_dir="$out/eval"
+
+say "5/5  What came of it"
+"$bin/adamanip" report "$out/eval.jsonl" --plot "$out/success.png"
+"$bin/adamanip" report "$out/eval.jsonl" --json > "$out/report.json"
+cat <<END
+
+  $out/safes.png            the objects
+  $out/demonstration.mp4    a demonstration, replayed from its seed
+  $out/eval/videos/         the policy at work
+  $out/success.png          success over the episodes, with its interval
+  $out/report.json          the numbers
+END
