@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 # Before anything imports huggingface_hub or torch: both read these once. Subprocesses inherit them.
@@ -51,3 +52,7 @@ def _seed_everything() -> None:
 def _scratch() -> Iterator[None]:
     yield
     shutil.rmtree(_SCRATCH, ignore_errors=True)
+
+# Machines are shared: how long an example takes says nothing about the code.
+hypothesis.settings.register_profile("shared", deadline=None)
+hypothesis.settings.load_profile("shared")
