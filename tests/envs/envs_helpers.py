@@ -72,7 +72,7 @@ def in_fresh_process(code: str, **environment: str) -> Any:
 
     done = subprocess.run(
         [sys.executable, "-c", code],
-        capture_output=True, text=True, check=False, cwd=ROOT, env={**os.environ, **environment}, timeout=200,
+        capture_output=True, text=True, check=False, cwd=ROOT, env={**os.environ, **environment}, timeout=280,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-4000:]
     return json.loads(done.stdout.strip().splitlines()[-1])
