@@ -95,7 +95,7 @@ def _studio(obj: ArticulatedObject) -> ManiSkillScene:
     side = _camera_side(obj)
     raw.set_ambient_light([0.10, 0.10, 0.10])
     key, fill = [-0.75, 0.5 * side, -1.0], [-1.0, -0.9 * side, -0.35]
-    raw.add_directional_light(key, [2.0, 1.95, 1.87], shadow=True, shadow_scale=1.0, shadow_map_size=4096)
+    raw.add_directional_light(key, [2.0, 1.95, 1.87], shadow=True, shadow_scale=1.0, shadow_map_size=2048)
     raw.add_directional_light(fill, [0.7, 0.73, 0.8])
     floor = raw.create_actor_builder()
     material = sapien.render.RenderMaterial(base_color=[*_FLOOR_COLOR, 1.0], roughness=0.95, specular=0.1)
