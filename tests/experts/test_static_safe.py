@@ -44,10 +44,13 @@ def test_it_needs_no_more_key_frames_than_trial_and_error(name: str, hidden: dic
 
 @fast
 @given(ids, hiddens, seeds, seeds)
-def test_it_leaves_nothing_to_chance(name: str, hidden: dict[str, Any], first: int, second: int) -> None:
+def test_it_leaves_nothing_but_the_approach_to_chance(
+    name: str, hidden: dict[str, Any], first: int, second: int
+) -> None:
     safes = KinematicSafe(name, hidden), KinematicSafe(name, hidden)
     episodes = [run(safe, static(safe, seed)) for safe, seed in zip(safes, (first, second), strict=True)]
-    assert as_bytes(episodes[0].goals) == as_bytes(episodes[1].goals)
+    one, other = ([goal for goal in episode.goals if goal.phase is not Phase.APPROACH] for episode in episodes)
+    assert as_bytes(one) == as_bytes(other)
 
 
 def build(category: str = "safe", kind: str = "adaptive", **options: Any) -> None:
