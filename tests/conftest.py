@@ -53,6 +53,7 @@ def _scratch() -> Iterator[None]:
     yield
     shutil.rmtree(_SCRATCH, ignore_errors=True)
 
+
 # Machines are shared: how long an example takes says nothing about the code.
 hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
