@@ -64,7 +64,7 @@ class EpisodeMonitor:
     def record(self) -> dict[str, Any]:
         """Returns the record, JSON-able.
 
-        Keys: ``seed``, ``object_id``, ``hidden_state``, ``success``, ``key_frames``, ``first_part`` (which part the hand
+        Keys: ``seed``, ``object_id``, ``hidden_state``, ``success``, ``key_frames``, ``first_part`` (what the hand
         closed at first, or None), ``blocked_pulls`` (pulls at the handle that ended in a stall with the door shut),
         ``wrong_turns`` (turns of the knob that ended in a stall with the knob at rest), ``knob_turned``, and
         ``door_angle`` [rad].
