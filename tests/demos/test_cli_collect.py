@@ -24,11 +24,13 @@ from lerobot_adamanip.errors import ConfigurationError, DatasetError
 FACTORIES = {key: OPTIONS[key] for key in ("env_factory", "expert_factory", "image_size")}
 SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--max-attempts", str(ATTEMPTS)]
 
+# Tests may run in the background of a shell, where processes start with SIGINT ignored; a terminal's do not.
 SCRIPT = """
-import functools, json, sys
+import functools, json, signal, sys
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.main import main
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.path.insert(0, sys.argv.pop(1))
     command.CollectOptions = functools.partial(command.CollectOptions, **json.loads(sys.argv.pop(1)))
     sys.exit(main())
