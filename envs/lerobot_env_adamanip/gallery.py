@@ -45,6 +45,9 @@ def photograph(obj: ArticulatedObject, *, size: int = 256, open_fraction: float 
     scene.sub_scenes[0].update_render()
     camera.take_picture()
     rendered = np.asarray(camera.get_picture("Color"))[..., :3]
+    if rendered.dtype == np.uint8:
+        # The picture's format is global in SAPIEN, and ManiSkill's cameras set it to bytes.
+        rendered = rendered / np.float32(255)
     smooth = rendered.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3).mean(axis=(1, 3))
     picture: NDArray[np.uint8] = np.clip(255 * smooth + 0.5, 0, 255).astype(np.uint8)
     return picture
