@@ -41,7 +41,7 @@ debian_mirror() {
     local uri
     uri=$(LC_ALL=C apt-cache policy 2>/dev/null |
         awk -v suite="$(release VERSION_CODENAME)/main" '$1 ~ /^[0-9]+$/ && $3 == suite && $2 !~ /security/ {print $2; exit}')
-    printf '%s' "${uri:-http://deb.debian.org/debian}"
+    printf '%s' "${uri:-<your Debian mirror>}"
 }
 
 backports_source() {
