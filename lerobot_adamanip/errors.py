@@ -40,3 +40,15 @@ def require_choice(what: str, got: str, choices: Iterable[str], *, try_: str | N
             f"Unknown {what}.", got=repr(got), allowed=", ".join(names), try_=try_ or f"one of the allowed {what} names"
         )
     )
+
+
+def no_vulkan_device(reason: object) -> SimulatorError:
+    """Returns the error for a machine on which SAPIEN finds nothing to render with."""
+    return SimulatorError(
+        explain(
+            "SAPIEN found no Vulkan device to render with.",
+            got=reason,
+            allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
+            try_="adamanip doctor",
+        )
+    )

@@ -15,7 +15,7 @@ from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
 from mani_skill.utils import sapien_utils
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import SimulatorError, explain
+from lerobot_adamanip.errors import no_vulkan_device
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.building import build_object
 
@@ -86,13 +86,7 @@ def _studio(obj: ArticulatedObject) -> ManiSkillScene:
     try:
         raw = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(backend.render_device)])
     except RuntimeError as error:
-        raise SimulatorError(
-            explain(
-                "SAPIEN found no Vulkan device to render with.", got=error,
-                allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
-                try_="adamanip doctor",
-            )
-        ) from error  # fmt: skip
+        raise no_vulkan_device(error) from error
     scene = ManiSkillScene([raw], device=backend.device, backend=backend)
     raw.set_environment_map(_surroundings())
     side = _camera_side(obj)

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, explain
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, explain, no_vulkan_device
 from lerobot_adamanip.experts.base import Feedback
 from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
@@ -238,10 +238,4 @@ def make_task(category: str, **options: Any) -> Any:
             word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")
         ):
             raise
-        raise SimulatorError(
-            explain(
-                "SAPIEN found no Vulkan device to render with.", got=error,
-                allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
-                try_="adamanip doctor",
-            )
-        ) from error  # fmt: skip
+        raise no_vulkan_device(error) from error
