@@ -69,6 +69,16 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
     return np.asarray(Rotation.from_rotvec(direction / np.linalg.norm(direction) * angle).as_matrix())
 
 
+def rotation_with_x_along(axis: ArrayLike) -> Array:
+    """Returns a (3, 3) rotation whose x axis points along ``axis`` (any length)."""
+    vector = np.asarray(axis, dtype=np.float64)
+    x = vector / np.linalg.norm(vector)
+    helper = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    y = np.cross(helper, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
 def rotated_about_line(pose: Array, point: ArrayLike, axis: ArrayLike, angle: float) -> Array:
     """Returns ``pose`` (4, 4) turned by ``angle`` [rad] about the line through ``point`` [m] along ``axis``."""
     rotation = rotation_about(axis, angle)

@@ -39,6 +39,8 @@ GRIPPER_DIM = 9
 DEFAULT_NUM_POINTS = 1024
 PAPER_NUM_POINTS = 4096
 IMAGE_SIZE = 256
+MAX_KEY_FRAMES = 45
+"""Per episode. A locked safe takes the adaptive expert 19 to 21."""
 FPS = 4
 """Key frames have no clock. Four a second is the paper code's macro-step rate, and a comfortable video speed."""
 

@@ -62,7 +62,7 @@ def _drive(env: Any, episode: Episode) -> Episode:
     import numpy as np
 
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.keyframe_env import MAX_KEY_FRAMES
+    from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
     hidden = env.hidden_state()
     expert = make_expert(

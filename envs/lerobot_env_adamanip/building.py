@@ -14,7 +14,7 @@ from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
-from lerobot_adamanip.rotations import quaternion_from_matrix
+from lerobot_adamanip.rotations import quaternion_from_matrix, rotation_with_x_along
 
 FRICTION = 1.2
 """Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
@@ -48,7 +48,7 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
 def _set_joint(link: Any, joint: Joint) -> None:
     """SAPIEN turns (and slides) about the x axis of its joint frames, so both frames get x along the joint's axis."""
     link.set_joint_name(joint.name)
-    align = _rotation_x_to(np.asarray(joint.axis))
+    align = rotation_with_x_along(joint.axis)
     in_parent = np.eye(4)
     in_parent[:3, :3], in_parent[:3, 3] = align, joint.origin
     in_child = np.eye(4)
@@ -56,14 +56,6 @@ def _set_joint(link: Any, joint: Joint) -> None:
     link.set_joint_properties(
         joint.kind, [list(joint.limits)], sapien_pose(in_parent), sapien_pose(in_child), joint.friction, joint.damping
     )
-
-
-def _rotation_x_to(axis: NDArray[Any]) -> NDArray[Any]:
-    x = axis / np.linalg.norm(axis)
-    helper = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    y = np.cross(helper, x)
-    y /= np.linalg.norm(y)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
 def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[float]]:

@@ -18,11 +18,12 @@ from lerobot_adamanip.schema import (
     FPS,
     FRONT_IMAGE,
     IMAGE_SIZE,
+    MAX_KEY_FRAMES,
     NUM_JOINTS,
     POINT_CLOUD,
     STATE,
     STATE_DIM,
-)  # fmt: skip
+)
 
 
 @dataclass
@@ -43,7 +44,7 @@ class AdaManipEnvConfig(EnvConfig):
     # default: object, robot and camera pose are randomised. paper: fixed.
     pose_preset: str = "default"
     # Key frames per episode.
-    episode_length: int = 45
+    episode_length: int = MAX_KEY_FRAMES
     # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
     locked: bool | None = None
     # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.

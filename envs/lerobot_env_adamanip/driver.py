@@ -92,7 +92,6 @@ class KeyframeDriver:
         self._read, self._tick_simulation = read, tick
         self._dt, self._stiffness = control_dt, stiffness
         self._target: Array = read().qpos.copy()
-        self._target_velocity: Array = np.zeros(NUM_ARM_JOINTS)
         self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
@@ -145,10 +144,10 @@ class KeyframeDriver:
         )
         ticks = max(1, int(np.ceil(seconds / self._dt)))
         for k in range(1, ticks + 1):
-            fraction = _quintic(k / ticks)
-            solution = self.kinematics.solve(interpolate(start, goal, fraction), self._target, iterations=15)
+            waypoint = interpolate(start, goal, _quintic(k / ticks))
+            solution = self.kinematics.solve(waypoint, self._target, iterations=15)
             if not solution.within(5e-3, 0.03):
-                solution = self.kinematics.solve(interpolate(start, goal, fraction), self._target, iterations=80)
+                solution = self.kinematics.solve(waypoint, self._target, iterations=80)
                 if not solution.within(0.01, 0.06):
                     return Outcome.UNREACHABLE
             if self._advance(solution.qpos):
@@ -172,9 +171,9 @@ class KeyframeDriver:
 
     def _advance(self, target: Array) -> bool:
         """One control tick towards ``target``; True once the arm has strained for long enough to give up."""
-        self._target_velocity = (target - self._target) / self._dt
+        velocity = (target - self._target) / self._dt
         self._target = target
-        self._tick_simulation(target, self._target_velocity, self._finger_target)
+        self._tick_simulation(target, velocity, self._finger_target)
         self._ticks += 1
         lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), self.kinematics.tcp_in_base(target))
         limits = self.limits
@@ -187,8 +186,7 @@ class KeyframeDriver:
         if outcome is not Outcome.REACHED:
             for _ in range(8):
                 self._target = self._read().qpos.copy()
-                self._target_velocity = np.zeros(NUM_ARM_JOINTS)
-                self._tick_simulation(self._target, self._target_velocity, self._finger_target)
+                self._tick_simulation(self._target, np.zeros(NUM_ARM_JOINTS), self._finger_target)
                 self._ticks += 1
 
     def _torque(self, state: ArmState) -> Array:

@@ -15,15 +15,21 @@ from lerobot_adamanip.errors import AdaManipError, ConfigurationError, Simulator
 from lerobot_adamanip.experts.base import Feedback
 from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
-from lerobot_adamanip.schema import ACTION_DIM, DEFAULT_NUM_POINTS, FPS, IMAGE_SIZE, NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.schema import (
+    ACTION_DIM,
+    DEFAULT_NUM_POINTS,
+    FPS,
+    IMAGE_SIZE,
+    MAX_KEY_FRAMES,
+    NUM_JOINTS,
+    STATE_DIM,
+)
 from lerobot_env_adamanip.episode import EpisodeMonitor
 from lerobot_env_adamanip.layout import randomization
 
 Observation = dict[str, Any]
 TASK_IDS = {"safe": "AdaManip-Safe-v1"}
 DESCRIPTIONS = {"safe": "Open the safe."}
-MAX_KEY_FRAMES = 45
-"""Per episode. A locked safe takes the adaptive expert 19 to 21."""
 
 
 class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import UnreachableError, explain, require_choice
+from lerobot_adamanip.experts.base import PRE_GRASP
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.rotations import rotation_about, transform
 from lerobot_env_adamanip.arm import REST_QPOS, ArmKinematics
@@ -64,10 +65,6 @@ class Reach:
     part: str
     lower: float
     upper: float
-
-
-PRE_GRASP = 0.10
-"""Distance of the pre-grasp from the grasp, along the approach [m]."""
 
 
 def draw_layout(

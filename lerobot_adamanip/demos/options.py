@@ -12,11 +12,11 @@ from typing import Any
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.shards import write_atomically
 from lerobot_adamanip.errors import ConfigurationError, DatasetError, explain, require_choice
+from lerobot_adamanip.experts import EXPERT_KINDS
 
 DEMO_SEED_START = 2**24
 """Demonstration seeds lie in [2^24, 2^31); evaluation uses seeds below a million, so the two never meet."""
 DEMO_SEED_END = 2**31
-EXPERTS = ("adaptive", "static")
 ENV_FACTORY = "lerobot_env_adamanip.factory:make_keyframe_env"
 EXPERT_FACTORY = "lerobot_adamanip.experts:make_expert"
 
@@ -76,7 +76,7 @@ class CollectOptions:
     expert_factory: str = EXPERT_FACTORY
 
     def __post_init__(self) -> None:
-        require_choice("expert", self.expert, EXPERTS)
+        require_choice("expert", self.expert, EXPERT_KINDS)
         for name in ("episodes_per_object", "num_points", "trials", "image_size"):
             if getattr(self, name) < 1:
                 raise ConfigurationError(

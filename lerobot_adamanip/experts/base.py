@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.rotations import pose_vector
 
+PRE_GRASP = 0.10
+"""Distance from a grasp, along its approach, at which a part is approached and left [m]."""
+
 
 class Outcome(enum.IntEnum):
     """How a key frame ended. Felt by the arm itself, so a policy and a real robot know it too."""

@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Phase
+from lerobot_adamanip.experts.base import PRE_GRASP, Feedback, Goal, KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.rotations import transform
 
-PRE_GRASP = 0.10
-"""Distance at which a part is approached and left [m]."""
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
 """Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; what
 leads there varies, so that a policy learns to correct the last 10 cm by what it sees."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -85,33 +86,95 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """How one joint carries along whatever holds a part.
+
+    Attributes:
+        joint: name.
+        kind: type.
+        point: (3,) a point on the axis [m]; of no account if prismatic.
+        axis: (3,) unit vector; a positive position turns about it by the right-hand rule, or slides along it.
+    """
+
+    joint: str
+    kind: JointKind
+    point: NDArray[np.float64]
+    axis: NDArray[np.float64]
+
+    def applied(self, pose: Pose, position: float) -> Pose:
+        """Returns where ``pose`` (4, 4) gets to when the joint moves by ``position`` [rad or m]."""
+        if self.kind == "revolute":
+            return rotated_about_line(pose, self.point, self.axis, position)
+        moved = pose.copy()
+        moved[:3, 3] += position * self.axis
+        return moved
+
+    def followed(self, before: Pose, now: Pose) -> float:
+        """Returns how far the joint has moved [rad or m], by two poses (4, 4) of a hand that held on."""
+        if self.kind == "prismatic":
+            return float(self.axis @ (now[:3, 3] - before[:3, 3]))
+        first, second = before[:3, 3] - self.point, now[:3, 3] - self.point
+        if np.linalg.norm(np.cross(self.axis, first)) < ON_AXIS:
+            # A hand on the axis stays where it is: it is its own rotation that tells.
+            square = before[:3, int(np.argmin(np.abs(self.axis @ before[:3, :3])))]
+            first, second = square, now[:3, :3] @ before[:3, :3].T @ square
+        return float(np.arctan2(self.axis @ np.cross(first, second), first @ second - (self.axis @ first) ** 2))
+
+    def in_frame(self, frame: Pose) -> Motion:
+        """Returns this motion expressed in the frame in which ``frame`` (4, 4) is its present frame's pose."""
+        point, axis = frame[:3, :3] @ self.point + frame[:3, 3], frame[:3, :3] @ self.axis
+        return replace(self, point=point, axis=axis)
+
+
+ON_AXIS = 0.02
+"""A grasp closer than this to an axis turns with it in place [m]."""
+TWO_FINGERS = (0.0, np.pi)
+"""Rolls about the approach that are the same grasp for a gripper with two equal fingers [rad]."""
+
+
+def any_roll(count: int = 8) -> tuple[float, ...]:
+    """Rolls of a grasp on something round, held the same from every side [rad]."""
+    return tuple(2 * np.pi * np.arange(count) / count)
+
+
+@dataclass(frozen=True)
 class PartAnnotation:
     """The annotated pose of a part a robot can hold: the paper's part pose, as a grasp (appendix "Pose Annotation").
 
     Attributes:
         name: part, ``handle`` or ``knob``.
         grasp: (4, 4) tool pose when holding it: z is the approach direction, y the direction the fingers close in.
-        axis_point: (3,) a point on the axis the part turns about [m].
-        axis: (3,) unit vector of that axis; a positive joint position turns about it by the right-hand rule.
+        motions: of the joints that carry the part, root first. All joints are at zero in ``grasp``.
+        rolls: turns about the approach that make equally good grasps [rad].
     """
 
     name: str
     grasp: Pose
-    axis_point: NDArray[np.float64]
-    axis: NDArray[np.float64]
+    motions: tuple[Motion, ...]
+    rolls: tuple[float, ...] = TWO_FINGERS
 
-    def turned(self, angle: float) -> Pose:
-        """Returns the (4, 4) grasp after the part has turned by ``angle`` [rad]."""
-        return rotated_about_line(self.grasp, self.axis_point, self.axis, angle)
+    def moved(self, positions: Mapping[str, float]) -> Pose:
+        """Returns the (4, 4) grasp with the named joints at these positions [rad or m], the others at zero."""
+        pose = self.grasp
+        for motion in reversed(self.motions):
+            pose = motion.applied(pose, positions.get(motion.joint, 0.0))
+        return pose
+
+    def motion(self, joint: str) -> Motion:
+        """Returns how a joint carries the part; KeyError that lists the joints if it does not."""
+        for motion in self.motions:
+            if motion.joint == joint:
+                return motion
+        raise KeyError(f"{self.name} does not move with {joint!r}; with {[motion.joint for motion in self.motions]}")
+
+    def rolled(self, angle: float) -> PartAnnotation:
+        """Returns the annotation with the grasp turned by ``angle`` [rad] about its approach."""
+        return replace(self, grasp=self.grasp @ transform(rotation=rotation_about((0.0, 0.0, 1.0), angle)))
 
     def in_frame(self, frame: Pose) -> PartAnnotation:
         """Returns this annotation expressed in the frame in which ``frame`` (4, 4) is its present frame's pose."""
-        return replace(
-            self,
-            grasp=frame @ self.grasp,
-            axis_point=frame[:3, :3] @ self.axis_point + frame[:3, 3],
-            axis=frame[:3, :3] @ self.axis,
-        )
+        motions = tuple(motion.in_frame(frame) for motion in self.motions)
+        return replace(self, grasp=frame @ self.grasp, motions=motions)
 
 
 @dataclass(frozen=True)
@@ -144,6 +207,42 @@ class ArticulatedObject:
     def joint(self, name: str) -> Joint:
         """Returns a joint by name."""
         return next(link.joint for link in self.links if link.joint is not None and link.joint.name == name)
+
+
+def annotate(
+    links: Sequence[Link], link: str, name: str, grasp: Pose, rolls: tuple[float, ...] = TWO_FINGERS
+) -> PartAnnotation:
+    """Returns the annotation of a part.
+
+    Args:
+        links: of the object, parents before children.
+        link: that the part belongs to; the joints between it and the root carry the part.
+        name: of the part.
+        grasp: (4, 4) object frame, joints at zero.
+        rolls: see `PartAnnotation`.
+    """
+    chain, by_name = [], {each.name: each for each in links}
+    current: Link | None = by_name[link]
+    while current is not None:
+        chain.append(current)
+        current = by_name[current.parent] if current.parent is not None else None
+    motions, origin = [], np.zeros(3)
+    for each in reversed(chain):
+        if each.joint is not None:
+            origin = origin + each.joint.origin
+            if each.joint.kind != "fixed":
+                axis = np.asarray(each.joint.axis, dtype=np.float64)
+                motions.append(Motion(each.joint.name, each.joint.kind, origin, axis / np.linalg.norm(axis)))
+    return PartAnnotation(name, grasp, tuple(motions), rolls)
+
+
+def from_above(position: ArrayLike, roll: float = 0.0) -> Pose:
+    """Returns a grasp at ``position`` that approaches straight down (along -z), fingers closing along the object's y.
+
+    ``roll`` [rad] turns the fingers about the approach.
+    """
+    columns = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+    return transform(position, columns @ rotation_about((0.0, 0.0, 1.0), roll))
 
 
 def facing(position: ArrayLike, roll: float = 0.0) -> Pose:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, PartAnnotation, Shape, facing
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.shapes import box, chamfered_box, disk, prism, rod
 
 WALL = 0.028
@@ -157,14 +157,9 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
         ),
     )
     origin = np.asarray(door_origin)
-    knob_point = origin + np.array((0.0, knob_y, knob_z))
     parts = (
-        PartAnnotation(
-            "handle", facing(origin + np.array((GRASP_REACH, handle_y, handle_z))), origin, np.asarray(door_axis)
-        ),
-        PartAnnotation(
-            "knob", facing(knob_point + np.array((GRASP_REACH, 0.0, 0.0))), knob_point, np.array([-1.0, 0.0, 0.0])
-        ),
+        annotate(links, "leaf", "handle", facing(origin + (GRASP_REACH, handle_y, handle_z))),
+        annotate(links, "knob", "knob", facing(origin + (GRASP_REACH, knob_y, knob_z))),
     )
     side = "left" if design.hinge_side < 0 else "right"
     return ArticulatedObject(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 
 def box(center: ArrayLike, half: Sequence[float], material: Material, *, collides: bool = True) -> Shape:
@@ -53,13 +53,8 @@ def prism(
 def rod(start: ArrayLike, end: ArrayLike, radius: float, material: Material, *, round_ends: bool = True) -> Shape:
     """A capsule (or cylinder) of ``radius`` [m] between two points."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    direction = last - first
-    length = float(np.linalg.norm(direction))
-    x = direction / length
-    helper = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    y = np.cross(helper, x)
-    y /= np.linalg.norm(y)
-    pose = transform((first + last) / 2, np.stack([x, y, np.cross(x, y)], axis=-1))
+    length = float(np.linalg.norm(last - first))
+    pose = transform((first + last) / 2, rotation_with_x_along(last - first))
     return Shape("capsule" if round_ends else "cylinder", (radius, length / 2), pose, material)
 
 

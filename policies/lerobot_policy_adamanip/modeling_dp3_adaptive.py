@@ -20,8 +20,6 @@ from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUn
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor, nn
 
-# LeRobot looks a checkpoint's processing steps up by name: whoever loads the policy has to have them registered.
-import lerobot_policy_adamanip.processor_dp3_adaptive  # noqa: F401
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.schema import ACTION, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig, wrong_number_of_points
@@ -80,7 +78,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
                 "orthonormalisation do not apply."
             )
         self.frames = PoseFrames(config, dataset_stats)
-        self.model = ActionDenoiser(config)
+        self.model = ActionDenoiser(config, self.frames.point_dim)
         # The averaged weights are part of the policy, so that they are saved, resumed and evaluated.
         self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
@@ -386,13 +384,17 @@ def _range(stats: dict, key: str) -> tuple[Tensor, Tensor]:
 
 
 class ActionDenoiser(nn.Module):
-    """What is trained: cloud encoder, history encoder and LeRobot's conditional U-Net."""
+    """What is trained: cloud encoder, history encoder and LeRobot's conditional U-Net.
 
-    def __init__(self, config: DP3AdaptiveConfig) -> None:
+    Args:
+        config: of the policy.
+        point_dim: numbers per point, as `PoseFrames` gives them.
+    """
+
+    def __init__(self, config: DP3AdaptiveConfig, point_dim: int) -> None:
         super().__init__()
-        relative = bool(config.tcp_relative) and config.has_pose_layout
         self.encoder = make_encoder(
-            config.encoder, 6 if relative else 3, config.encoder_dims, config.encoder_out_dim, config.num_points
+            config.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
         )
         body_dim = config.state_dim + (config.input_features[EFFORT].shape[0] if config.use_effort else 0)
         past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)

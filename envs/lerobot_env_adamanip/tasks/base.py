@@ -19,7 +19,7 @@ from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.mechanisms import Mechanism
 from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_selection
 from lerobot_env_adamanip.arm import NUM_ARM_JOINTS, ArmKinematics
-from lerobot_env_adamanip.building import build_object
+from lerobot_env_adamanip.building import build_object, sapien_pose
 from lerobot_env_adamanip.driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.layout import Layout, Reach, draw_layout, randomization
 from lerobot_env_adamanip.robot import AdaManipPanda
@@ -167,8 +167,6 @@ class AdaManipTask(BaseEnv):
         )  # fmt: skip
 
     def _place(self, layout: Layout) -> None:
-        from lerobot_env_adamanip.building import sapien_pose
-
         pose = layout.object_in_base
         self.articulation.set_pose(sapien_pose(pose))
         self.articulation.set_qpos(np.zeros((1, self.articulation.max_dof), np.float32))
