@@ -42,7 +42,18 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
         if link.joint is not None:
             _set_joint(made, link.joint)
         links[link.name] = made
-    return builder.build(name=obj.object_id, fix_root_link=True)
+    articulation = builder.build(name=obj.object_id, fix_root_link=True)
+    _set_springs(articulation, obj)
+    return articulation
+
+
+def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
+    """A spring is a drive towards its rest position; it keeps the joint's damping."""
+    for active in articulation._objs[0].active_joints:
+        joint = obj.joint(active.name.rsplit("_", 1)[-1])
+        if joint.stiffness:
+            active.set_drive_properties(joint.stiffness, joint.damping)
+            active.set_drive_target(joint.rest)
 
 
 def _set_joint(link: Any, joint: Joint) -> None:

@@ -63,6 +63,8 @@ class Joint:
         limits: [rad or m].
         friction: Coulomb friction [N m or N].
         damping: viscous damping [N m s/rad or N s/m].
+        stiffness: of a spring in the joint [N m/rad or N/m]; 0 for none.
+        rest: position at which that spring is slack [rad or m]; outside the limits, it presses the joint against one.
     """
 
     name: str
@@ -72,6 +74,8 @@ class Joint:
     limits: tuple[float, float] = (0.0, 0.0)
     friction: float = 0.0
     damping: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
 
 
 @dataclass(frozen=True)
