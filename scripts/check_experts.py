@@ -1,8 +1,7 @@
-"""Runs the scripted experts over every safe, without rendering, and prints how often they open it.
+"""Runs the scripted experts over every object of a category, without rendering, and prints how often they succeed.
 
-The adaptive expert never sees the hidden state; the static one does. Success counts the episodes whose door ends open
-by more than pi/7 within the key frames of an episode. For example:
-``python scripts/check_experts.py --seeds 3 --workers 4 --json``.
+The adaptive expert never sees the hidden state; the static one does. Success is the task's own. For example:
+``python scripts/check_experts.py --category all --seeds 2 --workers 2 --json``.
 """
 
 from __future__ import annotations
@@ -14,13 +13,14 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from typing import Any
 
+from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.evaluation.metrics import wilson_interval
+from lerobot_adamanip.objects import parse_object_selection
 
-CATEGORY = "safe"
 SEED_OFFSET = 5_000_000
 """Away from the seeds of demonstrations and evaluations."""
 
@@ -29,6 +29,7 @@ SEED_OFFSET = 5_000_000
 class Episode:
     """One to run, and afterwards how it went."""
 
+    category: str
     kind: str
     split: str
     object_id: str
@@ -36,6 +37,7 @@ class Episode:
     success: bool = False
     key_frames: int = 0
     hidden: dict[str, Any] | None = None
+    reason: str = ""
 
 
 def run(episodes: list[Episode]) -> list[Episode]:
@@ -45,14 +47,17 @@ def run(episodes: list[Episode]) -> list[Episode]:
 
 def _run_each(episodes: list[Episode]) -> Iterator[Episode]:
     warnings.filterwarnings("ignore")
-    import gymnasium as gym
+    from lerobot_adamanip.errors import UnreachableError
+    from lerobot_env_adamanip.keyframe_env import make_task
 
-    import lerobot_env_adamanip.tasks  # noqa: F401  (registers the tasks)
-
-    env = gym.make("AdaManip-Safe-v1", obs_mode="none", reward_mode="none").unwrapped
+    env = make_task(episodes[0].category)
     try:
         for episode in episodes:
-            env.reset(seed=episode.seed, options={"object_id": episode.object_id})
+            try:
+                env.reset(seed=episode.seed, options={"object_id": episode.object_id, "reconfigure": True})
+            except UnreachableError as error:
+                yield replace(episode, reason=str(error).splitlines()[0])
+                continue
             yield _drive(env, episode)
     finally:
         env.close()
@@ -66,7 +71,7 @@ def _drive(env: Any, episode: Episode) -> Episode:
 
     hidden = env.hidden_state()
     expert = make_expert(
-        CATEGORY, episode.kind, env.layout.annotations, generator=np.random.default_rng(episode.seed),
+        episode.category, episode.kind, env.layout.annotations, generator=np.random.default_rng(episode.seed),
         hidden=hidden if episode.kind == "static" else None,
     )  # fmt: skip
     success, count, goal = False, 0, next(expert)
@@ -77,16 +82,17 @@ def _drive(env: Any, episode: Episode) -> Episode:
             goal = expert.send(felt)
         except StopIteration:
             break
-    return Episode(episode.kind, episode.split, episode.object_id, episode.seed, success, count, hidden)
+    reason = "" if success else f"{felt.outcome.name} in {goal.phase.name}; joints {env.joint_positions()}"
+    return replace(episode, success=success, key_frames=count, hidden=hidden, reason=reason)
 
 
-def plan(kinds: list[str], seeds: int, unseen: int) -> list[Episode]:
-    """Every safe, ``seeds`` times for each expert; both experts meet the same episodes."""
+def plan(category: str, kinds: list[str], seeds: int, unseen: int) -> list[Episode]:
+    """Every object, ``seeds`` times for each expert; both experts meet the same episodes."""
     from lerobot_adamanip.objects import seen_objects, unseen_objects
 
-    splits = {"seen": seen_objects(CATEGORY), "unseen": unseen_objects(CATEGORY, unseen)}
+    splits = {"seen": seen_objects(category), "unseen": unseen_objects(category, unseen)}
     return [
-        Episode(kind, split, name, SEED_OFFSET + 1000 * repeat + number)
+        Episode(category, kind, split, name, SEED_OFFSET + 1000 * repeat + number)
         for repeat in range(seeds)
         for split, names in splits.items()
         for number, name in enumerate(names, start=0 if split == "seen" else len(splits["seen"]))
@@ -96,7 +102,13 @@ def plan(kinds: list[str], seeds: int, unseen: int) -> list[Episode]:
 
 def run_all(episodes: list[Episode], workers: int, done: Callable[[int], None]) -> list[Episode]:
     """Runs them in ``workers`` processes; ``done`` hears of every batch that has ended."""
-    batches = [episodes[start : start + 8] for start in range(0, len(episodes), 8)]
+    batches = [
+        group[start : start + 16]
+        for group in (
+            [e for e in episodes if e.category == name] for name in dict.fromkeys(e.category for e in episodes)
+        )
+        for start in range(0, len(group), 16)
+    ]
     finished: list[Episode] = []
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for future in as_completed([pool.submit(run, batch) for batch in batches]):
@@ -106,41 +118,40 @@ def run_all(episodes: list[Episode], workers: int, done: Callable[[int], None]) 
 
 
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
-    """A row for each expert, split and lock: success with its 95 % Wilson interval, mean key frames of successes."""
+    """A row for each category, expert and split: success with its 95 % Wilson interval, mean key frames of successes."""
     rows = []
-    for kind, split in sorted({(e.kind, e.split) for e in episodes}):
-        for locked in (None, True, False):
-            chosen = [e for e in episodes if (e.kind, e.split) == (kind, split)]
-            if locked is not None:
-                chosen = [e for e in chosen if e.hidden and e.hidden["locked"] is locked]
-            opened = [e for e in chosen if e.success]
-            low, high = wilson_interval(len(opened), len(chosen))
-            frames = sum(e.key_frames for e in opened) / len(opened) if opened else None
-            rows.append(
-                {"expert": kind, "split": split, "locked": locked, "episodes": len(chosen), "opened": len(opened),
-                 "wilson_95": [low, high], "mean_key_frames": frames}
-            )  # fmt: skip
-    return rows
+    for category, kind, split in dict.fromkeys((e.category, e.kind, e.split) for e in episodes):
+        chosen = [e for e in episodes if (e.category, e.kind, e.split) == (category, kind, split)]
+        opened = [e for e in chosen if e.success]
+        low, high = wilson_interval(len(opened), len(chosen))
+        frames = sum(e.key_frames for e in opened) / len(opened) if opened else None
+        rows.append(
+            {"category": category, "expert": kind, "split": split, "episodes": len(chosen), "opened": len(opened),
+             "wilson_95": [low, high], "mean_key_frames": frames}
+        )  # fmt: skip
+    return sorted(rows, key=lambda row: (row["category"], row["expert"], row["split"]))
 
 
 def _table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
-    lines = [f"{'expert':9} {'split':7} {'lock':9} {'opened':>9}  95 % interval   key frames"]
+    lines = [f"{'category':16} {'expert':9} {'split':7} {'opened':>9}  95 % interval   key frames"]
     for row in rows:
-        lock = {None: "all", True: "locked", False: "unlocked"}[row["locked"]]
         low, high = row["wilson_95"]
         frames = "-" if row["mean_key_frames"] is None else f"{row['mean_key_frames']:.1f}"
         count = f"{row['opened']}/{row['episodes']}"
-        lines.append(f"{row['expert']:9} {row['split']:7} {lock:9} {count:>9}  {low:.3f} ... {high:.3f}  {frames:>9}")
-    lines += [f"failed: {e.kind} {e.object_id} seed {e.seed} {e.hidden}" for e in failures]
+        names = f"{row['category']:16} {row['expert']:9} {row['split']:7}"
+        lines.append(f"{names} {count:>9}  {low:.3f} ... {high:.3f}  {frames:>9}")
+    lines += [f"failed: {e.kind} {e.object_id} seed {e.seed} {e.hidden} {e.reason}" for e in failures]
     return "\n".join(lines)
 
 
 def main() -> int:
-    """Parses, runs, prints. Returns 0 if every safe was opened, 1 otherwise."""
+    """Parses, runs, prints. Returns 0 if every episode succeeded, 1 otherwise."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=1, help="episodes of each safe and expert")
+    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="which kind of object, or all")
+    parser.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of seen and unseen ones")
+    parser.add_argument("--seeds", type=int, default=1, help="episodes of each object and expert")
     parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
-    parser.add_argument("--unseen", type=int, default=20, help="number of unseen safes")
+    parser.add_argument("--unseen", type=int, default=20, help="number of unseen objects")
     parser.add_argument("--experts", nargs="+", choices=("adaptive", "static"), default=["adaptive", "static"])
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     options = parser.parse_args()
@@ -150,7 +161,11 @@ def main() -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     from tqdm import tqdm
 
-    episodes = plan(options.experts, options.seeds, options.unseen)
+    names = CATEGORIES if options.category == ALL else (options.category,)
+    episodes = [e for name in names for e in plan(name, options.experts, options.seeds, options.unseen)]
+    if options.objects:
+        wanted = parse_object_selection(options.category, options.objects)
+        episodes = [e for e in episodes if e.object_id in wanted]
     with tqdm(total=len(episodes), unit="episode", disable=None) as bar:
         finished = run_all(episodes, options.workers, lambda count: bar.update(count - bar.n))
     rows, failures = summarise(finished), [e for e in finished if not e.success]

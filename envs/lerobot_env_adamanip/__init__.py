@@ -2,7 +2,18 @@
 
 import sys
 
-from lerobot_env_adamanip.config import AdaManipEnvConfig, AdaManipSafeEnvConfig
+from lerobot_env_adamanip.config import (
+    AdaManipBottleEnvConfig,
+    AdaManipCoffeeMakerEnvConfig,
+    AdaManipDoorEnvConfig,
+    AdaManipEnvConfig,
+    AdaManipLampEnvConfig,
+    AdaManipMicrowaveEnvConfig,
+    AdaManipPenEnvConfig,
+    AdaManipPressureCookerEnvConfig,
+    AdaManipSafeEnvConfig,
+    AdaManipWindowEnvConfig,
+)
 from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 if "lerobot.datasets.lerobot_dataset" in sys.modules:
@@ -11,4 +22,16 @@ if "lerobot.datasets.lerobot_dataset" in sys.modules:
 
     lerobot_compat.apply()
 
-__all__ = ["AdaManipEnvConfig", "AdaManipSafeEnvConfig", "DP3AdaptiveConfig"]
+__all__ = [
+    "AdaManipBottleEnvConfig",
+    "AdaManipCoffeeMakerEnvConfig",
+    "AdaManipDoorEnvConfig",
+    "AdaManipEnvConfig",
+    "AdaManipLampEnvConfig",
+    "AdaManipMicrowaveEnvConfig",
+    "AdaManipPenEnvConfig",
+    "AdaManipPressureCookerEnvConfig",
+    "AdaManipSafeEnvConfig",
+    "AdaManipWindowEnvConfig",
+    "DP3AdaptiveConfig",
+]

@@ -15,12 +15,14 @@ if TYPE_CHECKING:  # so that the driver and the layout's presets load, and are t
 Array = NDArray[np.float64]
 
 NUM_ARM_JOINTS = 7
-REST_QPOS = np.array([1.544, 1.467, -2.540, -2.320, 2.025, 1.976, -0.171])
+LEVEL_REST = np.array([1.544, 1.467, -2.540, -2.320, 2.025, 1.976, -0.171])
 """Hand level and forward at (0.45, 0, 0.74) m with the elbow out to the left, and where spare freedom is pulled to.
 
 With the elbow in the vertical plane a level hand is near-singular and the sixth joint at its limit; from this posture
 the whole of x 0.35-0.66, y +-0.18, z 0.60-0.84 m is reached, yawed by +-43 and rolled by +-92 degrees.
 """
+DOWN_REST = np.array([0.0, 0.1, 0.0, -2.2, 0.0, 2.3, np.pi / 4])
+"""Hand pointing down, the usual ready posture: for what is held from above."""
 LIMIT_MARGIN = 0.02
 """Kept from every joint limit [rad]."""
 
@@ -45,7 +47,13 @@ class ArmKinematics:
     squares inside the limits and pulls the spare freedom towards a rest posture, so that equal poses get equal elbows.
     """
 
-    def __init__(self, articulation: sapien.physx.PhysxArticulation, tcp_link: str = "panda_hand_tcp") -> None:
+    def __init__(
+        self,
+        articulation: sapien.physx.PhysxArticulation,
+        rest: Array = LEVEL_REST,
+        tcp_link: str = "panda_hand_tcp",
+    ) -> None:
+        self.rest = rest
         self._model: Any = articulation.create_pinocchio_model()
         names = [
             link.name.split("_", 1)[-1] if link.name.startswith("scene") else link.name for link in articulation.links
@@ -87,7 +95,7 @@ class ArmKinematics:
             inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + 1e-4 * np.eye(6))
             step = np.clip(inverse @ error, -0.2, 0.2)
             if number < posture_steps:
-                spare = 0.1 * (REST_QPOS - qpos)
+                spare = 0.1 * (self.rest - qpos)
                 step += np.clip(spare - inverse @ (jacobian @ spare), -0.02, 0.02)
             qpos = np.clip(qpos + step, self.lower, self.upper)
         error = pose_error(self.tcp_in_base(qpos), goal)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -26,6 +26,11 @@ from lerobot_adamanip.schema import (
 )
 
 
+def hidden_value() -> Any:
+    """A field that fixes a hidden value by its name; None leaves it to the draw."""
+    return field(default=None, metadata={"hidden": True})
+
+
 @dataclass
 class AdaManipEnvConfig(EnvConfig):
     """What the environments share. One step is one key frame, so ``fps`` is the speed of videos, not of control."""
@@ -43,10 +48,10 @@ class AdaManipEnvConfig(EnvConfig):
     observe_images: bool = True
     # default: object, robot and camera pose are randomised. paper: fixed.
     pose_preset: str = "default"
+    # paper: mechanisms as the paper's text has them. upstream: as its released code has them.
+    mechanism_preset: str = "paper"
     # Key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
-    # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
-    locked: bool | None = None
     # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.
     episode_log: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
@@ -69,6 +74,13 @@ class AdaManipEnvConfig(EnvConfig):
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 
     @property
+    def hidden_overrides(self) -> dict[str, Any] | None:
+        """Returns the hidden values that the options fix; None if all are drawn."""
+        names = [item.name for item in fields(self) if item.metadata.get("hidden")]
+        fixed = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return fixed or None
+
+    @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of `KeyframeEnv`."""
         return {
@@ -77,8 +89,9 @@ class AdaManipEnvConfig(EnvConfig):
             "image_size": self.image_size,
             "observe_images": self.observe_images,
             "pose_preset": self.pose_preset,
+            "mechanism_preset": self.mechanism_preset,
             "max_key_frames": self.episode_length,
-            "hidden_overrides": None if self.locked is None else {"locked": self.locked},
+            "hidden_overrides": self.hidden_overrides,
             "episode_log": self.episode_log,
         }
 
@@ -86,22 +99,68 @@ class AdaManipEnvConfig(EnvConfig):
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
-        from lerobot_adamanip.lerobot_compat import freeze_after_episode_end
-        from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+        return {self.type: {0: make_vector_env(self.category, self.gym_kwargs, n_envs, use_async_envs)}}
 
-        if n_envs < 1:
-            raise ConfigurationError(
-                explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2")
-            )
-        category, kwargs = self.category, self.gym_kwargs
-        functions = [freeze_after_episode_end(lambda: KeyframeEnv(category, **kwargs)) for _ in range(n_envs)]
-        mode = gym.vector.AutoresetMode.NEXT_STEP
-        # More than one simulator in a process would render one after the other; a process each uses every core.
-        if use_async_envs and n_envs > 1:
-            vector: Any = gym.vector.AsyncVectorEnv(functions, context="forkserver", autoreset_mode=mode)
-        else:
-            vector = gym.vector.SyncVectorEnv(functions, autoreset_mode=mode)
-        return {self.type: {0: vector}}
+
+def make_vector_env(
+    category: str, kwargs: dict[str, Any], n_envs: int, use_async_envs: bool
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Returns ``n_envs`` environments of a category as one; an ended one waits until the next rollout."""
+    from lerobot_adamanip.lerobot_compat import freeze_after_episode_end
+    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+    if n_envs < 1:
+        raise ConfigurationError(
+            explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2")
+        )
+    functions = [freeze_after_episode_end(lambda: KeyframeEnv(category, **kwargs)) for _ in range(n_envs)]
+    mode = gym.vector.AutoresetMode.NEXT_STEP
+    # More than one simulator in a process would render one after the other; a process each uses every core.
+    if use_async_envs and n_envs > 1:
+        vector: Any = gym.vector.AsyncVectorEnv(functions, context="forkserver", autoreset_mode=mode)
+    else:
+        vector = gym.vector.SyncVectorEnv(functions, autoreset_mode=mode)
+    return vector
+
+
+@dataclass
+class _TwistEnvConfig(AdaManipEnvConfig):
+    """What turns one way only and opens then."""
+
+    # Fix the hidden direction for an evaluation: 1, -1, or leave it to the draw.
+    direction: int | None = hidden_value()
+
+
+@EnvConfig.register_subclass("adamanip_bottle")
+@dataclass
+class AdaManipBottleEnvConfig(_TwistEnvConfig):
+    """Turn a bottle's cap, nobody knows which way and how far, and lift it."""
+
+    category: ClassVar[str] = "bottle"
+
+
+@EnvConfig.register_subclass("adamanip_pen")
+@dataclass
+class AdaManipPenEnvConfig(_TwistEnvConfig):
+    """Turn a pen's cap, nobody knows which way and how far, and lift it."""
+
+    category: ClassVar[str] = "pen"
+
+
+@EnvConfig.register_subclass("adamanip_pressure_cooker")
+@dataclass
+class AdaManipPressureCookerEnvConfig(_TwistEnvConfig):
+    """Turn a pressure cooker's lid by its handle, nobody knows which way and how far, and lift it."""
+
+    category: ClassVar[str] = "pressure_cooker"
+
+
+@EnvConfig.register_subclass("adamanip_coffee_maker")
+@dataclass
+class AdaManipCoffeeMakerEnvConfig(_TwistEnvConfig):
+    """Turn a portafilter by its handle, nobody knows which way and how far, and lower it."""
+
+    category: ClassVar[str] = "coffee_maker"
 
 
 @EnvConfig.register_subclass("adamanip_safe")
@@ -110,3 +169,44 @@ class AdaManipSafeEnvConfig(AdaManipEnvConfig):
     """Open a safe that may be locked, by a knob that turns either way."""
 
     category: ClassVar[str] = "safe"
+
+    # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
+    locked: bool | None = hidden_value()
+
+
+@EnvConfig.register_subclass("adamanip_microwave")
+@dataclass
+class AdaManipMicrowaveEnvConfig(AdaManipEnvConfig):
+    """Open a microwave that may be locked, by a button that releases its door."""
+
+    category: ClassVar[str] = "microwave"
+
+    # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
+    locked: bool | None = hidden_value()
+
+
+@EnvConfig.register_subclass("adamanip_window")
+@dataclass
+class AdaManipWindowEnvConfig(_TwistEnvConfig):
+    """Turn a window's handle, nobody knows which way and how far, and pull the sash open."""
+
+    category: ClassVar[str] = "window"
+
+
+@EnvConfig.register_subclass("adamanip_door")
+@dataclass
+class AdaManipDoorEnvConfig(_TwistEnvConfig):
+    """Turn a door's lever, nobody knows which way and how far, and pull the leaf open."""
+
+    category: ClassVar[str] = "door"
+
+
+@EnvConfig.register_subclass("adamanip_lamp")
+@dataclass
+class AdaManipLampEnvConfig(AdaManipEnvConfig):
+    """Switch on a lamp by a button, or by a knob that looks the same."""
+
+    category: ClassVar[str] = "lamp"
+
+    # Fix the hidden mode for an evaluation: 0 push, 1 turn +, 2 turn -, or leave it to the draw.
+    mode: int | None = hidden_value()

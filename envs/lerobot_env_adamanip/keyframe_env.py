@@ -11,8 +11,17 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, explain, no_vulkan_device
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import (
+    AdaManipError,
+    ConfigurationError,
+    SimulatorError,
+    explain,
+    no_vulkan_device,
+    require_choice,
+)
 from lerobot_adamanip.experts.base import Feedback
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import (
@@ -28,8 +37,6 @@ from lerobot_env_adamanip.episode import EpisodeMonitor
 from lerobot_env_adamanip.layout import randomization
 
 Observation = dict[str, Any]
-TASK_IDS = {"safe": "AdaManip-Safe-v1"}
-DESCRIPTIONS = {"safe": "Open the safe."}
 
 
 class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
@@ -41,12 +48,13 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``.
 
     Args:
-        category: ``safe``.
+        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`.
         objects: which ones: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's is drawn from its seed.
         num_points: N.
         image_size: of the front camera [px].
         observe_images: whether observations hold the image.
         pose_preset: ``default`` randomises object, robot and camera pose; ``paper`` fixes them.
+        mechanism_preset: ``paper`` follows the paper's text, ``upstream`` its released code.
         max_key_frames: length limit.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         episode_log: a file to which each ended episode's record is appended as a line of JSON.
@@ -64,6 +72,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         image_size: int = IMAGE_SIZE,
         observe_images: bool = True,
         pose_preset: str = "default",
+        mechanism_preset: str = "paper",
         max_key_frames: int = MAX_KEY_FRAMES,
         hidden_overrides: dict[str, Any] | None = None,
         episode_log: str | os.PathLike[str] | None = None,
@@ -71,10 +80,11 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         parse_object_selection(category, objects)
         randomization(pose_preset)
+        require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         _check_range("image size [px]", image_size, 16, 2048, "--env.image_size=256")
         _check_range("number of key frames per episode", max_key_frames, 1, 10_000, "--env.episode_length=45")
         self.category, self.num_points, self.workspace = category, check_num_points(num_points), workspace
-        self.task = self.task_description = DESCRIPTIONS[category]
+        self.task = self.task_description = CATEGORIES[category].instruction
         self.render_mode = "rgb_array"
         self._max_episode_steps = max_key_frames
         self._observe_images = observe_images
@@ -82,6 +92,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._task_options = {
             "objects": objects,
             "pose_preset": pose_preset,
+            "mechanism_preset": mechanism_preset,
             "image_size": image_size,
             "hidden_overrides": hidden_overrides,
         }
@@ -238,7 +249,7 @@ def make_task(category: str, **options: Any) -> Any:
             )
         ) from error  # fmt: skip
     try:
-        return gym.make(TASK_IDS[category], obs_mode="none", reward_mode="none", **options).unwrapped
+        return gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
     except RuntimeError as error:
         if isinstance(error, AdaManipError) or not any(
             word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")

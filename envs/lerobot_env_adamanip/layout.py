@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +12,12 @@ from lerobot_adamanip.errors import UnreachableError, explain, require_choice
 from lerobot_adamanip.experts.base import PRE_GRASP
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.rotations import rotation_about, transform
-from lerobot_env_adamanip.arm import REST_QPOS, ArmKinematics
+from lerobot_env_adamanip.arm import ArmKinematics
 
 Array = NDArray[np.float64]
 
-FLIP = transform(rotation=np.diag([-1.0, -1.0, 1.0]))
-"""Half a turn about the approach: the same grasp for a gripper with two equal fingers."""
+PATH_STEPS = 6
+"""Poses checked on each leg of a path."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +59,24 @@ class Layout:
     annotations: dict[str, PartAnnotation]
 
 
+Path = tuple[Mapping[str, float], ...]
+"""Joint positions [rad or m] to visit one after the other, from rest."""
+
+
 @dataclass(frozen=True)
 class Reach:
-    """What the arm must reach at a part: it turns from ``lower`` to ``upper`` [rad] with the part held."""
+    """What the arm must reach at a part: hold it, and take it along every one of ``paths``.
+
+    >>> Reach("knob", ({"knob": -1.2},), ({"knob": 1.2},))  # both ways from rest
+    >>> Reach("cap", ({"cap": 2.0}, {"cap": 2.0, "lift": 0.05}))  # turn, then lift
+    """
 
     part: str
-    lower: float
-    upper: float
+    paths: tuple[Path, ...]
+
+    def __init__(self, part: str, *paths: Path) -> None:
+        object.__setattr__(self, "part", part)
+        object.__setattr__(self, "paths", paths)
 
 
 def draw_layout(
@@ -97,7 +109,7 @@ def draw_layout(
         x, y = nominal_x + rng.uniform(-1, 1) * spread.object_x, rng.uniform(-1, 1) * spread.object_y
         yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
         pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
-        start = np.clip(REST_QPOS + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
+        start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
         annotations = _reachable(obj, pose, kinematics, reaches)
         if annotations is not None:
             return Layout(pose, start, annotations)
@@ -117,32 +129,40 @@ def _reachable(
     found = {}
     for reach in reaches:
         part = obj.part(reach.part).in_frame(pose)
-        candidates = [part, PartAnnotation(part.name, part.grasp @ FLIP, part.axis_point, part.axis)]
-        scored = [
-            (cost, candidate)
-            for candidate in candidates
-            if (cost := _turning_cost(candidate, reach, kinematics)) is not None
-        ]
+        candidates = [part.rolled(angle) if angle else part for angle in part.rolls]
+        costs = [_cost(each, reach, kinematics) for each in candidates]
+        scored = [(cost, k) for k, cost in enumerate(costs) if cost is not None]
         if not scored:
             return None
-        found[reach.part] = min(scored, key=lambda pair: pair[0])[1]
+        found[reach.part] = candidates[min(scored)[1]]
     return found
 
 
-def _turning_cost(part: PartAnnotation, reach: Reach, kinematics: ArmKinematics) -> float | None:
-    """Returns how far the wrist strays from rest while holding and turning the part; None if out of reach."""
+def _cost(part: PartAnnotation, reach: Reach, kinematics: ArmKinematics) -> float | None:
+    """Returns how far the wrist strays from rest while holding and moving the part; None if out of reach."""
     before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
-    grasped = kinematics.solve(before, REST_QPOS, iterations=120, posture_steps=60)
+    grasped = kinematics.solve(before, kinematics.rest, iterations=120, posture_steps=60)
     if not grasped.within(2e-3, 0.01):
         return None
     first = kinematics.solve(part.grasp, grasped.qpos, iterations=60)
     strayed = 0.0
-    for limit in (reach.lower, reach.upper):
+    for path in reach.paths:
         qpos = first.qpos
-        for angle in np.linspace(0.0, limit, 7):
-            solution = kinematics.solve(part.turned(angle), qpos, iterations=40)
+        for positions in _along(path):
+            solution = kinematics.solve(part.moved(positions), qpos, iterations=40)
             if not solution.within(2e-3, 0.01):
                 return None
             qpos = solution.qpos
-            strayed = max(strayed, float(np.abs(qpos[6] - REST_QPOS[6])))
+            strayed = max(strayed, float(np.abs(qpos[6] - kinematics.rest[6])))
     return strayed
+
+
+def _along(path: Path) -> Iterator[dict[str, float]]:
+    """Joint positions on the way: the first is rest."""
+    here: dict[str, float] = dict.fromkeys(path[0], 0.0)
+    yield here
+    for leg in path:
+        for fraction in np.arange(1, PATH_STEPS + 1) / PATH_STEPS:
+            start = {name: here.get(name, 0.0) for name in leg}
+            yield {name: start[name] + float(fraction) * (goal - start[name]) for name, goal in leg.items()}
+        here = dict(leg)

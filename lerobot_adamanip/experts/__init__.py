@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
+from lerobot_adamanip.experts import lamp, microwave, safe, twist
 from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Outcome, Phase
-from lerobot_adamanip.experts.safe import adaptive_safe, static_safe
 from lerobot_adamanip.objects import PartAnnotation
 
 EXPERT_KINDS = ("adaptive", "static")
-_ADAPTIVE = {"safe": adaptive_safe}
-_STATIC = {"safe": static_safe}
+_TWISTED = twist.TWISTS
+_ADAPTIVE: dict[str, Callable[..., KeyFrames]] = {
+    "safe": safe.adaptive,
+    "microwave": microwave.adaptive,
+    "lamp": lamp.adaptive,
+    **{name: functools.partial(twist.adaptive, style) for name, style in _TWISTED.items()},
+}
+_STATIC: dict[str, Callable[..., KeyFrames]] = {
+    "safe": safe.static,
+    "microwave": microwave.static,
+    "lamp": lamp.static,
+    **{name: functools.partial(twist.static, style) for name, style in _TWISTED.items()},
+}
+SEQUENCES = {
+    "safe": safe.SEQUENCE,
+    "microwave": microwave.SEQUENCE,
+    "lamp": lamp.SEQUENCE,
+    **{name: style.sequence for name, style in _TWISTED.items()},
+}
+"""What the adaptive expert of a category does, in words."""
 
 
 def make_expert(
@@ -28,7 +47,7 @@ def make_expert(
     """Returns an expert at work.
 
     Args:
-        category: ``safe``.
+        category: ``bottle`` ... ``lamp``.
         kind: ``adaptive`` (observation and history only) or ``static`` (with sight of the hidden state).
         annotations: part poses in the robot's base frame.
         generator: decides what the expert leaves to chance.
@@ -55,4 +74,4 @@ def make_expert(
     return _ADAPTIVE[category](annotations, generator, trials=trials)
 
 
-__all__ = ["EXPERT_KINDS", "Feedback", "Goal", "KeyFrames", "Outcome", "Phase", "make_expert"]
+__all__ = ["EXPERT_KINDS", "SEQUENCES", "Feedback", "Goal", "KeyFrames", "Outcome", "Phase", "make_expert"]

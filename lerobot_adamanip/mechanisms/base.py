@@ -37,6 +37,8 @@ class Mechanism[StateT](ABC):
 
     joints: tuple[str, ...]
     """Names of the joints it reads and limits."""
+    goals: Mapping[str, float]
+    """Joint name -> distance from rest [rad or m]: one of these joints beyond it is success."""
 
     @abstractmethod
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> StateT:
@@ -53,6 +55,15 @@ class Mechanism[StateT](ABC):
     @abstractmethod
     def hidden(self, state: StateT, index: int) -> dict[str, Any]:
         """Returns one environment's hidden draw, JSON-able, by the names that ``overrides`` takes."""
+
+    @abstractmethod
+    def rules(self) -> dict[str, str]:
+        """Returns ``hidden``, ``draws`` and ``thresholds`` in words, for the documentation's table."""
+
+    def succeeded(self, reading: Reading) -> Tensor:
+        """Returns (B,) bool: whether a joint is beyond its goal."""
+        beyond = [reading[joint].abs() > goal for joint, goal in self.goals.items()]
+        return torch.stack(beyond).any(dim=0)
 
 
 def uniform(batch_size: int, generator: torch.Generator) -> Tensor:

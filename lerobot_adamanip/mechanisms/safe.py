@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Read
 from lerobot_adamanip.mechanisms.lock import LockState
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
+from lerobot_adamanip.mechanisms.twist import direction_words, range_words
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,20 @@ class SafeMechanism(Mechanism[SafeState]):
     Args:
         door_upper: opening limit [rad].
         knob_range: the object's nominal knob range [rad].
+        success: door angle beyond which the safe is open [rad] (paper code: pi/7).
         config: draws and thresholds.
     """
 
     joints = ("door", "knob")
 
     def __init__(
-        self, door_upper: float, knob_range: float, config: SafeMechanismConfig = SafeMechanismConfig()
+        self,
+        door_upper: float,
+        knob_range: float,
+        success: float = math.pi / 7,
+        config: SafeMechanismConfig = SafeMechanismConfig(),
     ) -> None:
-        self.config = config
+        self.config, self.goals = config, {"door": success}
         self._lock = SwitchContact(
             door_upper, config.p_locked, config.release_fraction, lock_on_turn=config.lock_on_turn
         )
@@ -77,4 +84,15 @@ class SafeMechanism(Mechanism[SafeState]):
             "locked": bool(state.lock.locked[index]),
             "direction": int(state.rotation.direction[index]),
             "knob_range": float(state.rotation.turn_range[index]),
+        }
+
+    def rules(self) -> dict[str, str]:
+        """Returns hidden state, draws and thresholds in words."""
+        config = self.config
+        spoils = f"; turning an unlocked one by {self._lock.lock_fraction:g} locks it" if config.lock_on_turn else ""
+        return {
+            "hidden": "locked or not, direction, range",
+            "draws": f"locked with p = {config.p_locked:g}; {direction_words(config.p_clockwise)}; "
+            f"range {range_words(config.range_fraction)}",
+            "thresholds": f"knob at {config.release_fraction:g} of its range frees door{spoils}",
         }

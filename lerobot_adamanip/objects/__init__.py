@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import re
-from collections.abc import Callable
 
+from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, PartAnnotation, Shape
-from lerobot_adamanip.objects.safe import make_safe
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Motion, PartAnnotation, Shape
 
-_GENERATORS: dict[str, Callable[[int], ArticulatedObject]] = {"safe": make_safe}
-
-SEEN_COUNTS = {"safe": 36}
+SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""
 
 
 def categories() -> tuple[str, ...]:
     """Returns the names of the categories."""
-    return tuple(_GENERATORS)
+    return tuple(CATEGORIES)
 
 
 def object_id(category: str, number: int) -> str:
@@ -29,12 +27,12 @@ def object_id(category: str, number: int) -> str:
 def parse_object_id(identifier: str) -> tuple[str, int]:
     """Returns ("safe", 7) for ``safe_007``; raises `ConfigurationError` for anything else."""
     match = re.fullmatch(r"([a-z_]+)_([0-9]{3}|[1-9][0-9]{3,5})", identifier)  # one object, one id
-    if match is None or match[1] not in _GENERATORS:
+    if match is None or match[1] not in CATEGORIES:
         raise ConfigurationError(
             explain(
                 "Unknown object id.",
                 got=repr(identifier),
-                allowed=f"<category>_<number>, category one of {', '.join(_GENERATORS)}",
+                allowed=f"<category>_<number>, category one of {', '.join(CATEGORIES)}",
                 try_="safe_000",
             )
         )
@@ -45,7 +43,9 @@ def parse_object_id(identifier: str) -> tuple[str, int]:
 def make_object(identifier: str) -> ArticulatedObject:
     """Builds an object by id. Deterministic: one id is one object, everywhere."""
     category, number = parse_object_id(identifier)
-    return _GENERATORS[category](number)
+    generator = importlib.import_module(f"lerobot_adamanip.objects.{category}")
+    made: ArticulatedObject = getattr(generator, f"make_{category}")(number)
+    return made
 
 
 def seen_objects(category: str) -> tuple[str, ...]:
@@ -84,6 +84,6 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
 
 
 __all__ = [
-    "SEEN_COUNTS", "ArticulatedObject", "Joint", "Link", "Material", "PartAnnotation", "Shape", "categories",
+    "SEEN_COUNTS", "ArticulatedObject", "Joint", "Link", "Material", "Motion", "PartAnnotation", "Shape", "categories",
     "make_object", "object_id", "parse_object_id", "parse_object_selection", "seen_objects", "unseen_objects",
 ]  # fmt: skip

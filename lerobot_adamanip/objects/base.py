@@ -122,7 +122,8 @@ class Motion:
             # A hand on the axis stays where it is: it is its own rotation that tells.
             square = before[:3, int(np.argmin(np.abs(self.axis @ before[:3, :3])))]
             first, second = square, now[:3, :3] @ before[:3, :3].T @ square
-        return float(np.arctan2(self.axis @ np.cross(first, second), first @ second - (self.axis @ first) ** 2))
+        along = (self.axis @ first) * (self.axis @ second)
+        return float(np.arctan2(self.axis @ np.cross(first, second), first @ second - along))
 
     def in_frame(self, frame: Pose) -> Motion:
         """Returns this motion expressed in the frame in which ``frame`` (4, 4) is its present frame's pose."""

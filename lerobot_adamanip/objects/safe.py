@@ -158,8 +158,8 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
     )
     origin = np.asarray(door_origin)
     parts = (
-        annotate(links, "leaf", "handle", facing(origin + (GRASP_REACH, handle_y, handle_z))),
-        annotate(links, "knob", "knob", facing(origin + (GRASP_REACH, knob_y, knob_z))),
+        annotate(links, "leaf", "handle", facing(origin + np.array((GRASP_REACH, handle_y, handle_z)))),
+        annotate(links, "knob", "knob", facing(origin + np.array((GRASP_REACH, knob_y, knob_z)))),
     )
     side = "left" if design.hinge_side < 0 else "right"
     return ArticulatedObject(

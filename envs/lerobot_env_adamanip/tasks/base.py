@@ -15,10 +15,10 @@ from mani_skill.utils.building.ground import build_ground
 from mani_skill.utils.structs.types import SimConfig
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError, explain
-from lerobot_adamanip.mechanisms import Mechanism
+from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_selection
-from lerobot_env_adamanip.arm import NUM_ARM_JOINTS, ArmKinematics
+from lerobot_env_adamanip.arm import LEVEL_REST, NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.building import build_object, sapien_pose
 from lerobot_env_adamanip.driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.layout import Layout, Reach, draw_layout, randomization
@@ -29,21 +29,25 @@ CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
 """Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
 CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
 """Names under which ManiSkill knows CPU physics."""
+SWING_REACH = float(np.deg2rad(44))
+"""The arm must be able to swing a door this far [rad]: past success, with room for a slack grip."""
+LIFT_REACH = 0.045
+"""The arm must be able to take a cap or lid this far [m]: past success."""
 _LAYOUT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
 class AdaManipTask(BaseEnv):
-    """Base of the tasks; a category says which mechanism, which reaches, and what success is.
+    """Base of the tasks; a category says where its objects stand and what the arm has to reach.
 
     Task description: manipulate an articulated object whose mechanism cannot be seen.
     Randomizations: object out of ``objects``; its pose, the arm's start and the camera's pose (``pose_preset``);
         hidden state, from a stream of its own, so that two episodes that differ in it alone look the same.
-    Success conditions: see the category.
+    Success conditions: a joint beyond its goal, see `Mechanism.goals`.
 
     CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation forbids.
 
     ManiSkill's ``state`` observation is the arm's joint positions and velocities alone; neither the object's joints nor
-    anything hidden is in it. ``info`` tells the door's angle, which `KeyframeEnv` does not pass on.
+    anything hidden is in it. ``info`` tells the object's joints, which `KeyframeEnv` does not pass on.
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
@@ -51,14 +55,18 @@ class AdaManipTask(BaseEnv):
     agent: AdaManipPanda
     category: ClassVar[str]
     nominal_x: ClassVar[float] = 0.66
+    """Distance of the object's front from the robot's base [m]."""
     part_height: ClassVar[float] = 0.72
-    """Where the plinth lifts the handle to [m]."""
+    """Where the plinth lifts the first part to [m]."""
+    rest: ClassVar[NDArray[np.float64]] = LEVEL_REST
+    """The arm's posture at the start, and the one its elbow is drawn to [rad]."""
 
     def __init__(
         self,
         *args: Any,
         objects: str = "seen",
         pose_preset: str = "default",
+        mechanism_preset: str = "paper",
         image_size: int = 256,
         shader: str = "default",
         hidden_overrides: Mapping[str, Any] | None = None,
@@ -83,6 +91,7 @@ class AdaManipTask(BaseEnv):
             )  # fmt: skip
         self.object_ids = parse_object_selection(self.category, objects)
         self.spread = randomization(pose_preset)
+        self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._shader = image_size, shader
         kwargs.setdefault("reconfiguration_freq", 1)
@@ -90,10 +99,6 @@ class AdaManipTask(BaseEnv):
         super().__init__(*args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", **kwargs)
 
     # What a category defines ------------------------------------------------------------------------------------
-
-    def make_mechanism(self, obj: ArticulatedObject) -> Mechanism[Any]:
-        """Returns the rules of an object of this category."""
-        raise NotImplementedError
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
         """Returns the part motions the arm has to be able to make."""
@@ -131,15 +136,15 @@ class AdaManipTask(BaseEnv):
     def _load_scene(self, options: dict[str, Any]) -> None:
         chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
         self.obj = make_object(str(chosen))
-        self.mechanism = self.make_mechanism(self.obj)
+        self.mechanism = make_mechanism(self.obj, self.mechanism_preset)
         self.floor_z = self._floor_height()
         build_ground(self.scene)
         self._plinth = self._build_plinth()
         self.articulation = build_object(self.scene, self.obj, np.eye(4))
-        self.kinematics = ArmKinematics(self.agent.robot._objs[0])
+        self.kinematics = ArmKinematics(self.agent.robot._objs[0], self.rest)
 
     def _floor_height(self) -> float:
-        return float(np.clip(self.part_height - self.obj.part("handle").grasp[2, 3], 0.04, 0.7))
+        return float(np.clip(self.part_height - self.obj.parts[0].grasp[2, 3], 0.04, 0.7))
 
     def _build_plinth(self) -> Any:
         builder = self.scene.create_actor_builder()
@@ -224,7 +229,18 @@ class AdaManipTask(BaseEnv):
 
     # Outcome ----------------------------------------------------------------------------------------------------
 
+    def evaluate(self) -> dict[str, Any]:
+        """Returns success and the object's joint positions [rad or m]."""
+        positions = {name: torch.tensor([q]) for name, q in self.joint_positions().items()}
+        return {"success": self.mechanism.succeeded(positions), **positions}
+
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """1 while the success conditions hold."""
         reward: torch.Tensor = info["success"].float()
         return reward
+
+
+def turn_then_open(obj: ArticulatedObject, part: str, key: str, final: str, far: float) -> Reach:
+    """Returns the reach of a part that turns through all of its key joint's range, and opens by ``far`` from there."""
+    paths = [({key: turn}, {key: turn, final: far}) for turn in obj.joint(key).limits if turn]
+    return Reach(part, *paths)

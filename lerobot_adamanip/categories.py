@@ -1,0 +1,54 @@
+"""The nine categories: what they are called, how many objects the paper has of each, and what a robot is told to do.
+
+Pure data, light to import. Everything else about a category stands in a module named after it: its objects in
+`lerobot_adamanip.objects`, its rules in `lerobot_adamanip.mechanisms`, its experts in `lerobot_adamanip.experts`, its
+ManiSkill task in `lerobot_env_adamanip.tasks`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Category:
+    """One kind of object.
+
+    Attributes:
+        name: ``pressure_cooker``.
+        seen: number of objects in the paper (its Table 1), those that demonstrations are collected on.
+        instruction: the task in words, as policies and datasets carry it.
+    """
+
+    name: str
+    seen: int
+    instruction: str
+
+    @property
+    def camel_name(self) -> str:
+        """``PressureCooker``, as ManiSkill spells tasks."""
+        return "".join(word.capitalize() for word in self.name.split("_"))
+
+    @property
+    def task_id(self) -> str:
+        """``AdaManip-PressureCooker-v1``."""
+        return f"AdaManip-{self.camel_name}-v1"
+
+
+CATEGORIES = {
+    category.name: category
+    for category in (
+        Category("bottle", 32, "Open the bottle."),
+        Category("pen", 36, "Take the cap off the pen."),
+        Category("pressure_cooker", 6, "Open the pressure cooker."),
+        Category("coffee_maker", 18, "Take the portafilter out of the coffee maker."),
+        Category("safe", 36, "Open the safe."),
+        Category("microwave", 37, "Open the microwave."),
+        Category("window", 30, "Open the window."),
+        Category("door", 57, "Open the door."),
+        Category("lamp", 25, "Switch on the lamp."),
+    )
+}
+"""In the order of the paper's result tables."""
+ALL = "all"
+"""Stands for every category where a command takes one."""
