@@ -1,0 +1,144 @@
+"""What a foreign object's joints and parts are called here, per category, and how its annotated points are held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+MovingKind = Literal["revolute", "prismatic"]
+GraspKind = Literal["facing", "from_above"]
+
+
+@dataclass(frozen=True)
+class JointRole:
+    """A joint a category needs.
+
+    Attributes:
+        name: here.
+        kind: type it has to have (a continuous joint counts as revolute).
+        either_way: whether it turns to both sides of zero.
+        upper: range where the URDF states none [rad or m] (upstream's nominal value).
+        friction, damping: see `Joint`; URDFs of those collections state none that can be used.
+    """
+
+    name: str
+    kind: MovingKind
+    either_way: bool
+    upper: float
+    friction: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class PartRole:
+    """A part a category needs.
+
+    Attributes:
+        name: here.
+        joints: that have to carry it.
+        point_files: of AdaManip's and UniDoorManip's layouts that may hold its annotated point, best first.
+        grasp: direction a hand comes from.
+        roll: of the fingers about the approach [rad] (`facing`, `from_above`).
+        past: from the annotated point to the tool centre point along the approach [m]: upstream holds with the hand's
+            origin some way before the point, and the tool centre point is 0.1034 m before that.
+        up: from the annotated point upwards [m].
+        round: whether it may be held from every side.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    point_files: tuple[str, ...]
+    grasp: GraspKind
+    roll: float = 0.0
+    past: float = 0.0
+    up: float = 0.0
+    round: bool = False
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What a category consists of: ``final`` opens it, ``key`` releases it (the paper's names)."""
+
+    final: JointRole
+    key: JointRole
+    parts: tuple[PartRole, ...]
+    folders: tuple[str, ...]
+    """Names of a directory of such objects: ours first, then AdaManip's."""
+    partnet: tuple[str, ...] = ()
+    """PartNet-Mobility's names of the category."""
+
+    @property
+    def joints(self) -> tuple[JointRole, JointRole]:
+        """Both joints, final first."""
+        return self.final, self.key
+
+
+QUARTER = 1.5707963267948966
+"""[rad]"""
+HANDLE_FILES = ("handle_pos.npy", "goal_pos.npy", "handle_bounding.json")
+BOTTLE_FILES = ("goal_pos.npy", "handle_pos.npy")
+DOOR_FILES = ("handle_bounding.json", "goal_pos.npy", "handle_pos.npy")
+
+ROLES: dict[str, Roles] = {
+    "bottle": Roles(
+        JointRole("lift", "prismatic", False, 0.05, 0.5, 5.0),
+        JointRole("cap", "revolute", True, 2.35, 0.03, 0.01),
+        (PartRole("cap", ("lift", "cap"), BOTTLE_FILES, "from_above", QUARTER, 0.0014, round=True),),
+        ("bottle",), ("Bottle",),
+    ),
+    "pen": Roles(
+        JointRole("lift", "prismatic", False, 0.05, 0.3, 3.0),
+        JointRole("cap", "revolute", True, 2.35, 0.02, 0.01),
+        (PartRole("cap", ("lift", "cap"), HANDLE_FILES, "from_above", QUARTER, -0.0226, round=True),),
+        ("pen",), ("Pen",),
+    ),
+    "pressure_cooker": Roles(
+        JointRole("lift", "prismatic", False, 0.05, 0.5, 5.0),
+        JointRole("lid", "revolute", True, 0.824, 0.1, 0.1),
+        (PartRole("handle", ("lift", "lid"), HANDLE_FILES, "from_above", 0.0, 0.0054),),
+        ("pressure_cooker", "pc"), ("KitchenPot",),
+    ),
+    "coffee_maker": Roles(
+        JointRole("drop", "prismatic", False, 0.05, 5.0, 5.0),
+        JointRole("portafilter", "revolute", True, 0.80, 0.1, 0.1),
+        (PartRole("handle", ("drop", "portafilter"), HANDLE_FILES, "from_above", 0.0, 0.0014),),
+        ("coffee_maker", "coffee_machine", "cm"), ("CoffeeMachine",),
+    ),
+    "window": Roles(
+        JointRole("sash", "revolute", False, 1.57, 0.3, 1.0),
+        JointRole("handle", "revolute", True, 1.57, 0.06, 0.05),
+        (PartRole("handle", ("sash", "handle"), HANDLE_FILES, "facing", 0.0, 0.0054, 0.01),),
+        ("window",), ("Window",),
+    ),
+    "door": Roles(
+        JointRole("leaf", "revolute", False, 1.57, 0.3, 1.0),
+        JointRole("lever", "revolute", True, 1.05, 0.06, 0.05),
+        (PartRole("lever", ("leaf", "lever"), DOOR_FILES, "facing", QUARTER, 0.0014, 0.01),),
+        ("door",), ("Door",),
+    ),
+    "lamp": Roles(
+        JointRole("button", "prismatic", False, 0.01, 0.5, 2.0),
+        JointRole("knob", "revolute", True, 1.57, 0.03, 0.01),
+        (PartRole("knob", ("button", "knob"), HANDLE_FILES, "from_above", QUARTER, 0.0034, round=True),),
+        ("lamp",), ("Lamp",),
+    ),
+    "microwave": Roles(
+        JointRole("door", "revolute", False, 1.578, 0.3, 1.0),
+        JointRole("button", "prismatic", False, 0.02, 0.5, 2.0),
+        (
+            PartRole("handle", ("door",), HANDLE_FILES, "facing", 0.0, 0.0074),
+            PartRole("button", ("button",), ("button_pos.npy",), "facing", QUARTER, 0.0),
+        ),
+        ("microwave", "mv"), ("Microwave",),
+    ),
+    "safe": Roles(
+        JointRole("door", "revolute", False, 1.578, 0.3, 1.0),
+        JointRole("knob", "revolute", True, 1.4, 0.06, 0.02),
+        (
+            PartRole("handle", ("door",), HANDLE_FILES, "facing", QUARTER, -0.0066),
+            PartRole("knob", ("door", "knob"), ("knob_pos.npy",), "facing", QUARTER, -0.0046),
+        ),
+        ("safe",), ("Safe",),
+    ),
+}  # fmt: skip
+"""Per category. Ranges, holding directions and offsets: AdaManip's code, as far as its annotations depend on them."""
