@@ -18,6 +18,8 @@ from lerobot_adamanip.rotations import quaternion_from_matrix, rotation_with_x_a
 
 FRICTION = 1.2
 """Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
+_NO_SELF_COLLISION = 1 << 27
+"""Shapes that share a bit of SAPIEN's third collision group pass through each other."""
 
 
 def sapien_pose(matrix: NDArray[Any]) -> sapien.Pose:
@@ -34,8 +36,11 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
     for link in obj.links:
         made = builder.create_link_builder(links.get(link.parent) if link.parent else None)
         made.set_name(link.name)
+        if not obj.self_collides:
+            made.collision_groups = [1, 1, _NO_SELF_COLLISION, 0]
         for shape in link.shapes:
-            _add_visual(made, shape)
+            if shape.visible:
+                _add_visual(made, shape)
             if shape.collides:
                 _add_collision(made, shape, material)
         made.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))

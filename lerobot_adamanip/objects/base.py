@@ -31,13 +31,14 @@ class Shape:
 
     Attributes:
         kind: ``box`` (size = half extents), ``cylinder`` / ``capsule`` (size = radius, half length; the axis is x),
-            or ``mesh`` (convex, from ``vertices`` and ``faces``).
+            or ``mesh`` (from ``vertices`` and ``faces``; convex if it collides).
         size: [m].
         pose_in_link: (4, 4).
         material: look.
         collides: whether it is solid, or decoration only.
         vertices: (V, 3) [m] for a mesh.
         faces: (F, 3) vertex indices for a mesh.
+        visible: whether it is seen, or stands for what is seen in collisions only.
     """
 
     kind: ShapeKind
@@ -47,6 +48,7 @@ class Shape:
     collides: bool = True
     vertices: NDArray[np.float32] | None = None
     faces: NDArray[np.int32] | None = None
+    visible: bool = True
 
 
 @dataclass(frozen=True)
@@ -193,6 +195,8 @@ class ArticulatedObject:
         parts: annotations in the object frame, joints at zero.
         size: (width, depth, height) of the bounding box [m].
         description: the drawn parameters, for labels and cards.
+        self_collides: whether its links stop each other. Those of a generated object never meet; a foreign one's
+            meshes often overlap a little, and must not jam.
     """
 
     object_id: str
@@ -201,6 +205,7 @@ class ArticulatedObject:
     parts: tuple[PartAnnotation, ...]
     size: tuple[float, float, float]
     description: str = ""
+    self_collides: bool = True
 
     def part(self, name: str) -> PartAnnotation:
         """Returns the annotation of a part; KeyError that lists the parts if there is none of that name."""
