@@ -1,0 +1,219 @@
+"""Coffee makers: espresso machines with a portafilter under the group head. Sizes follow home machines.
+
+The portafilter is held from above by its bar handle, which sticks out of the front: a hand that comes down can swing
+the handle 46 degrees to either side of a machine that itself stands a little askew; a level hand's yaw ends at 43.
+What is hidden (which way it turns and how far) is drawn per episode by the mechanism and leaves no trace.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_adamanip.objects import coffee_maker_looks as looks
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.rounds import bar, turned, upright
+from lerobot_adamanip.objects.shapes import box, disk, rod
+
+PORTAFILTER_RANGE = 0.80
+"""Nominal turn to either side [rad] (paper code)."""
+DROP_UPPER = 0.05
+"""How far the portafilter comes down [m] (paper code)."""
+GAP = 0.0015
+"""Between the group head and what turns below it [m]."""
+BASKET_RADIUS = 0.035
+BODY_STYLES = ("box", "column", "rounded")
+PANEL_STYLES = ("gauge", "buttons", "dial", "display")
+TOP_STYLES = ("cups", "rail", "hopper", "plain")
+HANDLE_STYLES = ("tapered", "straight", "waisted")
+SPOUT_STYLES = ("double", "single", "bottomless")
+
+_BODY_COLORS = (
+    Material((0.70, 0.71, 0.73), 0.25, 0.95),
+    Material((0.58, 0.59, 0.61), 0.38, 0.95),
+    Material((0.035, 0.036, 0.04), 0.4, 0.2),
+    Material((0.50, 0.02, 0.025), 0.28, 0.1),
+    Material((0.72, 0.66, 0.52), 0.35),
+    Material((0.36, 0.58, 0.52), 0.35),
+    Material((0.78, 0.78, 0.77), 0.35),
+    Material((0.06, 0.12, 0.24), 0.3, 0.1),
+    Material((0.12, 0.125, 0.13), 0.45, 0.4),
+)
+_GRIPS = (
+    Material((0.02, 0.02, 0.022), 0.45),
+    Material((0.02, 0.02, 0.022), 0.45),
+    Material((0.23, 0.10, 0.035), 0.5),
+    Material((0.38, 0.22, 0.10), 0.5),
+    Material((0.70, 0.66, 0.55), 0.4),
+)
+
+
+@dataclass(frozen=True)
+class CoffeeMakerDesign:
+    """The parameters of one machine [m]. ``x`` values are measured from the group's axis, forwards.
+
+    Attributes:
+        width, height, depth: of the housing.
+        tray_height: of the base with the drip tray.
+        group_z: height of the group head's lower face.
+        axis_x: where the group's axis is, behind the tray's front.
+        head_x: front face of the upper housing.
+        column_x: front face of the back wall behind the cups.
+        grip_radius: of the grip, from the axis.
+        handle_length: from the axis to the handle's end.
+        handle_half: half width and height of the handle.
+        wand_side: side of the steam wand, -1 or 1.
+    """
+
+    width: float
+    height: float
+    depth: float
+    tray_height: float
+    group_z: float
+    axis_x: float
+    head_x: float
+    column_x: float
+    grip_radius: float
+    handle_length: float
+    handle_half: tuple[float, float]
+    wand_side: int
+    body_style: str
+    panel_style: str
+    top_style: str
+    handle_style: str
+    spout_style: str
+    body: Material
+    base: Material
+    chrome: Material
+    grip: Material
+
+    @property
+    def head_face(self) -> float:
+        """The upper housing's front in the object's frame [m]."""
+        return self.axis_x + self.head_x
+
+
+def draw_design(rng: np.random.Generator) -> CoffeeMakerDesign:
+    """Draws the parameters of one machine. Nothing but group and tray comes farther forward than the group's axis."""
+    body_style = str(rng.choice(BODY_STYLES))
+    tray_height = rng.uniform(0.045, 0.062)
+    group_z = tray_height + rng.uniform(0.145, 0.165)
+    grip_radius = rng.uniform(0.155, 0.175)
+    body = _BODY_COLORS[rng.integers(len(_BODY_COLORS))]
+    dark_base = rng.random() < 0.5
+    return CoffeeMakerDesign(
+        width=rng.uniform(0.20, 0.30),
+        height=group_z + rng.uniform(0.115, 0.155),
+        depth=rng.uniform(0.25, 0.33),
+        tray_height=tray_height,
+        group_z=group_z,
+        axis_x=-rng.uniform(0.055, 0.070),
+        head_x=-rng.uniform(0.058, 0.068) if body_style == "box" else -rng.uniform(0.022, 0.034),
+        column_x=-rng.uniform(0.066, 0.078),
+        grip_radius=grip_radius,
+        handle_length=grip_radius + rng.uniform(0.040, 0.052),
+        handle_half=(rng.uniform(0.012, 0.015), rng.uniform(0.012, 0.0145)),
+        wand_side=int(rng.choice([-1, 1])),
+        body_style=body_style,
+        panel_style=str(rng.choice(PANEL_STYLES)),
+        top_style=str(rng.choice(TOP_STYLES)),
+        handle_style=str(rng.choice(HANDLE_STYLES)),
+        spout_style=str(rng.choice(SPOUT_STYLES)),
+        body=body,
+        base=looks.BLACK if dark_base else body,
+        chrome=Material((0.80, 0.81, 0.83), rng.uniform(0.12, 0.25), 0.95),
+        grip=_GRIPS[rng.integers(len(_GRIPS))],
+    )
+
+
+def make_coffee_maker(number: int) -> ArticulatedObject:
+    """Builds machine ``number`` (18 in the paper's set; any number is an object)."""
+    design = draw_design(np.random.default_rng([number, 0xCAFE]))
+    return build_coffee_maker(f"coffee_maker_{number:03d}", design)
+
+
+def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> ArticulatedObject:
+    """Builds the links and the annotation of a design: joints ``drop`` and ``portafilter``, part ``handle``."""
+    group = (design.axis_x, 0.0, design.group_z)
+    # Friction carries portafilter and puck (5 N): let go half way, they stay where they are.
+    drop = Joint("drop", "prismatic", (0.0, 0.0, -1.0), group, (0.0, DROP_UPPER), friction=9.0, damping=20.0)
+    limits = (-PORTAFILTER_RANGE, PORTAFILTER_RANGE)
+    turn = Joint("portafilter", "revolute", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), limits, friction=0.2, damping=0.15)
+    links = (
+        Link("machine", looks.machine_shapes(design), mass=9.0),
+        Link("puck", _puck_shapes(), mass=0.05, parent="machine", joint=drop),
+        Link("portafilter", _portafilter_shapes(design), mass=0.45, parent="puck", joint=turn),
+    )
+    grip = (design.axis_x + design.grip_radius, 0.0, design.group_z + HANDLE_Z + 0.002)
+    top = {"cups": 0.062, "rail": 0.03, "hopper": 0.085, "plain": 0.0}[design.top_style]
+    return ArticulatedObject(
+        object_id, "coffee_maker", links, (annotate(links, "portafilter", "handle", from_above(grip)),),
+        (design.width, design.depth, design.height + top),
+        f"{design.body_style} body, {design.panel_style} panel, {design.top_style} top, {design.spout_style} spout",
+    )  # fmt: skip
+
+
+HANDLE_Z = -0.017
+"""Middle of the bar handle below the group head [m]."""
+
+
+def _puck_shapes() -> tuple[Shape, ...]:
+    """The coffee in the basket: it comes down with the portafilter and, being round, need not turn with it."""
+    coffee = Material((0.045, 0.022, 0.012), 0.9)
+    return (upright((0, 0, -GAP - 0.0002), BASKET_RADIUS - 0.006, 0.0006, coffee, collides=False),)
+
+
+def _portafilter_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
+    """The portafilter about the group's axis, z from the group's lower face."""
+    r, chrome = BASKET_RADIUS, design.chrome
+    bottomless = design.spout_style == "bottomless"
+    low = -0.030 if bottomless else -0.036
+    bowl = [(r - 0.002, low if bottomless else -0.026), (r - 0.002, -0.010), (r, -0.008), (r, -GAP)]
+    if not bottomless:
+        bowl = [(0.60 * r, low), *bowl]
+    shapes = [turned((0, 0, 0), bowl, chrome, sides=24)]
+    shapes += [box((0, side * (r + 0.002), -0.005), (0.008, 0.003, 0.003), chrome, collides=False) for side in (-1, 1)]
+    start = 0.072
+    shapes.append(rod((r - 0.006, 0, -0.017), (start + 0.012, 0, HANDLE_Z), 0.0075, chrome, round_ends=False))
+    shapes += _handle_shapes(design, start)
+    return tuple(shapes + _spout_shapes(design, low))
+
+
+def _spout_shapes(design: CoffeeMakerDesign, low: float) -> list[Shape]:
+    chrome, end = design.chrome, low - 0.026
+    if design.spout_style == "bottomless":
+        return [upright((0, 0, low - 0.0005), 0.027, 0.0008, looks.BLACK, collides=False)]
+    if design.spout_style == "single":
+        return [rod((0, 0, low), (0.004, 0, end + 0.006), 0.0075, chrome)]
+    shapes = [upright((0, 0, low - 0.004), 0.011, 0.005, chrome)]
+    for side in (-1, 1):
+        knee = (0.0, side * 0.017, low - 0.012)
+        shapes += [rod((0, side * 0.004, low - 0.005), knee, 0.006, chrome)]
+        shapes += [rod(knee, (0.0, side * 0.018, end), 0.0055, chrome)]
+    return shapes
+
+
+def _handle_shapes(design: CoffeeMakerDesign, start: float) -> list[Shape]:
+    """The bar handle along x: parallel sides where fingers close."""
+    (w, h), z, end, grip = design.handle_half, HANDLE_Z, design.handle_length, design.grip
+    collar = disk((start - 0.001, 0, z), 0.92 * w, 0.004, design.chrome, collides=False)
+    if design.handle_style == "straight":
+        bars = [bar([(start, z, w, h), (end - 0.004, z, w, h), (end, z, 0.8 * w, 0.8 * h)], grip, squareness=0.7)]
+    elif design.handle_style == "tapered":
+        stations = [(start, z, 0.78 * w, 0.78 * h), (start + 0.030, z, w, h), (end - 0.012, z, w, h),
+                    (end - 0.003, z, 0.85 * w, 0.85 * h), (end, z, 0.6 * w, 0.6 * h)]  # fmt: skip
+        bars = [bar(stations, grip, sides=20)]
+    else:
+        front, tail = design.grip_radius - 0.022, design.grip_radius + 0.018
+        bars = [
+            bar([(start, z, w + 0.003, h + 0.002), (front - 0.012, z, w + 0.003, h + 0.002), (front, z, w, h)], grip),
+            bar([(front, z, w, h), (tail, z, w, h)], grip),
+            bar([(tail, z, w, h), (end - 0.008, z, w + 0.004, h + 0.003), (end, z, 0.8 * w, 0.8 * h)], grip),
+        ]
+    cap = disk((end + 0.001, 0, z), 0.5 * w, 0.0015, design.chrome, collides=False)
+    return [collar, *bars, cap]
+
+
+__all__ = ["DROP_UPPER", "PORTAFILTER_RANGE", "CoffeeMakerDesign", "build_coffee_maker", "draw_design",
+           "make_coffee_maker"]  # fmt: skip

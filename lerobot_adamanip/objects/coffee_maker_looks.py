@@ -1,0 +1,233 @@
+"""What a coffee maker's housing looks like: base and drip tray, column, head, group, panel, wand and top."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.objects.rounds import round_cornered, turned, upright
+from lerobot_adamanip.objects.shapes import box, disk, rod
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.objects.coffee_maker import CoffeeMakerDesign
+
+BLACK = Material((0.022, 0.022, 0.025), 0.5)
+GLASS = Material((0.01, 0.012, 0.015), 0.12)
+WHITE = Material((0.85, 0.85, 0.83), 0.4)
+RED = Material((0.65, 0.03, 0.02), 0.4)
+GROUP_RADIUS = 0.039
+_CORNERS = {"box": (0.010, 0.004), "column": (0.016, 0.006), "rounded": (0.048, 0.020)}
+"""Radius of the vertical edges and bevel of the horizontal ones [m]."""
+
+
+def machine_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
+    """Everything that stays where it is."""
+    shapes = [*_base(design), *_housing(design), *_group(design), *_panel(design), *_wand(design), *_top(design)]
+    return tuple(shapes)
+
+
+def _slab(
+    design: CoffeeMakerDesign, front: float, low: float, high: float, material: Material, *, inset: float = 0.0,
+    collides: bool = True,
+) -> Shape:  # fmt: skip
+    """A part of the housing from ``front`` to the back, between two heights."""
+    corner, bevel = _CORNERS[design.body_style]
+    half = ((design.depth + front) / 2 - inset, design.width / 2 - inset, (high - low) / 2)
+    center = ((front - design.depth) / 2, 0, (low + high) / 2)
+    return round_cornered(center, half, corner, material, bevel=min(bevel, 0.2 * (high - low)), collides=collides)
+
+
+def _base(design: CoffeeMakerDesign) -> list[Shape]:
+    t, w = design.tray_height, design.width / 2
+    column = design.axis_x + design.column_x
+    shapes = [_slab(design, 0.0, 0.010, t, design.base)]
+    for x in (-0.035, -design.depth + 0.035):
+        shapes += [upright((x, s * (w - 0.035), 0.006), 0.014, 0.006, BLACK) for s in (-1, 1)]
+    deep, wide = (0.012 - column) / 2 - 0.012, w - 0.026
+    middle = column + deep + 0.002
+    shapes.append(box((middle, 0, t), (deep, wide, 0.0012), design.chrome, collides=False))
+    for y in np.linspace(-wide + 0.012, wide - 0.012, 13):
+        shapes.append(box((middle, y, t + 0.0006), (deep - 0.008, 0.0022, 0.0012), BLACK, collides=False))
+    lip = box((0.0005, 0, t * 0.55), (0.001, w - 0.055, 0.0035), design.chrome, collides=False)
+    return [*shapes, lip]
+
+
+def _housing(design: CoffeeMakerDesign) -> list[Shape]:
+    t, top = design.tray_height, design.height
+    column, head = design.axis_x + design.column_x, design.head_face
+    if design.body_style == "box":
+        panel = round_cornered(
+            (head, 0, (t + top) / 2), (0.002, design.width / 2 - 0.012, (top - t) / 2 - 0.010), 0.0018,
+            design.chrome, bevel=0.001, collides=False,
+        )  # fmt: skip
+        return [_slab(design, head, t - 0.002, top, design.body), panel]
+    low = design.group_z + 0.010
+    splash = box(
+        (column + 0.0005, 0, (t + low) / 2), (0.001, design.width / 2 - 0.05, (low - t) / 2 - 0.012),
+        design.chrome, collides=False,
+    )  # fmt: skip
+    shapes = [
+        _slab(design, column, t - 0.002, low + 0.002, design.body, inset=0.004),
+        _slab(design, head, low, top, design.body),
+        splash,
+    ]
+    if design.body_style == "rounded":
+        band = _slab(design, head + 0.0012, top - 0.030, top - 0.025, design.chrome, inset=-0.0012, collides=False)
+        shapes.append(band)
+    else:
+        shapes.append(_slab(design, head - 0.01, top - 0.001, top + 0.004, BLACK, inset=0.012))
+    return shapes
+
+
+def _group(design: CoffeeMakerDesign) -> list[Shape]:
+    """The group head above the portafilter, its lower face at ``group_z``."""
+    x, z, r, chrome = design.axis_x, design.group_z, GROUP_RADIUS, design.chrome
+    if design.body_style == "box":
+        reach = design.head_x
+        return [
+            turned((x, 0, z), [(r, 0), (r, 0.016), (0.8 * r, 0.024), (0.72 * r, 0.052)], chrome, sides=32),
+            turned((x, 0, z + 0.052), [(0.55 * r, 0), (0.55 * r, 0.010), (0.30 * r, 0.018)], chrome, sides=24),
+            rod((x, 0, z + 0.036), (x + reach - 0.004, 0, z + 0.036), 0.022, chrome, round_ends=False),
+            disk((x + reach + 0.004, 0, z + 0.036), 0.034, 0.004, chrome),
+        ]
+    return [
+        turned((x, 0, z), [(r, 0), (r, 0.014), (r - 0.003, 0.017)], chrome, sides=32),
+        turned((x, 0, z + 0.017), [(r - 0.003, 0), (r + 0.002, 0.004), (r + 0.002, 0.028), (r - 0.006, 0.036)],
+               design.base if design.base is BLACK else design.body, sides=32),
+    ]  # fmt: skip
+
+
+def _panel(design: CoffeeMakerDesign) -> list[Shape]:
+    """Controls on the upper front, none of them farther out than the group's axis."""
+    face = design.head_face + (0.002 if design.body_style == "box" else 0.0)
+    z = (design.group_z + 0.062 + design.height - 0.016) / 2
+    side = design.width / 2 - 0.048
+    away = -design.wand_side * side
+    builders = {"gauge": _gauge_panel, "buttons": _button_panel, "dial": _dial_panel, "display": _display_panel}
+    plate_z = design.group_z + 0.052 if design.body_style != "box" else design.height - 0.020
+    plate = box((face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome,
+                collides=False)  # fmt: skip
+    return [*builders[design.panel_style](design, face, z, away), plate]
+
+
+def _gauge(face: float, y: float, z: float, radius: float, chrome: Material) -> list[Shape]:
+    return [
+        disk((face + 0.003, y, z), radius, 0.003, chrome, collides=False),
+        disk((face + 0.006, y, z), 0.84 * radius, 0.0008, WHITE, collides=False),
+        *(
+            disk((face + 0.0068, y + 0.66 * radius * np.cos(a), z + 0.66 * radius * np.sin(a)), 0.0013, 0.0004, BLACK,
+                 collides=False)
+            for a in np.linspace(-0.6, np.pi + 0.6, 9)
+        ),
+        rod((face + 0.007, y, z), (face + 0.007, y - 0.45 * radius, z + 0.5 * radius), 0.0009, RED),
+        disk((face + 0.007, y, z), 0.003, 0.001, BLACK, collides=False),
+    ]  # fmt: skip
+
+
+def _gauge_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
+    shapes = _gauge(face, 0.0, z, 0.022, design.chrome)
+    for k, material in enumerate((BLACK, BLACK)):
+        y = away - np.sign(away) * 0.026 * k
+        shapes.append(box((face + 0.002, y, z), (0.003, 0.009, 0.014), material, collides=False))
+        shapes.append(box((face + 0.005, y, z + 0.006), (0.001, 0.006, 0.004), RED if k else WHITE, collides=False))
+    knob = disk((face + 0.010, -away, z), 0.017, 0.010, BLACK, collides=False)
+    return [*shapes, knob, disk((face + 0.020, -away, z), 0.010, 0.001, design.chrome, collides=False)]
+
+
+def _button_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
+    count = 3 if design.width < 0.25 else 4
+    shapes = [box((face + 0.001, 0, z), (0.0015, design.width / 2 - 0.030, 0.021), BLACK, collides=False)]
+    for y in np.linspace(-1, 1, count) * (design.width / 2 - 0.055):
+        shapes.append(disk((face + 0.004, y, z), 0.0125, 0.003, design.chrome, collides=False))
+        shapes.append(disk((face + 0.0072, y, z), 0.004, 0.0006, Material((0.55, 0.75, 0.95), 0.3), collides=False))
+    return shapes
+
+
+def _dial_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
+    pointer = box((face + 0.0225, away, z + 0.010), (0.0008, 0.0014, 0.007), WHITE, collides=False)
+    return [
+        *_gauge(face, -away, z, 0.020, design.chrome),
+        disk((face + 0.002, away, z), 0.027, 0.002, design.chrome, collides=False),
+        disk((face + 0.012, away, z), 0.021, 0.010, BLACK, collides=False),
+        pointer,
+        *(disk((face + 0.004, y, z), 0.007, 0.003, design.chrome, collides=False) for y in (-0.012, 0.012)),
+    ]
+
+
+def _display_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
+    blue = Material((0.25, 0.65, 0.9), 0.3)
+    shapes = [box((face + 0.001, 0, z), (0.0015, 0.040, 0.018), GLASS, collides=False)]
+    for k in range(4):
+        height = 0.004 + 0.002 * ((k * 7) % 3)
+        shapes.append(box((face + 0.0028, (k - 1.5) * 0.013, z), (0.0004, 0.004, height), blue, collides=False))
+    for y in (away, -away):
+        shapes.append(disk((face + 0.007, y, z), 0.015, 0.007, design.chrome, collides=False))
+        shapes.append(disk((face + 0.014, y, z), 0.011, 0.0008, BLACK, collides=False))
+    return shapes
+
+
+def _wand(design: CoffeeMakerDesign) -> list[Shape]:
+    """The steam wand, kept behind the group's axis, where a turned hand does not come."""
+    s, chrome = design.wand_side, design.chrome
+    y = s * (design.width / 2 - 0.030)
+    if design.body_style == "box":
+        start = np.array([design.head_face + 0.012, y, design.group_z + 0.030])
+        hinge = [disk((design.head_face + 0.006, y, start[2]), 0.013, 0.007, chrome)]
+    else:
+        start = np.array([design.axis_x - 0.046, y, design.group_z + 0.006])
+        hinge = [upright((start[0], y, start[2]), 0.012, 0.006, chrome)]
+    knee = np.array([design.axis_x - 0.024, y + s * 0.010, design.tray_height + 0.075])
+    tip = knee + (0.010, s * 0.006, -0.040)
+    sleeve = start + 0.45 * (knee - start)
+    return [
+        *hinge, rod(start, knee, 0.0045, chrome), rod(knee, tip, 0.0045, chrome),
+        rod(sleeve, start + 0.8 * (knee - start), 0.0075, BLACK), rod(tip, tip - (0, 0, 0.006), 0.0058, chrome),
+        *_side_knob(design),
+    ]  # fmt: skip
+
+
+def _side_knob(design: CoffeeMakerDesign) -> list[Shape]:
+    """The steam valve's knob, on the wand's side of the housing."""
+    y, z = design.wand_side * design.width / 2, design.height - 0.045
+    x = design.head_face - 0.075
+    root, tip = np.array([x, y - 0.002 * design.wand_side, z]), np.array([x, y + 0.026 * design.wand_side, z])
+    middle = root + 0.45 * (tip - root)
+    return [
+        rod(root, middle, 0.008, design.chrome, round_ends=False),
+        rod(middle, tip, 0.019, BLACK, round_ends=False),
+    ]
+
+
+def _top(design: CoffeeMakerDesign) -> list[Shape]:
+    z, w, front, back = design.height + 0.002, design.width / 2 - 0.022, design.head_face - 0.030, -design.depth + 0.022
+    if design.top_style == "plain":
+        slots = np.linspace(-0.5, 0.5, 5) * w
+        return [box(((front + back) / 2, y, z + 0.002), (0.05, 0.004, 0.0012), BLACK, collides=False) for y in slots]
+    if design.top_style == "hopper":
+        smoke, x = Material((0.10, 0.075, 0.06), 0.15), (front + back) / 2 - 0.01
+        return [
+            turned((x, 0, z), [(0.046, 0), (0.062, 0.030), (0.066, 0.066)], smoke, sides=32),
+            turned((x, 0, z + 0.066), [(0.069, 0), (0.069, 0.008), (0.055, 0.013)], BLACK, sides=32),
+        ]
+    corners = [(front, -w), (front, w), (back, w), (back, -w)]
+    shapes = [rod((x, y, z), (x, y, z + 0.026), 0.0032, design.chrome) for x, y in corners]
+    for k in range(4):
+        first, second = corners[k], corners[(k + 1) % 4]
+        shapes.append(rod((*first, z + 0.026), (*second, z + 0.026), 0.0032, design.chrome))
+    if design.top_style == "cups":
+        for y in np.linspace(-1, 1, 3) * (w - 0.036):
+            shapes += _cup((front - 0.042, y, z))
+    return shapes
+
+
+def _cup(at: tuple[float, float, float]) -> list[Shape]:
+    """An espresso cup, upside down as they are kept warm."""
+    x, y, z = at
+    return [
+        turned(at, [(0.031, 0), (0.030, 0.012), (0.024, 0.044), (0.017, 0.048)], WHITE, sides=32),
+        turned((x, y, z + 0.046), [(0.016, 0), (0.015, 0.006)], WHITE, sides=24, collides=False),
+        rod((x + 0.028, y, z + 0.012), (x + 0.038, y, z + 0.026), 0.004, WHITE),
+        rod((x + 0.038, y, z + 0.026), (x + 0.024, y, z + 0.038), 0.004, WHITE),
+    ]

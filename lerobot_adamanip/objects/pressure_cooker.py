@@ -1,0 +1,303 @@
+"""Pressure cookers: a pot, a domed lid with a valve, and two long handles over each other. Sizes of 3 to 8 litre pots.
+
+The lid's handle stands over the pot's, as on a closed cooker, and turns either way before the lid can be lifted off.
+Which way and how far is drawn per episode by the mechanism and leaves no trace in the geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.rounds import bar, turned, upright
+from lerobot_adamanip.objects.shapes import box, chamfered_box, rod
+from lerobot_adamanip.rotations import transform
+
+LID_RANGE = 0.824
+"""Nominal turn of the lid to either side [rad] (paper code)."""
+LIFT_UPPER = 0.05
+"""How far the lid lifts [m] (paper code)."""
+GAP = 0.0015
+"""Between the pot's rim and what turns on it [m]."""
+HANDLE_GAP = 0.010
+"""Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
+
+_STEELS = (
+    Material((0.82, 0.83, 0.85), 0.20, 0.95),
+    Material((0.76, 0.77, 0.79), 0.30, 0.9),
+    Material((0.74, 0.74, 0.72), 0.45, 0.85),
+)
+_ENAMELS = (
+    Material((0.50, 0.02, 0.025), 0.25, 0.1),
+    Material((0.03, 0.08, 0.22), 0.25, 0.1),
+    Material((0.04, 0.20, 0.12), 0.25, 0.1),
+    Material((0.60, 0.20, 0.02), 0.25, 0.1),
+    Material((0.70, 0.68, 0.60), 0.25, 0.1),
+    Material((0.07, 0.07, 0.075), 0.35, 0.2),
+)
+_PLASTICS = (
+    Material((0.018, 0.018, 0.02), 0.45),
+    Material((0.05, 0.05, 0.055), 0.6),
+    Material((0.11, 0.02, 0.015), 0.4),
+    Material((0.09, 0.05, 0.03), 0.45),
+)
+_ACCENTS = (
+    Material((0.65, 0.05, 0.02), 0.35),
+    Material((0.75, 0.38, 0.02), 0.35),
+    Material((0.05, 0.30, 0.10), 0.35),
+    Material((0.45, 0.45, 0.46), 0.3, 0.8),
+)
+BODY_STYLES = ("straight", "bellied", "tapered")
+LID_STYLES = ("dome", "stepped", "flat")
+VALVE_STYLES = ("weight", "indicator", "dial")
+HANDLE_STYLES = ("straight", "tapered", "moulded")
+
+
+@dataclass(frozen=True)
+class PressureCookerDesign:
+    """The parameters of one cooker [m]."""
+
+    radius: float
+    height: float
+    body_style: str
+    lid_style: str
+    lid_rise: float
+    valve_style: str
+    handle_style: str
+    handle_reach: float
+    handle_length: float
+    handle_half: tuple[float, float]
+    helper_loop: bool
+    band: bool
+    body: Material
+    lid: Material
+    steel: Material
+    plastic: Material
+    accent: Material
+
+    @property
+    def axis_x(self) -> float:
+        """Where the pot's axis is: a radius behind its front [m]."""
+        return -self.radius
+
+    @property
+    def handle_z(self) -> float:
+        """Height of the lid handle's middle [m]."""
+        return self.height + 0.002 + self.handle_half[1]
+
+    @property
+    def grip_radius(self) -> float:
+        """Distance of the grip from the pot's axis [m]."""
+        return self.radius + self.handle_reach
+
+
+def draw_design(rng: np.random.Generator) -> PressureCookerDesign:
+    """Draws the parameters of one cooker. The grip is far enough out for a hand to clear the dome."""
+    radius = rng.uniform(0.092, 0.124)
+    reach = rng.uniform(0.066, 0.078)
+    steel = _STEELS[rng.integers(len(_STEELS))]
+    enamel = _ENAMELS[rng.integers(len(_ENAMELS))]
+    coloured = rng.random() < 0.45
+    return PressureCookerDesign(
+        radius=radius,
+        height=float(np.clip(2 * radius * rng.uniform(0.58, 0.88), 0.12, 0.185)),
+        body_style=str(rng.choice(BODY_STYLES)),
+        lid_style=str(rng.choice(LID_STYLES)),
+        lid_rise=rng.uniform(0.024, 0.042),
+        valve_style=str(rng.choice(VALVE_STYLES)),
+        handle_style=str(rng.choice(HANDLE_STYLES)),
+        handle_reach=reach,
+        handle_length=reach + rng.uniform(0.045, 0.075),
+        handle_half=(rng.uniform(0.011, 0.0145), rng.uniform(0.0105, 0.0135)),
+        helper_loop=bool(rng.random() < 0.75),
+        band=bool(rng.random() < 0.5),
+        body=enamel if coloured else steel,
+        lid=steel if not coloured or rng.random() < 0.7 else enamel,
+        steel=steel,
+        plastic=_PLASTICS[rng.integers(len(_PLASTICS))],
+        accent=_ACCENTS[rng.integers(len(_ACCENTS))],
+    )
+
+
+def make_pressure_cooker(number: int) -> ArticulatedObject:
+    """Builds cooker ``number`` (6 in the paper's set; any number is an object)."""
+    design = draw_design(np.random.default_rng([number, 0xC270]))
+    return build_pressure_cooker(f"pressure_cooker_{number:03d}", design)
+
+
+def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> ArticulatedObject:
+    """Builds the links and the annotation of a design: joints ``lift`` and ``lid``, part ``handle`` (the lid's)."""
+    rim = (design.axis_x, 0.0, design.height)
+    up = (0.0, 0.0, 1.0)
+    lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), friction=1.0, damping=8.0)
+    lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), friction=0.15, damping=0.15)
+    links = (
+        Link("pot", _pot_shapes(design), mass=2.5),
+        Link("seal", _seal_shapes(design), mass=0.15, parent="pot", joint=lift),
+        Link("lid", _lid_shapes(design), mass=0.9, parent="seal", joint=lid),
+    )
+    grip = (design.axis_x + design.grip_radius, 0.0, design.handle_z + 0.002)
+    depth = 2 * design.radius + (_LOOP_DEPTH if design.helper_loop else 0.0)
+    return ArticulatedObject(
+        object_id, "pressure_cooker", links, (annotate(links, "lid", "handle", from_above(grip)),),
+        (2 * design.radius, depth, design.height + design.lid_rise + 0.035),
+        f"{design.body_style} pot, {design.lid_style} lid, {design.valve_style} valve, {design.handle_style} handle",
+    )  # fmt: skip
+
+
+_LOOP_DEPTH = 0.045
+
+
+def _pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    r, h, axis = design.radius, design.height, (design.axis_x, 0.0, 0.0)
+    outlines = {
+        "straight": [(r - 0.006, 0.004), (r, 0.012), (r, h)],
+        "bellied": [(0.86 * r, 0.004), (0.95 * r, 0.14 * h), (r, 0.32 * h), (r, 0.62 * h), (0.985 * r, 0.85 * h),
+                    (0.97 * r, h)],
+        "tapered": [(0.82 * r, 0.004), (0.86 * r, 0.012), (r, 0.8 * h), (r, h)],
+    }  # fmt: skip
+    outline = outlines[design.body_style]
+    base = outline[0][0] - 0.004
+    dark = Material((0.02, 0.02, 0.022), 0.8)
+    shapes = [
+        turned(axis, outline, design.body),
+        turned(axis, [(base, 0.0), (base + 0.003, 0.006)], design.steel, collides=False),
+        upright((axis[0], 0, h), 0.93 * r, 0.0006, dark, collides=False),
+        turned(axis, [(r + 0.0015, h - 0.012), (r + 0.0015, h - 0.0005)], design.steel, collides=False),
+    ]
+    if design.band:
+        level = 0.68 * h
+        shapes.append(turned(axis, [(r + 0.001, level), (r + 0.001, level + 0.004)], design.steel, collides=False))
+    shapes += _pot_handle_shapes(design)
+    if design.helper_loop:
+        shapes += _loop_shapes(design)
+    return tuple(shapes)
+
+
+def _pot_handle_shapes(design: PressureCookerDesign) -> list[Shape]:
+    """The lower handle, a shade thicker than the lid's, on a bracket below the rim."""
+    half_width, half_height = design.handle_half[0] + 0.001, design.handle_half[1] + 0.002
+    z = design.handle_z - design.handle_half[1] - HANDLE_GAP - half_height
+    length = design.handle_length - 0.004
+    shapes = _grip_shapes(design, 0.020, length, z, half_width, half_height, droop=0.006)
+    bracket = chamfered_box((0.008, 0, z), (0.016, 0.75 * half_width, 0.7 * half_height), 0.002, design.steel)
+    return [*shapes, bracket]
+
+
+def _loop_shapes(design: PressureCookerDesign) -> list[Shape]:
+    z, back = 0.72 * design.height, 2 * design.axis_x
+    out = back - _LOOP_DEPTH + 0.012
+    radius, half = 0.009, 0.036
+    ends = [(out, -half, z), (out, half, z)]
+    shapes = [rod(ends[0], ends[1], radius, design.plastic)]
+    for side, end in zip((-1, 1), ends, strict=True):
+        shapes.append(rod(end, (back + 0.008, side * (half + 0.004), z), radius * 0.85, design.plastic))
+        shapes.append(box((back - 0.003, side * (half + 0.004), z), (0.006, 0.010, 0.011), design.steel))
+    return shapes
+
+
+def _seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    """The gasket under the lid: it lifts with the lid and does not turn."""
+    rubber = Material((0.30, 0.30, 0.31), 0.9)
+    r = 0.93 * design.radius
+    return (turned((0, 0, 0), [(r - 0.004, -0.006), (r, -0.003), (r, 0.0008)], rubber, collides=False),)
+
+
+def _lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    """The lid about its axis, z from the rim."""
+    r, rise = design.radius + 0.004, design.lid_rise
+    edge = 0.011
+    outlines = {
+        "dome": [(r, edge)] + [(r * np.sin(a), edge + (rise - edge) * np.cos(a)) for a in np.linspace(1.25, 0.12, 6)],
+        "stepped": [(r, edge), (r - 0.004, edge + 0.003), (0.80 * r, rise - 0.005), (0.74 * r, rise - 0.001),
+                    (0.66 * r, rise)],
+        "flat": [(r, edge), (0.96 * r, edge + 0.004), (0.90 * r, 0.66 * rise), (0.45 * r, 0.72 * rise)],
+    }  # fmt: skip
+    outline = outlines[design.lid_style]
+    top = outline[-1][1]
+    shapes = [
+        # What is seen reaches down over the rim; what collides stays above it.
+        turned((0, 0, 0), [(r, -0.010), *outline], design.lid, collides=False),
+        upright((0, 0, (GAP + edge) / 2), r, (edge - GAP) / 2, design.lid),
+        turned((0, 0, 0), [(0.97 * r, edge), *((0.98 * a, b - 0.001) for a, b in outline[1:])], design.lid, sides=20),
+        turned((0, 0, 0), [(r + 0.001, -0.011), (r + 0.001, -0.008)], design.steel, collides=False),
+    ]
+    if design.lid_style == "stepped":
+        shapes.append(upright((0, 0, rise), 0.5 * r, 0.0008, design.steel, collides=False))
+    return tuple(shapes + _valve_shapes(design, top) + _lid_handle_shapes(design, edge, top))
+
+
+def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
+    black, steel = Material((0.02, 0.02, 0.022), 0.5), design.steel
+    side = -0.42 * design.radius
+    low = top - 0.004
+    shapes = [  # the safety plug, apart from the valve
+        upright((0.05 * design.radius, side, low), 0.009, 0.007, design.accent),
+        upright((0.05 * design.radius, side, low + 0.007), 0.0045, 0.002, steel, collides=False),
+    ]
+    if design.valve_style == "weight":
+        shapes += [
+            upright((0, 0, top), 0.0045, 0.010, steel),
+            turned((0, 0, top + 0.008), [(0.011, 0), (0.014, 0.003), (0.014, 0.017), (0.010, 0.021)], black),
+            upright((0, 0, top + 0.030), 0.006, 0.002, steel, collides=False),
+        ]
+    elif design.valve_style == "indicator":
+        shapes += [
+            turned((0, 0, top - 0.002), [(0.026, 0), (0.024, 0.007), (0.018, 0.009)], black),
+            upright((0, 0, top + 0.014), 0.0075, 0.008, design.accent),
+            *(upright((0, 0, top + z), 0.0078, 0.0009, Material((0.9, 0.9, 0.9), 0.5), collides=False)
+              for z in (0.012, 0.017)),
+        ]  # fmt: skip
+    else:
+        shapes += [
+            turned((0, 0, top - 0.002), [(0.030, 0), (0.030, 0.008), (0.027, 0.011)], steel),
+            turned((0, 0, top + 0.008), [(0.024, 0), (0.021, 0.013), (0.018, 0.015)], black),
+            box((0.010, 0, top + 0.0235), (0.008, 0.0018, 0.0012), design.accent, collides=False),
+        ]
+    return shapes
+
+
+def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) -> list[Shape]:
+    """The upper handle: a bracket on the dome and the grip beyond the rim."""
+    r, z = design.radius, design.handle_z - design.height
+    half_width, half_height = design.handle_half
+    start = r + 0.007
+    shapes = _grip_shapes(design, start, r + design.handle_length, z, half_width, half_height)
+    saddle = [(0.62 * r, top - 0.001, 0.8 * half_width, 0.004), (0.70 * r, top + 0.001, half_width, 0.006),
+              (r + 0.012, z, half_width + 0.001, half_height)]  # fmt: skip
+    shapes.append(bar(saddle, design.plastic, squareness=0.5, collides=False))
+    shapes.append(chamfered_box((r - 0.004, 0, edge + 0.004), (0.014, half_width, 0.006), 0.002, design.plastic))
+    shapes.append(box((r + 0.028, 0, z + half_height), (0.011, 0.005, 0.002), design.accent, collides=False))
+    return shapes
+
+
+def _grip_shapes(
+    design: PressureCookerDesign, start: float, end: float, z: float, half_width: float, half_height: float,
+    droop: float = 0.0,
+) -> list[Shape]:  # fmt: skip
+    """A handle along x from ``start`` to ``end``: parallel sides where fingers close, shape where they do not."""
+    w, h, plastic = half_width, half_height, design.plastic
+    tail = end - 0.022
+    low = z - droop
+    if design.handle_style == "straight":
+        stations = [(start, z, w, h), (tail, z, w, h), (end - 0.003, low, w, 0.9 * h), (end, low, 0.8 * w, 0.7 * h)]
+        return [bar(stations, plastic, squareness=0.45), *_eyelet(design, end, low)]
+    if design.handle_style == "tapered":
+        stations = [(start, z, w, h), (tail, z, w, 0.92 * h), (end, low, 0.72 * w, 0.62 * h)]
+        return [bar(stations, plastic, squareness=0.6), *_eyelet(design, end, low)]
+    # Moulded: a hump in front of the fingers and a bulb behind them.
+    grip = [(start, z, w, h), (end, low, w, 0.85 * h)]
+    hump = [(start, z, w + 0.004, h), (start + 0.018, z, w + 0.005, h), (start + 0.030, z, w, 0.9 * h)]
+    bulb = [(tail, z, w, 0.85 * h), (end - 0.006, low, w + 0.003, h), (end + 0.002, low, 0.8 * w, 0.75 * h)]
+    return [bar(each, plastic, squareness=0.7) for each in (grip, hump, bulb)]
+
+
+def _eyelet(design: PressureCookerDesign, end: float, z: float) -> list[Shape]:
+    """The ring that a cooker hangs by."""
+    return [Shape("capsule", (0.0025, 0.004), transform((end, 0, z)), design.steel, False)]
+
+
+__all__ = ["LID_RANGE", "LIFT_UPPER", "PressureCookerDesign", "build_pressure_cooker", "draw_design",
+           "make_pressure_cooker"]  # fmt: skip
