@@ -67,7 +67,7 @@ def _camera_pose(obj: ArticulatedObject) -> sapien.Pose:
     """Looks at the middle of the object from the front and above, from where an open door shows the inside."""
     _, depth, height = obj.size
     radius = 0.5 * float(np.linalg.norm(obj.size))
-    target = np.array([-0.5 * depth + 0.04, 0.0, 0.48 * height])
+    target = np.array([-0.5 * depth + min(0.04, 0.15 * depth), 0.0, 0.48 * height])
     direction = np.array([1.0, 0.52 * _camera_side(obj), 0.42])
     distance = radius / np.sin(FIELD_OF_VIEW / 2)
     eye = target + distance * direction / np.linalg.norm(direction)

@@ -58,6 +58,8 @@ class AdaManipTask(BaseEnv):
     """Distance of the object's front from the robot's base [m]."""
     part_height: ClassVar[float] = 0.72
     """Where the plinth lifts the first part to [m]."""
+    plinth_least: ClassVar[float] = 0.02
+    """Half of the plinth's least width and depth [m]."""
     rest: ClassVar[NDArray[np.float64]] = LEVEL_REST
     """The arm's posture at the start, and the one its elbow is drawn to [rad]."""
 
@@ -148,7 +150,8 @@ class AdaManipTask(BaseEnv):
 
     def _build_plinth(self) -> Any:
         builder = self.scene.create_actor_builder()
-        half = [self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04, self.floor_z / 2]
+        depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
+        half = [max(depth, self.plinth_least), max(width, self.plinth_least), self.floor_z / 2]
         material = sapien.render.RenderMaterial(base_color=[0.45, 0.36, 0.27, 1.0], roughness=0.8)
         builder.add_box_visual(half_size=half, material=material)
         builder.add_box_collision(half_size=half)

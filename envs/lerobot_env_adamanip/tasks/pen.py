@@ -28,6 +28,7 @@ class PenTask(AdaManipTask):
     category: ClassVar[str] = "pen"
     nominal_x: ClassVar[float] = 0.48
     part_height: ClassVar[float] = 0.62
+    plinth_least: ClassVar[float] = 0.07
     rest: ClassVar[NDArray[np.float64]] = DOWN_REST
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:

@@ -1,0 +1,164 @@
+"""Shapes turned about a vertical axis: profiles of rings become convex frusta, and decoration follows their surface."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.objects.shapes import convex_mesh
+from lerobot_adamanip.rotations import transform
+
+Array = NDArray[np.float64]
+SIDES = 48
+"""Of what is turned: flat faces that small look round."""
+PROUD = 0.0004
+"""How far decoration lies above the surface it is on [m]: enough for a depth buffer, too little for an eye."""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A horizontal cross-section.
+
+    Attributes:
+        height: [m].
+        radius: half width along y [m].
+        depth: extent along x as a fraction of that along y; 1 is round.
+        squareness: 0 for an ellipse, 1 for nearly a rectangle.
+    """
+
+    height: float
+    radius: float
+    depth: float = 1.0
+    squareness: float = 0.0
+
+    def point(self, angle: ArrayLike, proud: float = 0.0) -> Array:
+        """Returns the points (..., 3) of the outline at angles from +x [rad], ``proud`` [m] outside it."""
+        angle = np.asarray(angle, dtype=np.float64)
+        power = 2.0 + 6.0 * self.squareness
+        cosine, sine = np.cos(angle), np.sin(angle)
+        reach = (np.abs(cosine) ** power + np.abs(sine) ** power) ** (-1.0 / power)
+        x = (self.radius * self.depth + proud) * reach * cosine
+        y = (self.radius + proud) * reach * sine
+        return np.stack([x, y, np.full_like(x, self.height)], axis=-1)
+
+
+def ring_at(rings: Sequence[Ring], height: float) -> Ring:
+    """Returns the cross-section of a profile at ``height`` [m], interpolated between its rings."""
+    heights = [ring.height for ring in rings]
+    values = [[ring.radius, ring.depth, ring.squareness] for ring in rings]
+    radius, depth, squareness = (float(np.interp(height, heights, column)) for column in zip(*values, strict=True))
+    return Ring(height, radius, depth, squareness)
+
+
+def turned(
+    rings: Sequence[Ring],
+    paint: Material | Callable[[float], Material],
+    *,
+    axis: tuple[float, float] = (0.0, 0.0),
+    sides: int = SIDES,
+    collides: bool = True,
+) -> tuple[Shape, ...]:
+    """Returns one convex frustum between each two rings that follow each other.
+
+    Args:
+        rings: from the bottom up.
+        paint: material, or the material at a height [m].
+        axis: (x, y) of the axis in the link's frame [m].
+        sides: of the polygon that stands for a ring.
+        collides: solid, or decoration.
+    """
+    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    shapes = []
+    for lower, upper in itertools.pairwise(rings):
+        if upper.height - lower.height < 1e-6:
+            continue
+        middle = (lower.height + upper.height) / 2
+        points = np.concatenate([lower.point(angles), upper.point(angles)]) - (0.0, 0.0, middle)
+        material = paint(middle) if callable(paint) else paint
+        shapes.append(convex_mesh(points, transform((*axis, middle)), material, collides=collides))
+    return tuple(shapes)
+
+
+def fluted(
+    bottom: float,
+    top: float,
+    radius: float,
+    count: int,
+    material: Material,
+    *,
+    groove: float = 0.0007,
+    taper: float = 1.0,
+) -> Shape:
+    """The ribs around a screw cap, as decoration: ``radius`` [m] is that of the ribs' backs, ``groove`` their depth."""
+    angles = np.arange(4 * count) * 2 * np.pi / (4 * count)
+    reach = np.where(np.arange(4 * count) % 4 < 2, radius, radius - groove)
+    ring = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=-1)
+    lower = np.column_stack([ring, np.full(len(ring), bottom)])
+    upper = np.column_stack([ring * taper, np.full(len(ring), top)])
+    first = np.arange(len(ring))
+    after = np.roll(first, -1)
+    return _mesh(np.concatenate([lower, upper]), _quads(first, after, after + len(ring), first + len(ring)), material)
+
+
+def decal(
+    rings: Sequence[Ring],
+    across: ArrayLike,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    material: Material,
+    *,
+    turn: float = 0.0,
+    layer: int = 1,
+    axis: tuple[float, float] = (0.0, 0.0),
+) -> Shape:
+    """A picture on a turned surface: a strip between two curves, wrapped around it. Decoration.
+
+    Args:
+        rings: profile of the surface.
+        across: (N,) positions along the circumference from the middle, increasing [m].
+        lower: (N,) height of the picture's lower edge there [m].
+        upper: (N,) height of its upper edge [m].
+        material: look.
+        turn: azimuth of the picture's middle from +x [rad].
+        layer: 1 lies on the surface, 2 on that, ...
+        axis: (x, y) of the surface's axis in the link's frame [m].
+    """
+    across, lower, upper = (np.asarray(values, dtype=np.float64) for values in (across, lower, upper))
+    rows = 9
+    heights = lower + (upper - lower) * np.linspace(0.0, 1.0, rows)[:, None]
+    # One angle per column, so that the edges of a picture on a tapered bottle stay upright.
+    angles = turn + across / ring_at(rings, float(heights.mean())).radius
+    points = np.array(
+        [[ring_at(rings, h).point(a, layer * PROUD) for h, a in zip(row, angles, strict=True)] for row in heights]
+    )
+    index = np.arange(heights.size).reshape(heights.shape)
+    corners = (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
+    faces = _quads(*(corner.reshape(-1) for corner in corners))
+    return _mesh(points.reshape(-1, 3) + np.array([*axis, 0.0]), faces, material)
+
+
+def patch(width: float, bottom: float, top: float, columns: int = 25) -> tuple[Array, Array, Array]:
+    """Returns the curves of a rectangle, for `decal` [m]."""
+    across = np.linspace(-width / 2, width / 2, columns)
+    return across, np.full(columns, bottom), np.full(columns, top)
+
+
+def oval(width: float, height: float, middle: float, *, sharp: bool = False, shift: float = 0.0) -> tuple[Array, ...]:
+    """Returns the curves of an ellipse (or, ``sharp``, a rhombus) around ``middle`` [m], for `decal`."""
+    along = np.linspace(-1.0, 1.0, 25)
+    half = 0.5 * height * (1 - np.abs(along) if sharp else np.sqrt(np.maximum(0.0, 1 - along**2)))
+    return shift + along * width / 2, middle - half, middle + half
+
+
+def _quads(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+
+
+def _mesh(points: Array, faces: NDArray[np.int64], material: Material) -> Shape:
+    vertices = np.ascontiguousarray(points, np.float32)
+    return Shape("mesh", (), np.eye(4), material, False, vertices, np.ascontiguousarray(faces, np.int32))
