@@ -1,0 +1,234 @@
+"""Windows: a sash in a piece of wall over a sill, with a handle that turns before the sash opens into the room.
+
+Sizes follow small side-hung windows (30 to 38 cm by 36 to 52 cm of sash), with fixed lights beside or above some of
+them. What an object is is drawn from its number alone; which way the handle turns, and how far, is drawn per episode
+by the mechanism and leaves no trace in the geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.framing import FINISHES, GAP, Surround, knuckles
+from lerobot_adamanip.objects.handles import METALS, HandleDesign, draw_handle, handle_shapes, plate_shapes
+from lerobot_adamanip.objects.leaves import Field, at_field, glazing
+from lerobot_adamanip.objects.shapes import chamfered_box
+
+SASH_UPPER = 1.57
+"""Opening limit of the sash [rad] (paper code: 1.57)."""
+HANDLE_RANGE = 1.57
+"""Nominal range of the handle to either side [rad] (paper code: 1.57)."""
+THICKNESS = 0.040
+SILL_HEIGHT = 0.030
+LAYOUTS = ("single", "side light", "transom")
+BARS = ((0, 0), (1, 1), (0, 1), (1, 2), (1, 0), (0, 2))
+HANDLE_STYLES = ("round lever", "flat lever", "tapered lever", "swept lever", "T bar", "olive", "drum knob")
+
+_FRAME_COLORS = (
+    (0.84, 0.84, 0.82), (0.84, 0.84, 0.82), (0.76, 0.72, 0.60), (0.46, 0.27, 0.12), (0.20, 0.09, 0.04),
+    (0.10, 0.11, 0.12), (0.06, 0.17, 0.11), (0.08, 0.16, 0.30), (0.36, 0.44, 0.36), (0.40, 0.05, 0.04),
+)  # fmt: skip
+_WALLS = {
+    "plaster": ((0.78, 0.75, 0.69), (0.72, 0.62, 0.45), (0.52, 0.60, 0.62), (0.68, 0.50, 0.42), (0.50, 0.55, 0.45)),
+    "boarding": ((0.62, 0.64, 0.62), (0.42, 0.52, 0.58), (0.58, 0.52, 0.38), (0.36, 0.42, 0.38)),
+    "brick": ((0.45, 0.16, 0.10), (0.52, 0.27, 0.17), (0.40, 0.30, 0.26)),
+}
+_SILLS = (Material((0.84, 0.84, 0.82), 0.5), Material((0.42, 0.26, 0.13), 0.6), Material((0.34, 0.34, 0.33), 0.8))
+
+
+@dataclass(frozen=True)
+class WindowDesign:
+    """The parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
+
+    Attributes:
+        width, height: of the sash.
+        stile: width of its members.
+        hinge_side: +1 if hinged at +y.
+        layout: one of `LAYOUTS`.
+        light: width of a side light, or height of a transom.
+        mullion: width of what parts a fixed light from the sash.
+        bars: upright and level glazing bars.
+        handle: see `HandleDesign`.
+        handle_v: of the pivot.
+        wall_side, wall_above, wall_below: of the wall around the casing.
+        shift: of the opening off the wall's middle, towards the hinges.
+        depth: of the wall.
+        casing: width of the outer frame.
+        sill: how far it stands out.
+        finish, wall, frame, board: looks.
+    """
+
+    width: float
+    height: float
+    stile: float
+    hinge_side: int
+    layout: str
+    light: float
+    mullion: float
+    bars: tuple[int, int]
+    handle: HandleDesign
+    handle_v: float
+    wall_side: float
+    wall_above: float
+    wall_below: float
+    shift: float
+    depth: float
+    casing: float
+    sill: float
+    finish: str
+    wall: Material
+    frame: Material
+    board: Material
+
+    @property
+    def pivot(self) -> tuple[float, float]:
+        """The handle's pivot (y, z) in the sash link's frame: the middle of the stile far from the hinges."""
+        return -self.hinge_side * (GAP + self.width - self.stile / 2), self.handle_v
+
+    @property
+    def bottom(self) -> float:
+        """Lower edge of the opening above the floor."""
+        return self.wall_below + self.casing
+
+    def opening(self) -> tuple[float, float, float]:
+        """Returns left and right (y) and top (z) of the opening, any fixed light included."""
+        half = self.width / 2 + GAP
+        middle, top = self.hinge_side * self.shift, self.bottom + self.height + 2 * GAP
+        left, right = middle - half, middle + half
+        if self.layout == "transom":
+            top += self.mullion + self.light
+        elif self.layout == "side light":
+            # Beyond the hinges: the handle then stays near the wall's middle.
+            extra = self.hinge_side * (self.mullion + self.light)
+            left, right = left + min(extra, 0.0), right + max(extra, 0.0)
+        return left, right, top
+
+
+def draw_design(rng: np.random.Generator) -> WindowDesign:
+    """Draws the parameters of one window."""
+    finish = str(rng.choice(FINISHES, p=(0.55, 0.2, 0.25)))
+    walls = _WALLS[finish]
+    color = np.asarray(_FRAME_COLORS[rng.integers(len(_FRAME_COLORS))]) * rng.uniform(0.92, 1.05)
+    height, layout = rng.uniform(0.36, 0.52), str(rng.choice(LAYOUTS, p=(0.5, 0.25, 0.25)))
+    light = rng.uniform(0.08, 0.11) if layout == "side light" else rng.uniform(0.09, 0.14)
+    return WindowDesign(
+        width=rng.uniform(0.30, 0.38),
+        height=height,
+        stile=rng.uniform(0.046, 0.056),
+        hinge_side=int(rng.choice([-1, 1])),
+        layout=layout,
+        light=light,
+        mullion=rng.uniform(0.024, 0.034),
+        bars=BARS[rng.integers(len(BARS))],
+        handle=draw_handle(rng, HANDLE_STYLES, 0.0, METALS),
+        handle_v=height * rng.uniform(0.44, 0.54),
+        wall_side=rng.uniform(0.03, 0.05) if layout == "side light" else rng.uniform(0.05, 0.10),
+        wall_above=rng.uniform(0.06, 0.11),
+        wall_below=rng.uniform(0.12, 0.20),
+        shift=0.0 if layout == "side light" else rng.uniform(0.02, 0.05),
+        depth=rng.uniform(0.09, 0.14),
+        casing=rng.uniform(0.034, 0.050),
+        sill=rng.uniform(0.020, 0.042),
+        finish=finish,
+        wall=Material(walls[rng.integers(len(walls))], 0.9),
+        frame=Material(tuple(np.clip(color, 0.02, 0.86)), rng.uniform(0.35, 0.65)),
+        board=_SILLS[rng.integers(len(_SILLS))],
+    )
+
+
+def make_window(number: int) -> ArticulatedObject:
+    """Builds window ``number`` (30 in the paper's set; any number is an object)."""
+    return build_window(f"window_{number:03d}", draw_design(np.random.default_rng([number, 0x51D0])))
+
+
+def build_window(object_id: str, design: WindowDesign) -> ArticulatedObject:
+    """Builds the links and annotation of a design: joints ``sash`` and ``handle``, part ``handle``."""
+    side = design.hinge_side
+    surround = _surround(design)
+    hinge = np.array([0.0, side * (design.shift + design.width / 2 + GAP), design.bottom + GAP])
+    pivot = np.array([0.0, *design.pivot])
+    y, z = design.pivot
+    plate = plate_shapes(design.handle, y, z, half_width=0.016, half_length=0.060, keyhole=False)
+    links = (
+        Link("frame", _frame_shapes(design, surround, float(hinge[1])), mass=30.0),
+        Link(
+            "sash", _sash_shapes(design) + plate, mass=4.0, parent="frame",
+            joint=Joint("sash", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, SASH_UPPER), 0.3, 1.0),
+        ),
+        Link(
+            "handle", handle_shapes(design.handle), mass=0.12, parent="sash",
+            # Positive turns clockwise as seen by who stands in the room: about -x, out of it.
+            joint=Joint(
+                "handle", "revolute", (-1.0, 0.0, 0.0), tuple(pivot), (-HANDLE_RANGE, HANDLE_RANGE), 0.05, 0.03
+            ),
+        ),
+    )  # fmt: skip
+    grip = facing(hinge + pivot + design.handle.grip_offset(), design.handle.rest)
+    name, (up, level) = ("left" if side < 0 else "right"), design.bars
+    description = f"{design.layout}, {design.handle.style}, bars {up}x{level}, {design.finish}, hinge {name}"
+    parts = (annotate(links, "handle", "handle", grip, design.handle.rolls),)
+    size = (surround.width, design.depth + 0.004, surround.height)
+    return ArticulatedObject(object_id, "window", links, parts, size, description)
+
+
+def _surround(design: WindowDesign) -> Surround:
+    left, right, top = design.opening()
+    edge = max(-left, right) + design.casing + design.wall_side
+    return Surround(
+        width=2 * edge, height=top + design.casing + design.wall_above, depth=design.depth, left=left, right=right,
+        bottom=design.bottom, top=top, casing=design.casing, proud=0.010, finish=design.finish, wall=design.wall,
+        trim=design.frame,
+    )  # fmt: skip
+
+
+def _frame_shapes(design: WindowDesign, surround: Surround, hinge_y: float) -> tuple[Shape, ...]:
+    """Wall and frame; a sill board under them; the fixed light, if there is one; hinges."""
+    middle, half = (surround.left + surround.right) / 2, (surround.right - surround.left) / 2
+    shapes = surround.shapes()
+    depth = (design.sill + 0.05) / 2
+    at = (design.sill - depth, middle, design.wall_below - 0.5 * SILL_HEIGHT - 0.001)
+    sill = (depth, half + design.casing + 0.022, SILL_HEIGHT / 2)
+    shapes.append(chamfered_box(at, sill, 0.005, design.board))
+    heights = tuple(design.bottom + GAP + share * design.height for share in (0.16, 0.84))
+    shapes += knuckles(hinge_y + design.hinge_side * 0.004, heights, 0.026, design.handle.metal)
+    if design.layout == "single":
+        return tuple(shapes)
+    return tuple(shapes + _fixed_light(design, surround, hinge_y))
+
+
+def _fixed_light(design: WindowDesign, surround: Surround, hinge_y: float) -> list[Shape]:
+    """The pane that does not open, and the mullion or transom before it."""
+    x, half = -THICKNESS / 2 + 0.004, THICKNESS / 2 + 0.004
+    low, high, bar = surround.bottom, surround.top, design.mullion / 2
+    if design.layout == "transom":
+        middle, z = (surround.left + surround.right) / 2, high - design.light - bar
+        span = (surround.right - surround.left) / 2
+        shapes = [chamfered_box((x, middle, z), (half, span, bar), 0.003, design.frame)]
+        return shapes + _pane((surround.left, surround.right, z + bar, high), design, (design.bars[0], 0))
+    y = hinge_y + design.hinge_side * bar
+    shapes = [chamfered_box((x, y, (low + high) / 2), (half, bar, (high - low) / 2), 0.003, design.frame)]
+    edges = sorted((hinge_y + design.hinge_side * 2 * bar, surround.right if design.hinge_side > 0 else surround.left))
+    return shapes + _pane((edges[0], edges[1], low, high), design, (0, design.bars[1]))
+
+
+def _pane(area: Field, design: WindowDesign, bars: tuple[int, int]) -> list[Shape]:
+    y0, y1, v0, v1 = area
+    return glazing((-y1 - GAP, -y0 - GAP, v0, v1), 1, THICKNESS, design.frame, bars=bars)
+
+
+def _sash_shapes(design: WindowDesign) -> tuple[Shape, ...]:
+    """Two stiles, two rails, and the pane between them."""
+    w, h, s, half = design.width, design.height, design.stile, THICKNESS / 2
+    members: tuple[Field, ...] = ((0, s, 0, h), (w - s, w, 0, h), (s, w - s, 0, s), (s, w - s, h - s, h))
+    shapes = []
+    for member in members:
+        y, z, a, b = at_field(member, design.hinge_side)
+        shapes.append(chamfered_box((-half, y, z), (half, a, b), 0.004, design.frame))
+    glass = (s, w - s, s, h - s)
+    return tuple(shapes + glazing(glass, design.hinge_side, THICKNESS, design.frame, bars=design.bars))
+
+
+__all__ = ["HANDLE_RANGE", "SASH_UPPER", "WindowDesign", "build_window", "draw_design", "make_window"]
