@@ -21,8 +21,11 @@ LEVEL_REST = np.array([1.544, 1.467, -2.540, -2.320, 2.025, 1.976, -0.171])
 With the elbow in the vertical plane a level hand is near-singular and the sixth joint at its limit; from this posture
 the whole of x 0.35-0.66, y +-0.18, z 0.60-0.84 m is reached, yawed by +-43 and rolled by +-92 degrees.
 """
-DOWN_REST = np.array([0.0, 0.1, 0.0, -2.2, 0.0, 2.3, np.pi / 4])
-"""Hand pointing down, the usual ready posture: for what is held from above."""
+DOWN_REST = np.array([0.0, -0.287, 0.0, -1.376, 0.0, 1.090, np.pi / 4])
+"""Hand pointing down at (0.38, 0, 0.70) m, above what stands on a plinth: for what is held from above.
+
+At x = 0.42 m a hand that points down comes up to 0.74 m, where the arm is stretched.
+"""
 LIMIT_MARGIN = 0.02
 """Kept from every joint limit [rad]."""
 
