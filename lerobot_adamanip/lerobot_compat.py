@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 import torch
 from lerobot.datasets import lerobot_dataset
 from lerobot.datasets.dataset_reader import DatasetReader
-from lerobot.envs.utils import freeze_after_episode_end
+from lerobot.envs.utils import _LazyAsyncVectorEnv, freeze_after_episode_end
 from numpy.typing import NDArray
 
 FIXED_VERSIONS = ("0.6.",)
@@ -273,7 +273,16 @@ def measure_reader(
     return {"stock_ms": stock, "fast_ms": fast, "speedup": stock / fast}
 
 
+def lazy_async_vector_env(functions: Sequence[Callable[[], Any]]) -> Any:
+    """Returns LeRobot's asynchronous vector environment, whose processes start with its first use and end with close.
+
+    So a suite of many tasks holds the processes of one at a time, and an evaluation can be repeated after `close`.
+    An ended environment waits until the next rollout (``freeze_after_episode_end``, NEXT_STEP).
+    """
+    return _LazyAsyncVectorEnv(list(functions))
+
+
 __all__ = [
-    "ColumnStore", "FastDatasetReader", "apply", "freeze_after_episode_end", "item_milliseconds", "measure_reader",
-    "restore", "skip_videos", "version_is_known",
+    "ColumnStore", "FastDatasetReader", "apply", "freeze_after_episode_end", "item_milliseconds",
+    "lazy_async_vector_env", "measure_reader", "restore", "skip_videos", "version_is_known",
 ]  # fmt: skip

@@ -14,6 +14,7 @@ from lerobot_env_adamanip.config import (
     AdaManipSafeEnvConfig,
     AdaManipWindowEnvConfig,
 )
+from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
 from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 if "lerobot.datasets.lerobot_dataset" in sys.modules:
@@ -32,6 +33,7 @@ __all__ = [
     "AdaManipPenEnvConfig",
     "AdaManipPressureCookerEnvConfig",
     "AdaManipSafeEnvConfig",
+    "AdaManipSuiteEnvConfig",
     "AdaManipWindowEnvConfig",
     "DP3AdaptiveConfig",
 ]

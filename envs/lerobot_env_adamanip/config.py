@@ -106,20 +106,23 @@ def make_vector_env(
     category: str, kwargs: dict[str, Any], n_envs: int, use_async_envs: bool
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Returns ``n_envs`` environments of a category as one; an ended one waits until the next rollout."""
-    from lerobot_adamanip.lerobot_compat import freeze_after_episode_end
+    from lerobot_adamanip.lerobot_compat import freeze_after_episode_end, lazy_async_vector_env
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
     if n_envs < 1:
         raise ConfigurationError(
             explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2")
         )
-    functions = [freeze_after_episode_end(lambda: KeyframeEnv(category, **kwargs)) for _ in range(n_envs)]
-    mode = gym.vector.AutoresetMode.NEXT_STEP
+    functions = [lambda: KeyframeEnv(category, **kwargs) for _ in range(n_envs)]
     # More than one simulator in a process would render one after the other; a process each uses every core.
-    if use_async_envs and n_envs > 1:
-        vector: Any = gym.vector.AsyncVectorEnv(functions, context="forkserver", autoreset_mode=mode)
-    else:
-        vector = gym.vector.SyncVectorEnv(functions, autoreset_mode=mode)
+    vector: gym.vector.VectorEnv[Any, Any, Any] = (
+        lazy_async_vector_env(functions)
+        if use_async_envs and n_envs > 1
+        else gym.vector.SyncVectorEnv(
+            [freeze_after_episode_end(function) for function in functions],
+            autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
+        )
+    )
     return vector
 
 

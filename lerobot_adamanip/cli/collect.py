@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Literal
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.demos.collect import Listener, Summary, collect
 from lerobot_adamanip.demos.options import CollectOptions
 from lerobot_adamanip.demos.publish import publish, require_hub_name
 from lerobot_adamanip.objects import parse_object_selection
 
 EXIT_INTERRUPTED = 130
-_STAGES = {"record": "recording", "assemble": "writing the dataset"}
+_STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
 
 
 @dataclass
@@ -34,7 +35,7 @@ class Collect:
     """Folder of the dataset. Until it is complete, episodes wait in ROOT.partial."""
 
     category: str = "safe"
-    """Which kind of object."""
+    """Which kind of object; all for one dataset of every category."""
 
     expert: Literal["adaptive", "static"] = "adaptive"
     """adaptive: knows what a policy can know, tries, recovers. static: sees the hidden state, goes straight there."""
@@ -50,6 +51,12 @@ class Collect:
 
     pose_preset: Literal["default", "paper"] = "default"
     """default randomises object, robot and camera pose; paper fixes them."""
+
+    mechanism_preset: Literal["paper", "upstream"] = "paper"
+    """paper: mechanisms as the paper's text has them. upstream: as its released code has them."""
+
+    expert_preset: Literal["paper", "upstream"] = "paper"
+    """paper: opening may be tried before anything was turned. upstream: only beyond its code's fixed angles."""
 
     trials: int = 1
     """Failed tries the adaptive expert demonstrates before it changes its mind."""
@@ -84,15 +91,20 @@ class Collect:
             require_hub_name(self.repo_id)
         options = CollectOptions(
             category=self.category,
-            objects=parse_object_selection(self.category, self.objects),
+            objects=self._objects(),
             expert=self.expert,
             episodes_per_object=self.episodes_per_object,
             num_points=self.num_points,
             trials=self.trials,
             seed=self.seed,
         )
-        if self.pose_preset != "default":
-            options = dataclasses.replace(options, env_options={"pose_preset": self.pose_preset})
+        presets = {
+            "env_options": _changed(
+                pose_preset=(self.pose_preset, "default"), mechanism_preset=(self.mechanism_preset, "paper")
+            ),
+            "expert_options": _changed(preset=(self.expert_preset, "paper")),
+        }
+        options = dataclasses.replace(options, **{name: chosen for name, chosen in presets.items() if chosen})
         try:
             summary = self._collect(options)
         except KeyboardInterrupt:
@@ -103,6 +115,11 @@ class Collect:
             publish(self.root, str(self.repo_id), private=self.private)
         self._print(summary)
         return 0
+
+    def _objects(self) -> tuple[str, ...]:
+        if self.category != ALL:
+            return parse_object_selection(self.category, self.objects)
+        return tuple(name for category in CATEGORIES for name in parse_object_selection(category, self.objects))
 
     def _collect(self, options: CollectOptions) -> Summary:
         # What libraries print must not get into the JSON.
@@ -131,8 +148,22 @@ class Collect:
             f"{summary.episodes_per_minute:.1f} per minute; the expert succeeded in "
             f"{100 * summary.expert_success_rate:.1f} % of its attempts."
         )
+        if len(summary.categories) > 1:
+            _print_categories(summary)
         for line in summary.failures:
             print(f"missing: {line}")
+
+
+def _changed(**presets: tuple[str, str]) -> dict[str, str]:
+    """Returns the presets that are not the default ones: a manifest holds no more than what was asked for."""
+    return {name: value for name, (value, default) in presets.items() if value != default}
+
+
+def _print_categories(summary: Summary) -> None:
+    print(f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}")
+    for name, row in summary.categories.items():
+        rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
+        print(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")
 
 
 @contextlib.contextmanager
@@ -148,9 +179,11 @@ def _progress(*, quiet: bool) -> Iterator[Listener]:
         bars.TimeRemainingColumn(),
     )
     with bars.Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
-        tasks = {name: progress.add_task(text, total=None, visible=False) for name, text in _STAGES.items()}
+        tasks: dict[str, bars.TaskID] = {}
 
         def listen(stage: str, done: int, total: int) -> None:
-            progress.update(tasks[stage], completed=done, total=total, visible=True)
+            if stage not in tasks:
+                tasks[stage] = progress.add_task(_STAGES.get(stage, stage.removeprefix("record ")), total=total)
+            progress.update(tasks[stage], completed=done, total=total)
 
         yield listen

@@ -13,7 +13,7 @@ import tyro
 
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.evaluation.episode_log import read_log
-from lerobot_adamanip.evaluation.metrics import Rate, Summary, difference_interval, summarise
+from lerobot_adamanip.evaluation.metrics import Rate, Summary, difference_interval, rate, summarise
 
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
 _FILE_WIDTH = 200
@@ -133,6 +133,8 @@ def print_tables(summaries: dict[str, Summary]) -> None:
     first, *others = summaries.items()
     for label, summary in others:
         for group in ("overall", "locked", "unlocked"):
+            if not (getattr(first[1], group).episodes and getattr(summary, group).episodes):
+                continue
             gap, low, high = (100 * value for value in _difference(first[1], summary, group))
             line = f"{first[0]} - {label}, {group}: {gap:+.1f} points [{low:+.1f}, {high:+.1f}]"
             console.print(line, markup=False, highlight=False)
@@ -146,8 +148,14 @@ def _rows(summaries: list[Summary]) -> list[tuple[str, list[str]]]:
     groups = ("overall", "locked", "unlocked", "seen", "unseen")
     names = {"overall": "all", "seen": "seen objects", "unseen": "unseen objects"}
     rows = [("episodes", [str(summary.episodes) for summary in summaries])]
-    rows += [(names.get(g, g), [_percent(getattr(summary, g)) for summary in summaries]) for g in groups]
-    rows.append(("tried the locked door first", [_percent(summary.tried_locked_door_first) for summary in summaries]))
+    known = [g for g in groups if any(getattr(summary, g).episodes for summary in summaries)]
+    rows += [(names.get(g, g), [_percent(getattr(summary, g)) for summary in summaries]) for g in known]
+    categories = list(dict.fromkeys(name for summary in summaries for name in summary.categories))
+    if len(categories) > 1:
+        rows += [(name, [_percent(s.categories.get(name, rate(0, 0))) for s in summaries]) for name in categories]
+    if any(summary.locked.episodes for summary in summaries):
+        tried = [_percent(summary.tried_locked_door_first) for summary in summaries]
+        rows.append(("tried the locked door first", tried))
     lengths = [summary.key_frames_of_successes for summary in summaries]
     rows.append(("key frames of a success", ["-" if value is None else f"{value:.1f}" for value in lengths]))
     wasted = [f"{s.tries.wasted:+.2f}  ({s.tries.made:.2f} made, {s.tries.best:.2f} at best)" for s in summaries]

@@ -10,6 +10,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from lerobot_adamanip.categories import ALL
 from lerobot_adamanip.demos.options import CollectOptions
 from lerobot_adamanip.errors import ConfigurationError, explain
 
@@ -45,8 +46,8 @@ def dataset_card(root: Path, options: CollectOptions, records: list[dict[str, An
         tags="\n".join(f"  - {tag}" for tag in TAGS),
         license=LICENSE,
         repo_id=repo_id,
-        category=options.category,
-        title=options.category.replace("_", " "),
+        title="all categories" if options.category == ALL else options.category.replace("_", " "),
+        env_type="adamanip" if options.category == ALL else f"adamanip_{options.category}",
         expert=options.expert,
         episodes=len(records),
         frames=info["total_frames"],
@@ -65,10 +66,10 @@ def dataset_card(root: Path, options: CollectOptions, records: list[dict[str, An
 
 
 def _command(options: CollectOptions, folder: str) -> str:
-    preset = options.env_options.get("pose_preset")
+    presets = {**options.env_options, **{f"expert_{name}": value for name, value in options.expert_options.items()}}
     return (
         f"adamanip collect --category {options.category} --expert {options.expert} "
         f"--episodes-per-object {options.episodes_per_object} --num-points {options.num_points} "
         f"--trials {options.trials} --seed {options.seed} --objects {','.join(options.objects)} --root {folder}"
-        + (f" --pose-preset {preset}" if preset else "")
+        + "".join(f" --{name.replace('_', '-')} {value}" for name, value in sorted(presets.items()))
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lerobot_adamanip.demos.assemble import assemble
 from lerobot_adamanip.demos.options import (
@@ -24,7 +26,31 @@ from lerobot_adamanip.demos.worker import Report
 from lerobot_adamanip.errors import ConfigurationError, DatasetError, explain
 
 Listener = Callable[[str, int, int], None]
-"""Told of progress: stage (``record`` or ``assemble``), episodes done, episodes in all."""
+"""Told of progress: stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, in all."""
+
+
+@dataclass(frozen=True)
+class CategorySummary:
+    """A category's share of a dataset, and what this run did for it.
+
+    Attributes:
+        episodes: in the dataset.
+        attempts: episodes the expert tried for them.
+        mean_key_frames: of an episode.
+        recorded: by this run.
+        worker_seconds: spent on it by this run, all workers together.
+    """
+
+    episodes: int
+    attempts: int
+    mean_key_frames: float
+    recorded: int
+    worker_seconds: float
+
+    @property
+    def episodes_per_worker_minute(self) -> float:
+        """Returns the rate of one worker."""
+        return 60.0 * self.recorded / self.worker_seconds if self.recorded else 0.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +67,7 @@ class Summary:
         expert_success_rate: successes over attempts of all episodes in the dataset.
         bytes: size of the dataset on disk.
         failures: lines about items that were given up; empty in a complete dataset.
+        categories: by name, in the order of the dataset.
     """
 
     root: str
@@ -52,6 +79,7 @@ class Summary:
     expert_success_rate: float
     bytes: int
     failures: tuple[str, ...] = ()
+    categories: dict[str, CategorySummary] = field(default_factory=dict)
 
     @property
     def episodes_per_minute(self) -> float:
@@ -96,7 +124,7 @@ def collect(
     tell = listener or (lambda stage, done, total: None)
     if _is_complete(folders, options):
         folders.clean()
-        return _summary(folders.root, [], begin, 0.0)
+        return _summary(folders.root, options, [], begin=begin)
     with _prepared(folders, options):
         reports = _record(folders, options, workers, max_attempts, tell)
         recording = time.monotonic() - begin
@@ -109,7 +137,7 @@ def collect(
             )  # fmt: skip
         shards = [path for item in options.items() if (path := folders.episodes / item.file_name).exists()]
         assemble(folders, options, shards, repo_id or f"local/{root.name}", lambda i, n: tell("assemble", i, n))
-        summary = _summary(folders.root, reports, begin, recording, failures)
+        summary = _summary(folders.root, options, reports, begin=begin, recording=recording, failures=failures)
         folders.clean()
     return summary
 
@@ -151,14 +179,19 @@ def _record(
 ) -> list[Report]:
     items = options.items()
     missing = [item for item in items if not _is_recorded(folders, item)]
-    done = len(items) - len(missing)
-    tell("record", done, len(items))
+    totals = Counter(options.category_of(item.object_id) for item in items)
+    done = totals - Counter(options.category_of(item.object_id) for item in missing)
+    for category, total in totals.items():
+        tell(f"record {category}", done[category], total)
     reports = []
     with WorkerPool(min(workers, max(1, len(missing))), options, folders.episodes, max_attempts) as pool:
         for report in pool.run(missing):
             reports.append(report)
-            done += report.recorded
-            tell("record", done, len(items))
+            assert report.item is not None
+            category = options.category_of(report.item.object_id)
+            done[category] += report.recorded
+            tell(f"record {category}", done[category], totals[category])
+            tell("record", done.total(), len(items))
     return reports
 
 
@@ -174,11 +207,18 @@ def _describe(report: Report) -> str:
 
 
 def _summary(
-    root: Path, reports: list[Report], begin: float, recording: float, failures: tuple[str, ...] = ()
+    root: Path,
+    options: CollectOptions,
+    reports: list[Report],
+    *,
+    begin: float,
+    recording: float = 0.0,
+    failures: tuple[str, ...] = (),
 ) -> Summary:
     from lerobot_adamanip.demos.loading import episode_table
 
-    tried = [int(attempts) for attempts in episode_table(root)["attempts"].to_pylist()]
+    rows = episode_table(root).select(["object_id", "attempts", "length"]).to_pylist()
+    tried = [int(row["attempts"]) for row in rows]
     return Summary(
         root=str(root),
         episodes=len(tried),
@@ -189,4 +229,22 @@ def _summary(
         expert_success_rate=len(tried) / sum(tried) if tried else 0.0,
         bytes=sum(path.stat().st_size for path in root.rglob("*") if path.is_file()),
         failures=failures,
+        categories=_by_category(options, rows, reports),
     )
+
+
+def _by_category(
+    options: CollectOptions, rows: list[dict[str, Any]], reports: list[Report]
+) -> dict[str, CategorySummary]:
+    summaries = {}
+    for category in dict.fromkeys(options.category_of(name) for name in options.objects):
+        mine = [row for row in rows if options.category_of(row["object_id"]) == category]
+        done = [each for each in reports if each.item and options.category_of(each.item.object_id) == category]
+        summaries[category] = CategorySummary(
+            episodes=len(mine),
+            attempts=sum(int(row["attempts"]) for row in mine),
+            mean_key_frames=sum(int(row["length"]) for row in mine) / max(1, len(mine)),
+            recorded=sum(each.recorded for each in done),
+            worker_seconds=sum(each.seconds for each in done),
+        )
+    return summaries

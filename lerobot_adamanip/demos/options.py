@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.categories import ALL
 from lerobot_adamanip.demos.shards import write_atomically
 from lerobot_adamanip.errors import ConfigurationError, DatasetError, explain, require_choice
 from lerobot_adamanip.experts import EXPERT_KINDS
@@ -50,7 +51,7 @@ class CollectOptions:
     """Everything that decides which data a collection holds. Two collections of equal options are equal.
 
     Attributes:
-        category: of object.
+        category: of object, or ``all`` for objects of several.
         objects: ids, in the order of the dataset.
         expert: ``adaptive`` or ``static``.
         episodes_per_object: successes to keep of each object.
@@ -59,8 +60,10 @@ class CollectOptions:
         seed: of the whole collection.
         image_size: height and width of the front image [px].
         env_options: passed on to the environment.
+        expert_options: passed on to the expert.
         env_factory: ``module:function``, called as (category, num_points, image_size=, **env_options).
-        expert_factory: ``module:function``, called as (category, kind, annotations, trials=, generator=, hidden=).
+        expert_factory: ``module:function``, called as (category, kind, annotations, trials=, generator=, hidden=,
+            **expert_options).
     """
 
     category: str
@@ -72,6 +75,7 @@ class CollectOptions:
     seed: int = 0
     image_size: int = schema.IMAGE_SIZE
     env_options: dict[str, Any] = field(default_factory=dict)
+    expert_options: dict[str, Any] = field(default_factory=dict)
     env_factory: str = ENV_FACTORY
     expert_factory: str = EXPERT_FACTORY
 
@@ -87,6 +91,10 @@ class CollectOptions:
                 explain("Objects must be given, each once.", got=self.objects, allowed="different object ids",
                         try_="--objects 0:4")
             )  # fmt: skip
+
+    def category_of(self, object_id: str) -> str:
+        """Returns the category of one of the objects."""
+        return object_id.rpartition("_")[0] if self.category == ALL else self.category
 
     def items(self) -> list[Item]:
         """Returns the episodes in dataset order: the first of every object, then the second: any prefix is balanced."""

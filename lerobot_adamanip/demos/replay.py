@@ -69,7 +69,7 @@ def replay(root: str | Path, episode: int, *, video: str | Path | None = None) -
         ConfigurationError: if it has no such episode.
     """
     recording = _read(Path(root), episode)
-    env = make_env(read_manifest(Path(root) / "meta" / "collection.json"))
+    env = make_env(read_manifest(Path(root) / "meta" / "collection.json"), recording.row["object_id"])
     try:
         seen, success = _run(env, recording)
     finally:

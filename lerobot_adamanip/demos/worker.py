@@ -8,9 +8,10 @@ import os
 import platform
 import signal
 import threading
+import time
 import traceback
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -38,6 +39,7 @@ class Report:
         attempts: episodes tried.
         key_frames: of the recorded episode.
         failures: per failed attempt: seed and reason.
+        seconds: it took.
         error: text of an error that no other episode would survive.
     """
 
@@ -46,6 +48,7 @@ class Report:
     attempts: int = 0
     key_frames: int = 0
     failures: tuple[dict[str, Any], ...] = field(default=())
+    seconds: float = 0.0
     error: str | None = None
 
 
@@ -62,12 +65,10 @@ def resolve(path: str) -> Callable[..., Any]:
     return function
 
 
-def make_env(options: CollectOptions) -> KeyframeEnv:
-    """Builds the environment of a collection."""
-    factory = resolve(options.env_factory)
-    env: KeyframeEnv = factory(
-        options.category, options.num_points, image_size=options.image_size, **options.env_options
-    )
+def make_env(options: CollectOptions, object_id: str) -> KeyframeEnv:
+    """Builds the environment of a collection in which an object can be worked on."""
+    factory, category = resolve(options.env_factory), options.category_of(object_id)
+    env: KeyframeEnv = factory(category, options.num_points, image_size=options.image_size, **options.env_options)
     return env
 
 
@@ -89,12 +90,13 @@ def attempt_episode(
     observation, _ = env.reset(seed=seed, options={"object_id": object_id})
     hidden, camera = env.hidden_state(), env.camera_parameters()
     expert = resolve(options.expert_factory)(
-        options.category,
+        options.category_of(object_id),
         options.expert,
         env.annotations,
         trials=options.trials,
         generator=np.random.default_rng([seed, _EXPERT_STREAM]),
         hidden=hidden if options.expert == "static" else None,
+        **options.expert_options,
     )
     recorder = EpisodeRecorder()
     result = run_episode(env, observation, expert, recorder)
@@ -117,7 +119,8 @@ def record_item(env: KeyframeEnv, options: CollectOptions, item: Item, folder: P
     """Tries seeds until the expert succeeds, and writes that episode."""
     failures: list[dict[str, Any]] = []
     for attempt in range(max_attempts):
-        seed = episode_seed(options.seed, options.category, item.object_id, item.slot, attempt)
+        category = options.category_of(item.object_id)
+        seed = episode_seed(options.seed, category, item.object_id, item.slot, attempt)
         try:
             result, episode = attempt_episode(env, options, item.object_id, seed)
         except UnreachableError as error:
@@ -139,11 +142,17 @@ def worker_main(pipe: Connection, options: dict[str, Any], folder: str, max_atte
     wanted = CollectOptions.from_json(options)
     env: KeyframeEnv | None = None
     item: Item | None = None
+    category = ""
     try:
         while True:
             item = Item(**pipe.recv())
-            env = env or make_env(wanted)
-            pipe.send(asdict(record_item(env, wanted, item, Path(folder), max_attempts)))
+            begin = time.monotonic()
+            if env is None or category != wanted.category_of(item.object_id):
+                if env is not None:
+                    env.close()  # one simulator at a time
+                category, env = wanted.category_of(item.object_id), make_env(wanted, item.object_id)
+            report = record_item(env, wanted, item, Path(folder), max_attempts)
+            pipe.send(asdict(replace(report, seconds=time.monotonic() - begin)))
     except (EOFError, BrokenPipeError):
         pass
     except Exception as error:  # the parent shows it: a worker has no screen of its own

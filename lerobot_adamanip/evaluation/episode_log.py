@@ -18,13 +18,13 @@ class EpisodeRecord:
     Attributes:
         seed: decided object, poses and hidden state.
         object_id: ``safe_007``.
-        hidden: hidden state as drawn, as sorted (name, value) pairs; ``locked`` is one of them.
+        hidden: hidden state as drawn, as sorted (name, value) pairs.
         success: whether it was opened.
         key_frames: steps it took.
         first_part: part that was held first, or None.
-        blocked_pulls: pulls at the handle that the shut door blocked.
-        knob_turned: whether the knob was turned.
-        wrong_turns: turns of the knob against its direction; None in a log that does not hold them.
+        blocked_pulls: tries at what opens (door, lid, button of a lamp) that were blocked.
+        key_moved: whether the key (knob, button, cap, lever) was moved.
+        wrong_turns: turns of the key that were blocked from the start.
     """
 
     seed: int
@@ -34,13 +34,18 @@ class EpisodeRecord:
     key_frames: int
     first_part: str | None
     blocked_pulls: int
-    knob_turned: bool
-    wrong_turns: int | None = None
+    key_moved: bool
+    wrong_turns: int
 
     @property
-    def locked(self) -> bool:
-        """Whether it started locked."""
-        return bool(dict(self.hidden)["locked"])
+    def locked(self) -> bool | None:
+        """Whether it started locked; None in a category that always has to be turned first."""
+        return dict(self.hidden).get("locked")
+
+    @property
+    def category(self) -> str:
+        """Kind of object."""
+        return parse_object_id(self.object_id)[0]
 
     @property
     def unseen(self) -> bool:
@@ -59,7 +64,8 @@ def parse_record(content: Any) -> EpisodeRecord:
     if not isinstance(content, dict):
         raise ValueError("not a JSON object")
     hidden = _typed(content, "hidden_state", dict)
-    _typed(hidden, "locked", bool)
+    if "locked" in hidden:
+        _typed(hidden, "locked", bool)
     object_id = _typed(content, "object_id", str)
     try:
         parse_object_id(object_id)
@@ -74,8 +80,8 @@ def parse_record(content: Any) -> EpisodeRecord:
         key_frames=_typed(content, "key_frames", int),
         first_part=None if first_part is None else _typed(content, "first_part", str),
         blocked_pulls=_typed(content, "blocked_pulls", int),
-        knob_turned=_typed(content, "knob_turned", bool),
-        wrong_turns=_typed(content, "wrong_turns", int) if "wrong_turns" in content else None,
+        key_moved=_typed(content, "key_moved", bool),
+        wrong_turns=_typed(content, "wrong_turns", int),
     )
 
 

@@ -11,9 +11,10 @@ from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
 
 Z95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
-BEST_BLOCKED_PULLS = 1.0
-BEST_WRONG_TURNS = 0.5
-"""On average, of a knob that turns to either side with equal chance."""
+BEST_TRIES = {"locked": 1.0, "direction": 0.5, "mode": 1.0}
+"""Tries in vain, on average, of the best strategy that sees nothing either. A pull tells that a door is locked, and is
+cheaper than its key. A direction is wrong half of the time. Of three motions, tried one after the other, zero, one or
+two fail."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +36,11 @@ class Tries:
         made: mean per episode.
         best: the same mean for the best strategy that does not see the hidden state either.
         wasted: ``made - best``. Below zero: luck, or success without the tries that knowing nothing costs on average.
-        wrong_turns_known: whether every record holds its wrong turns, so that they are counted on both sides.
     """
 
     made: float
     best: float
     wasted: float
-    wrong_turns_known: bool
 
 
 @dataclass(frozen=True)
@@ -60,6 +59,7 @@ class Summary:
         episodes: counted, each once.
         repeats: records dropped because the same episode came again later in the log.
         overall, locked, unlocked, seen, unseen: success of all episodes and of those that were so.
+        categories: success by category, in order of appearance.
         tried_locked_door_first: of the locked episodes, those that took the handle first and pulled in vain.
         key_frames_of_successes: mean; None without a success.
         tries: that led nowhere.
@@ -73,6 +73,7 @@ class Summary:
     unlocked: Rate
     seen: Rate
     unseen: Rate
+    categories: dict[str, Rate]
     tried_locked_door_first: Rate
     key_frames_of_successes: float | None
     tries: Tries
@@ -128,25 +129,29 @@ def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
 
 def tried_locked_door_first(record: EpisodeRecord) -> bool:
     """Whether a robot took the handle first and pulled at a door that was locked."""
-    return record.locked and record.first_part == "handle" and record.blocked_pulls >= 1
+    return bool(record.locked) and record.first_part == "handle" and record.blocked_pulls >= 1
+
+
+def best_tries(record: EpisodeRecord) -> float:
+    """Returns the tries in vain that the best strategy under the same uncertainty makes in this episode, on average."""
+    hidden = dict(record.hidden)
+    if hidden.get("locked") is False:
+        return 0.0
+    return sum(cost for name, cost in BEST_TRIES.items() if name in hidden)
 
 
 def count_tries(records: Sequence[EpisodeRecord]) -> Tries:
     """Counts tries that led nowhere, against the best possible under the same uncertainty.
 
-    Made: each pull at the handle that the shut door blocked (``blocked_pulls``); turning the knob of a safe that was
-    not locked, one (``knob_turned``); and each turn of the knob against its direction (``wrong_turns``), where all
-    records hold it. Best: who does not see the hidden state pulls first, because that is cheaper than turning a knob.
-    That costs nothing if the safe is open, and one blocked pull if it is locked; then one of two directions has to be
-    chosen, wrongly half of the time: half a wrong turn, left out on both sides where the records do not hold it.
+    Made: each try at what opens that was blocked (``blocked_pulls``); each turn of the key against its direction
+    (``wrong_turns``); and working the key of what was not locked, one (``key_moved``). Best: see `BEST_TRIES`.
     """
-    known = bool(records) and all(record.wrong_turns is not None for record in records)
     made = best = 0.0
     for record in records:
-        made += record.blocked_pulls + (record.wrong_turns or 0) * known + (record.knob_turned and not record.locked)
-        best += (BEST_BLOCKED_PULLS + BEST_WRONG_TURNS * known) * record.locked
+        made += record.blocked_pulls + record.wrong_turns + (record.key_moved and record.locked is False)
+        best += best_tries(record)
     number = max(1, len(records))
-    return Tries(made / number, best / number, (made - best) / number, known)
+    return Tries(made / number, best / number, (made - best) / number)
 
 
 def summarise(records: Sequence[EpisodeRecord]) -> Summary:
@@ -157,16 +162,20 @@ def summarise(records: Sequence[EpisodeRecord]) -> Summary:
         chosen = [record for record in kept if where(record)]
         return rate(sum(record.success for record in chosen), len(chosen))
 
-    locked = [record for record in kept if record.locked]
+    locked = [record for record in kept if record.locked is True]
     lengths = [record.key_frames for record in kept if record.success]
     return Summary(
         episodes=len(kept),
         repeats=len(records) - len(kept),
         overall=success(lambda _: True),
-        locked=success(lambda record: record.locked),
-        unlocked=success(lambda record: not record.locked),
+        locked=success(lambda record: record.locked is True),
+        unlocked=success(lambda record: record.locked is False),
         seen=success(lambda record: not record.unseen),
         unseen=success(lambda record: record.unseen),
+        categories={
+            name: success(lambda record, name=name: record.category == name)  # type: ignore[misc]
+            for name in dict.fromkeys(record.category for record in kept)
+        },
         tried_locked_door_first=rate(sum(map(tried_locked_door_first, locked)), len(locked)),
         key_frames_of_successes=sum(lengths) / len(lengths) if lengths else None,
         tries=count_tries(kept),

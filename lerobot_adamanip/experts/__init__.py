@@ -13,6 +13,7 @@ from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Outcome, Ph
 from lerobot_adamanip.objects import PartAnnotation
 
 EXPERT_KINDS = ("adaptive", "static")
+EXPERT_PRESETS = ("paper", "upstream")
 _TWISTED = twist.TWISTS
 _ADAPTIVE: dict[str, Callable[..., KeyFrames]] = {
     "safe": safe.adaptive,
@@ -43,6 +44,7 @@ def make_expert(
     generator: np.random.Generator,
     trials: int = 1,
     hidden: Mapping[str, bool | int | float] | None = None,
+    preset: str = "paper",
 ) -> KeyFrames:
     """Returns an expert at work.
 
@@ -53,6 +55,7 @@ def make_expert(
         generator: decides what the expert leaves to chance.
         trials: failed tries the adaptive expert makes before it changes its mind, at least 1.
         hidden: the hidden state, for the static expert alone; the adaptive one refuses it.
+        preset: ``paper``, or ``upstream`` for the adaptive sequence of its released code where that differs.
     """
     require_choice("category", category, _ADAPTIVE)
     if require_choice("expert", kind, EXPERT_KINDS) == "static":
@@ -71,7 +74,19 @@ def make_expert(
         raise ConfigurationError(
             explain("Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", try_="kind='static'")
         )
+    if require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and category in _TWISTED:
+        return twist.adaptive(twist.upstream(category), annotations, generator, trials=trials)
     return _ADAPTIVE[category](annotations, generator, trials=trials)
 
 
-__all__ = ["EXPERT_KINDS", "SEQUENCES", "Feedback", "Goal", "KeyFrames", "Outcome", "Phase", "make_expert"]
+__all__ = [
+    "EXPERT_KINDS",
+    "EXPERT_PRESETS",
+    "SEQUENCES",
+    "Feedback",
+    "Goal",
+    "KeyFrames",
+    "Outcome",
+    "Phase",
+    "make_expert",
+]

@@ -8,7 +8,7 @@ first (bottle, pen, pressure cooker, coffee maker); a window or a door is turned
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ class Twist:
         opening: positions of the final joint [rad or m], one key frame each; the first is the try.
         p_open: probability of a try after a turn that the part followed.
         p_open_first: probability that the very first motion is a try.
+        not_before: angle below which no try is made [rad]; upstream's code, not the paper's text.
     """
 
     part: str
@@ -41,6 +42,7 @@ class Twist:
     opening: tuple[float, ...]
     p_open: float = 0.5
     p_open_first: float = 0.5
+    not_before: float = 0.0
 
     @property
     def sequence(self) -> str:
@@ -62,6 +64,16 @@ TWISTS = {
     "window": Twist("handle", "handle", "sash", np.deg2rad(25.0), SWING, p_open_first=0.0),
     "door": Twist("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_first=0.0),
 }
+
+UPSTREAM_NOT_BEFORE = {
+    "bottle": 0.99875, "pen": 0.99875, "pressure_cooker": 0.35, "coffee_maker": 0.34, "window": 0.6673, "door": 0.44625,
+}  # fmt: skip
+"""Angles [rad] that upstream's experts turn through before their first try: the least that can be enough."""
+
+
+def upstream(category: str) -> Twist:
+    """Returns a category as upstream's code has it: no try first, and none before an angle that can be enough."""
+    return replace(TWISTS[category], p_open_first=0.0, not_before=UPSTREAM_NOT_BEFORE[category])
 
 
 @dataclass
@@ -93,7 +105,8 @@ class TwistExpert:
             return
         while True:
             followed = yield from self._turn()
-            if (self.at_end or (followed and rng.random() < twist.p_open)) and (yield from self._try_to_open()):
+            may = followed and abs(self.angle) >= twist.not_before and rng.random() < twist.p_open
+            if (self.at_end or may) and (yield from self._try_to_open()):
                 return
 
     def static(self, direction: int, turn_range: float) -> KeyFrames:

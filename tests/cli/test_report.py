@@ -19,7 +19,7 @@ def write_log(path: Path, locked_successes: int, episodes: int = 20) -> Path:
         lines.append({
             "seed": seed, "object_id": f"safe_{seed % 4:03d}", "success": success, "key_frames": 9 + 11 * locked,
             "hidden_state": {"locked": locked, "direction": 1, "knob_range": 1.2}, "first_part": "handle",
-            "blocked_pulls": int(locked), "knob_turned": locked, "door_angle": 0.5 * success,
+            "blocked_pulls": int(locked), "key_moved": locked, "wrong_turns": 0,
         })  # fmt: skip
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     return path

@@ -15,6 +15,7 @@ from demos_helpers import ATTEMPTS, HERE, OPTIONS, same_content
 
 from lerobot_adamanip.demos import collect as collecting
 from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.demos.loading import episode_table
 from lerobot_adamanip.demos.options import CollectOptions, Folders
 from lerobot_adamanip.demos.pool import WorkerError
 from lerobot_adamanip.errors import DatasetError
@@ -248,3 +249,25 @@ def test_the_fake_options_name_importable_factories() -> None:
 
     assert callable(resolve(OPTIONS["env_factory"]))
     assert callable(resolve(OPTIONS["expert_factory"]))
+
+
+def test_all_categories_make_one_dataset_of_what_each_gives_alone(tmp_path: Path, options: Options) -> None:
+    told: dict[str, list[int]] = {}
+    names = ("fake_000", "fake_001", "mock_000")
+    everything = options(category="all", objects=names, episodes_per_object=2)
+    assert [everything.category_of(name) for name in names] == ["fake", "fake", "mock"]
+    summary = collect(
+        tmp_path / "all", everything, workers=2, max_attempts=ATTEMPTS,
+        listener=lambda stage, done, total: told.setdefault(stage, []).append(done),
+    )  # fmt: skip
+    assert {name: row.episodes for name, row in summary.categories.items()} == {"fake": 4, "mock": 2}
+    assert told["record fake"] == sorted(told["record fake"])
+    assert (told["record fake"][-1], told["record mock"][-1], told["record"][-1]) == (4, 2, 6)
+    alone = collect(tmp_path / "mock", options(category="mock", objects=("mock_000",), episodes_per_object=2),
+                    max_attempts=ATTEMPTS)  # fmt: skip
+    assert alone.categories["mock"].attempts == summary.categories["mock"].attempts
+    rows = [row for row in episode_table(tmp_path / "all").to_pylist() if row["object_id"] == "mock_000"]
+    for row, other in zip(rows, episode_table(tmp_path / "mock").to_pylist(), strict=True):
+        assert {key: row[key] for key in ("seed", "length", "hidden_state")} == {
+            key: other[key] for key in ("seed", "length", "hidden_state")
+        }

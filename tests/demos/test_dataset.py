@@ -33,7 +33,7 @@ def copy(tmp_path: Path, finished: Path) -> Path:
 
 def test_rows_are_the_episodes_that_happen_from_the_stored_seeds(finished: Path, options: Options) -> None:
     dataset = open_dataset(finished, video_backend="pyav")
-    env = make_env(options())
+    env = make_env(options(), options().objects[0])
     assert dataset.num_episodes == 6
     for row in episode_table(finished).to_pylist():
         result, episode = attempt_episode(env, options(), row["object_id"], row["seed"])
@@ -203,6 +203,6 @@ def test_publishing_without_a_network_is_one_clear_error(finished: Path, refuses
 
 def test_an_episode_file_holds_what_the_dataset_needs(tmp_path: Path, finished: Path, options: Options) -> None:
     row = episode_table(finished).to_pylist()[0]
-    _, episode = attempt_episode(make_env(options()), options(), row["object_id"], row["seed"])
+    _, episode = attempt_episode(make_env(options(), row["object_id"]), options(), row["object_id"], row["seed"])
     write_shard(tmp_path / "episode", episode)
     assert set(episode.columns) == set(schema.dataset_features(8))

@@ -13,8 +13,8 @@ from lerobot_adamanip.evaluation.episode_log import read_log
 
 GOOD: dict[str, Any] = {
     "seed": 1000, "object_id": "safe_003", "hidden_state": {"locked": True, "direction": -1, "knob_range": 1.2},
-    "success": True, "key_frames": 19, "first_part": "handle", "blocked_pulls": 1, "knob_turned": True,
-    "door_angle": 0.5,
+    "success": True, "key_frames": 19, "first_part": "handle", "blocked_pulls": 1, "key_moved": True,
+    "wrong_turns": 0, "joints": {"door": 0.5, "knob": 1.1}, "category": "safe",
 }  # fmt: skip
 
 
@@ -30,7 +30,7 @@ def test_records_come_back_in_order(tmp_path: Path) -> None:
     assert (second.seed, second.unseen, second.first_part) == (1001, True, None)
 
 
-@pytest.mark.parametrize("key", [key for key in GOOD if key not in ("first_part", "door_angle")])
+@pytest.mark.parametrize("key", [key for key in GOOD if key not in ("first_part", "joints", "category")])
 def test_a_record_that_lacks_something_names_line_and_key(key: str, tmp_path: Path) -> None:
     damaged = {name: value for name, value in GOOD.items() if name != key}
     with pytest.raises(DatasetError, match=rf"line 2: no '{key}'"):

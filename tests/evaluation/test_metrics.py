@@ -12,6 +12,7 @@ from scipy.stats import binomtest
 
 from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
 from lerobot_adamanip.evaluation.metrics import (
+    best_tries,
     count_tries,
     difference_interval,
     rate,
@@ -27,7 +28,7 @@ SHARES = st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.j
 
 def record(**changes: object) -> EpisodeRecord:
     hidden = tuple(sorted({"locked": changes.pop("locked", False), "direction": 1, "knob_range": 1.2}.items()))
-    plain = EpisodeRecord(1, "safe_000", hidden, True, 8, "handle", 0, False)
+    plain = EpisodeRecord(1, "safe_000", hidden, True, 8, "handle", 0, False, 0)
     return dataclasses.replace(plain, **changes)  # type: ignore[arg-type]
 
 
@@ -41,7 +42,8 @@ RECORDS = st.lists(
         key_frames=st.integers(1, 45),
         first_part=st.sampled_from(["handle", "knob", None]),
         blocked_pulls=st.integers(0, 4),
-        knob_turned=st.booleans(),
+        key_moved=st.booleans(),
+        wrong_turns=st.integers(0, 2),
     ),
     max_size=60,
 )
@@ -148,25 +150,34 @@ def test_trying_the_locked_door_first_needs_a_lock_the_handle_and_a_pull() -> No
 
 
 def test_the_best_strategy_wastes_nothing_and_each_further_try_one() -> None:
-    best = [record(), record(seed=2, locked=True, blocked_pulls=1, knob_turned=True)]
-    assert count_tries(best).wasted == 0
-    for more in ({"locked": True, "blocked_pulls": 1}, {"knob_turned": True}):
+    # Of two locked safes, the best strategy turns one knob the wrong way first.
+    lucky = record(seed=2, locked=True, blocked_pulls=1, key_moved=True)
+    unlucky = record(seed=3, locked=True, blocked_pulls=1, key_moved=True, wrong_turns=1)
+    assert count_tries([record(), lucky, unlucky]).wasted == pytest.approx(0)
+    for more in ({"locked": True, "blocked_pulls": 1}, {"key_moved": True}, {"wrong_turns": 1}):
         worse = [record(**({"blocked_pulls": 0} | more)), record()]
         excess = count_tries(worse).made - count_tries([record(), record()]).made
         assert excess == pytest.approx(0.5)
 
 
-def test_wrong_turns_count_only_where_all_records_hold_them() -> None:
-    known = [
-        record(seed=seed, locked=True, blocked_pulls=1, knob_turned=True, wrong_turns=turns)
-        for seed, turns in enumerate((0, 1))
-    ]
-    tries = count_tries(known)
-    assert tries.wrong_turns_known
-    assert tries.wasted == pytest.approx(0)
-    mixed = count_tries([*known, record()])
-    assert not mixed.wrong_turns_known
-    assert mixed.made == pytest.approx(2 / 3)
+@pytest.mark.parametrize(
+    ("hidden", "best"),
+    [
+        ({"locked": False}, 0.0), ({"locked": True}, 1.0), ({"locked": False, "direction": 1}, 0.0),
+        ({"locked": True, "direction": 1}, 1.5), ({"direction": -1, "turn_range": 1.1}, 0.5), ({"mode": 2}, 1.0),
+    ],
+)  # fmt: skip
+def test_knowing_nothing_costs_what_the_hidden_values_say(hidden: dict[str, object], best: float) -> None:
+    assert best_tries(record(hidden=tuple(sorted(hidden.items())))) == best
+
+
+def test_each_category_has_a_rate_of_its_own() -> None:
+    names = ("safe_000", "safe_001", "lamp_003", "pressure_cooker_002")
+    summary = summarise([record(object_id=name, success=name != "safe_001") for name in names])
+    assert {name: (r.count, r.episodes) for name, r in summary.categories.items()} == {
+        "safe": (1, 2), "lamp": (1, 1), "pressure_cooker": (1, 1),
+    }  # fmt: skip
+    assert sum(r.count for r in summary.categories.values()) == summary.overall.count
 
 
 @given(RECORDS)
