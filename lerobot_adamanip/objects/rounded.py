@@ -13,7 +13,7 @@ from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.shapes import convex_mesh
 from lerobot_adamanip.rotations import rotation_about, transform
 
-_QUARTER = np.linspace(0, np.pi / 2, 6)
+_QUARTER = np.linspace(0, np.pi / 2, 9)
 _FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Takes a plate's (across, up, out) to (y, z, x): it stands, and faces out of an object's front."""
 
@@ -22,7 +22,7 @@ def slab(
     center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.0,
     collides: bool = True,
 ) -> Shape:  # fmt: skip
-    """A lying plate: corners rounded about z by ``radius``, the upper rim cut by ``bevel``, half extents x, y, z [m]."""
+    """A lying plate: corners rounded about z by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
     points = _rounded(half, radius, bevel)
     return convex_mesh(points, transform(center), material, collides=collides)
 
@@ -63,7 +63,7 @@ def lathe(
 
 
 def shell(
-    center: ArrayLike, profile: Sequence[tuple[float, float]], thickness: float, material: Material, *, sides: int = 28
+    center: ArrayLike, profile: Sequence[tuple[float, float]], thickness: float, material: Material, *, sides: int = 40
 ) -> tuple[Shape, ...]:
     """A wall along a profile of (radius, height) pairs [m] turned about z: hollow, made of convex staves."""
     half_angle = np.pi / sides

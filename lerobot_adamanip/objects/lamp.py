@@ -1,0 +1,204 @@
+"""Lamps for desk and bedside: a base, a stem behind or beside the switch, a head; the switch is a button or a knob.
+
+Nobody sees which: the mechanism draws it per episode, and the geometry is the same. The switch stands apart from stem
+and head, because a hand that turns it from above sweeps a circle of 21 cm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.objects.base import (
+    ArticulatedObject,
+    Joint,
+    Link,
+    Material,
+    Shape,
+    annotate,
+    any_roll,
+    from_above,
+)
+from lerobot_adamanip.objects.lamp_heads import BRASS, HEADS, METALS, PAINTS, WOODS, Head, Place
+from lerobot_adamanip.objects.rounded import lathe, slab
+from lerobot_adamanip.objects.shapes import box, rod
+
+HAND_CLEARANCE = 0.135
+"""Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
+BASE_STYLES = ("plate", "block", "stadium", "discs")
+KNOB_STYLES = ("smooth", "knurled", "faceted")
+CAP_HEIGHT = 0.034
+"""Height of the part of the switch that is held [m]."""
+GRIP_DEPTH = 0.013
+"""Of the tool centre point below the top of the switch [m]."""
+SPRING, SPRING_REST = 150.0, -0.012
+"""The button's spring [N/m], slack above its rest position [m]: it carries the cap with 1.8 N and brings it back."""
+
+
+@dataclass(frozen=True)
+class LampDesign:
+    """The parameters of one lamp [m, rad].
+
+    Attributes:
+        bearing: direction in which the stem stands from the switch, from straight behind it; half a turn to the right
+            and left is all there could be.
+        distance: of the stem's foot from the switch.
+        head: style, size and colours of all above the base.
+        thickness: of the base.
+        travel: of the switch as a button.
+        turn_range: of the switch as a knob, to either side.
+    """
+
+    bearing: float
+    distance: float
+    head: Head
+    base_style: str
+    thickness: float
+    base: Material
+    knob_style: str
+    knob_radius: float
+    knob: Material
+    travel: float
+    turn_range: float
+
+    @property
+    def knob_margin(self) -> float:
+        """From the switch's axis to the edge of the base [m]."""
+        return self.knob_radius + 0.022
+
+    def place(self) -> Place:
+        """Returns where stem and switch stand on the base, whose front is at x = 0 and whose middle at y = 0."""
+        away = np.array([-np.cos(self.bearing), np.sin(self.bearing)])
+        foot, foot_margin = self.distance * away, self.head.foot_margin
+        lower = np.minimum(-self.knob_margin, foot - foot_margin)
+        upper = np.maximum(self.knob_margin, foot + foot_margin)
+        shift = np.array([-upper[0], -(lower[1] + upper[1]) / 2])
+        return Place(shift, shift + foot, away, (upper - lower) / 2, self.thickness)
+
+
+def draw_design(rng: np.random.Generator) -> LampDesign:
+    """Draws one lamp: the head first, as it decides how far from the switch the stem has to stand."""
+    head = Head.drawn(rng, str(rng.choice(list(HEADS))))
+    beside = rng.random() < 0.35
+    bearing = rng.choice([-1, 1]) * rng.uniform(1.15, 1.5) if beside else rng.uniform(-0.4, 0.4)
+    base_style = str(rng.choice(BASE_STYLES))
+    wooden = base_style in ("plate", "block") and rng.random() < 0.35
+    paints = (head.metal, head.metal, *PAINTS)
+    base = WOODS[rng.integers(len(WOODS))] if wooden else paints[rng.integers(len(paints))]
+    knobs = (*METALS, BRASS, head.metal, PAINTS[0], WOODS[0])
+    return LampDesign(
+        bearing=float(bearing),
+        distance=head.clear_distance(HAND_CLEARANCE) + rng.uniform(0.0, 0.012),
+        head=head,
+        base_style=base_style,
+        thickness=rng.uniform(0.026, 0.036) if base_style == "block" else rng.uniform(0.013, 0.020),
+        base=base,
+        knob_style=str(rng.choice(KNOB_STYLES)),
+        knob_radius=rng.uniform(0.011, 0.020),
+        knob=knobs[rng.integers(len(knobs))],
+        travel=rng.uniform(0.020, 0.024),
+        turn_range=rng.uniform(1.25, 1.57),
+    )
+
+
+def make_lamp(number: int) -> ArticulatedObject:
+    """Builds lamp ``number`` (25 in the paper's set; any number is an object)."""
+    return build_lamp(f"lamp_{number:03d}", draw_design(np.random.default_rng([number, 0x1A3B])))
+
+
+def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:
+    """Builds links and annotation of a design: joints ``button`` and ``knob``, both under the one part ``knob``."""
+    place = design.place()
+    body = _base_shapes(design, place) + design.head.shapes(place)
+    switch = (float(place.switch[0]), float(place.switch[1]), design.thickness)
+    top = design.travel + 0.006 + CAP_HEIGHT
+    push = Joint(
+        "button", "prismatic", (0.0, 0.0, -1.0), switch, (0.0, design.travel), friction=0.02, damping=4.0,
+        stiffness=SPRING, rest=SPRING_REST,
+    )  # fmt: skip
+    turn = Joint("knob", "revolute", limits=(-design.turn_range, design.turn_range), friction=0.03, damping=0.01)
+    links = (
+        Link("base", body, mass=2.5),
+        Link("plunger", _plunger_shapes(design, top), 0.03, "base", push),
+        Link("knob", _knob_shapes(design, top), 0.05, "plunger", turn),
+    )
+    grip = (switch[0], switch[1], switch[2] + top - GRIP_DEPTH)
+    parts = (annotate(links, "knob", "knob", from_above(grip), any_roll()),)
+    lower, upper = _bounds(body)
+    size = (2 * float(np.abs([lower[1], upper[1]]).max()), -float(lower[0]), float(upper[2]))
+    words = f"{design.head.style}, {design.base_style} base, {design.knob_style} switch"
+    return ArticulatedObject(object_id, "lamp", links, parts, size, words)
+
+
+def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
+    half_x, half_y = place.half
+    t, material = design.thickness, design.base
+    center = (-half_x, 0.0, t / 2)
+    rubber = Material((0.02, 0.02, 0.022), 0.9)
+    rosette = lathe(
+        (*place.switch, t - 0.0005), ((design.knob_radius + 0.006, 0.0), (design.knob_radius + 0.005, 0.0015)),
+        design.knob, collides=False,
+    )  # fmt: skip
+    if design.base_style == "discs":
+        margin = design.head.foot_margin
+        angle = np.arctan2(place.away[1], place.away[0])
+        middle = (place.switch + place.foot) / 2
+        bridge = box((0, 0, 0), (design.distance / 2, 0.016, t / 2), material)
+        bridge.pose_in_link[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+        bridge.pose_in_link[:3, 3] = (*middle, t / 2)
+        rounds = [
+            lathe((*at, 0.0), ((r, 0.0), (r, t - 0.003), (r - 0.003, t)), material, sides=48)
+            for at, r in ((place.switch, design.knob_margin), (place.foot, margin))
+        ]
+        return (*rounds, bridge, rosette)
+    radius = {"plate": 0.010, "block": 0.016, "stadium": 0.95 * min(half_x, half_y)}[design.base_style]
+    top = slab(
+        center, (half_x, half_y, t / 2), radius, material, bevel=0.004 if design.base_style == "block" else 0.002
+    )
+    feet = slab((-half_x, 0.0, 0.0004), (half_x - 0.006, half_y - 0.006, 0.0006), radius, rubber, collides=False)
+    return (top, feet, rosette)
+
+
+def _plunger_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
+    """The shaft under the cap, which sinks into the base; looks only, the cap is what is held."""
+    shaft = rod((0, 0, 0.0), (0, 0, top - CAP_HEIGHT), 0.62 * design.knob_radius, METALS[0], round_ends=False)
+    collar = rod((0, 0, top - CAP_HEIGHT - 0.004), (0, 0, top - CAP_HEIGHT), 0.85 * design.knob_radius, METALS[1],
+                 round_ends=False)  # fmt: skip
+    return tuple(Shape(s.kind, s.size, s.pose_in_link, s.material, collides=False) for s in (shaft, collar))
+
+
+def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
+    """The cap: the same from every side in which fingers may close, and mirrored for both directions of turning."""
+    radius, low = design.knob_radius, top - CAP_HEIGHT
+    sides = 8 if design.knob_style == "faceted" else 32
+    profile = ((radius, low), (radius, top - 0.004), (radius - 0.003, top))
+    shapes = [lathe((0, 0, 0), profile, design.knob, sides=sides)]
+    if design.knob_style == "knurled":
+        dark = Material((0.05, 0.05, 0.052), 0.6)
+        for angle in np.arange(20) * 2 * np.pi / 20:
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            groove = rod((x, y, low + 0.004), (x, y, top - 0.007), 0.0008, dark, round_ends=False)
+            shapes.append(Shape(groove.kind, groove.size, groove.pose_in_link, dark, collides=False))
+    pale = sum(design.knob.color) > 1.5
+    ink = Material((0.05, 0.05, 0.05), 0.5) if pale else Material((0.85, 0.84, 0.80), 0.5)
+    shapes.append(box((0.45 * radius, 0, top), (0.28 * radius, 0.0011, 0.0004), ink, collides=False))
+    return tuple(shapes)
+
+
+def _bounds(shapes: tuple[Shape, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower and upper corner (3,) of the box around shapes [m]."""
+    corners = []
+    for shape in shapes:
+        if shape.vertices is not None:
+            local = shape.vertices.astype(np.float64)
+        else:
+            half = shape.size if shape.kind == "box" else (shape.size[1], shape.size[0], shape.size[0])
+            local = np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
+        corners.append(local @ shape.pose_in_link[:3, :3].T + shape.pose_in_link[:3, 3])
+    stacked = np.concatenate(corners)
+    return stacked.min(axis=0), stacked.max(axis=0)
+
+
+__all__ = ["LampDesign", "build_lamp", "draw_design", "make_lamp"]
