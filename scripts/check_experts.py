@@ -118,7 +118,7 @@ def run_all(episodes: list[Episode], workers: int, done: Callable[[int], None]) 
 
 
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
-    """A row for each category, expert and split: success with its 95 % Wilson interval, mean key frames of successes."""
+    """A row for each category, expert and split: success, its 95 % Wilson interval, mean key frames of successes."""
     rows = []
     for category, kind, split in dict.fromkeys((e.category, e.kind, e.split) for e in episodes):
         chosen = [e for e in episodes if (e.category, e.kind, e.split) == (category, kind, split)]

@@ -36,7 +36,7 @@ def expert_episode(
     observation, info = env.reset(seed=seed, options=options)
     hidden = env.hidden_state() if kind == "static" else None
     rng = np.random.default_rng(expert_seed)
-    expert = make_expert("safe", kind, env.annotations, generator=rng, hidden=hidden)
+    expert = make_expert(env.category, kind, env.annotations, generator=rng, hidden=hidden)
     hashes, phases, goal = [digest(observation)], [], next(expert)
     while True:
         observation, _, terminated, truncated, info = env.step(goal.action())

@@ -197,12 +197,14 @@ class AdaManipTask(BaseEnv):
             joint.name.rsplit("_", 1)[-1]: float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)
         }
 
+    def _reading(self) -> dict[str, torch.Tensor]:
+        return {name: torch.tensor([q]) for name, q in self.joint_positions().items()}
+
     def _after_control_step(self) -> None:
         self._apply_mechanism()
 
     def _apply_mechanism(self) -> None:
-        reading = {name: torch.tensor([q]) for name, q in self.joint_positions().items()}
-        self.mechanism_state, command = self.mechanism.step(self.mechanism_state, reading)
+        self.mechanism_state, command = self.mechanism.step(self.mechanism_state, self._reading())
         for joint in self.articulation._objs[0].active_joints:
             name = joint.name.rsplit("_", 1)[-1]
             limits = (float(command[name].lower[0]), float(command[name].upper[0]))
@@ -234,8 +236,8 @@ class AdaManipTask(BaseEnv):
 
     def evaluate(self) -> dict[str, Any]:
         """Returns success and the object's joint positions [rad or m]."""
-        positions = {name: torch.tensor([q]) for name, q in self.joint_positions().items()}
-        return {"success": self.mechanism.succeeded(positions), **positions}
+        reading = self._reading()
+        return {"success": self.mechanism.succeeded(reading), **reading}
 
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """1 while the success conditions hold."""

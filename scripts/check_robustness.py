@@ -1,0 +1,140 @@
+"""Sends nonsense to every environment, and reports what crashed, what exploded, and what was not refused.
+
+For every seed: random key frames about the workspace, with the hand open and closed; then wild ones (huge, zero, out of
+reach, degenerate rotations), and malformed ones (not a number, wrong shape), which have to be refused with an error
+that says what to do. For example: ``python scripts/check_robustness.py --category all --seeds 100 --workers 2 --json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.rotations import rotation_6d_from_matrix, rotation_about
+from lerobot_adamanip.schema import ACTION_DIM
+
+SEED_OFFSET = 7_000_000
+RANDOM_ACTIONS = 6
+MAX_JOINT_SPEED = 3.0
+"""[rad/s]: beyond a Panda's joint speed limits (2.175 to 2.61) something has exploded."""
+SLACK = 0.1
+"""An object's joint this far beyond its limits [rad or m] has been torn off."""
+
+
+def random_actions(rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
+    """Key frames about the workspace: any position, any rotation, hand open or closed."""
+    for _ in range(RANDOM_ACTIONS):
+        position = rng.uniform((0.2, -0.4, 0.3), (0.8, 0.4, 1.0))
+        rotation = rotation_about(rng.normal(size=3), rng.uniform(0, np.pi))
+        pose = [*position, *rotation_6d_from_matrix(rotation), rng.choice([0.0, 1.0])]
+        yield np.asarray(pose, np.float32)
+
+
+def wild_actions(rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
+    """Finite, of the right shape, and nothing anybody should send."""
+    yield np.full(ACTION_DIM, 1e6, np.float32)
+    yield np.full(ACTION_DIM, -3e38, np.float32)
+    yield np.zeros(ACTION_DIM, np.float32)
+    yield np.full(ACTION_DIM, 1e-40, np.float32)
+    yield np.asarray([0.5, 0.0, 0.7, *[1.0, 0, 0] * 2, -5.0], np.float32)  # parallel rows name no rotation
+    yield (10 * rng.normal(size=ACTION_DIM)).astype(np.float32)
+
+
+def malformed_actions() -> Iterator[Any]:
+    """What has to be refused."""
+    yield np.full(ACTION_DIM, np.nan)
+    yield np.r_[np.zeros(ACTION_DIM - 1), np.inf]
+    yield np.zeros(ACTION_DIM - 1)
+    yield np.zeros((1, ACTION_DIM))
+
+
+def through(env: Any, seed: int) -> list[str]:
+    """Runs one seed in a task; returns what went wrong."""
+    env.reset(seed=seed, options={"reconfigure": True})
+    rng, wrong = np.random.default_rng(seed), []
+    for action in (*random_actions(rng), *wild_actions(rng)):
+        felt = env.driver.execute(action)
+        wrong += [f"seed {seed}, action {np.array2string(action, precision=3)}: {each}" for each in _broken(env, felt)]
+    for action in malformed_actions():
+        try:
+            env.driver.execute(action)
+        except ConfigurationError as error:
+            if not all(word in str(error) for word in ("got:", "allowed:", "try:")):
+                wrong.append(f"seed {seed}: unclear error {error}")
+        else:
+            wrong.append(f"seed {seed}: malformed action {action!r} was not refused")
+    return wrong
+
+
+def _broken(env: Any, felt: Any) -> Iterator[str]:
+    arm = env._arm_state()
+    numbers = (felt.tcp_in_base, arm.qpos, arm.qvel, env.driver.effort, np.array(list(env.joint_positions().values())))
+    if not all(np.isfinite(each).all() for each in numbers):
+        yield "not finite"
+        return
+    if np.abs(felt.tcp_in_base[:3, 3]).max() > 1.5:
+        yield f"the hand is at {felt.tcp_in_base[:3, 3]}"
+    if np.abs(arm.qvel).max() > MAX_JOINT_SPEED:
+        yield f"a joint of the arm moves at {np.abs(arm.qvel).max():.1f} rad/s"
+    for name, position in env.joint_positions().items():
+        lower, upper = env.obj.joint(name).limits
+        if not lower - SLACK <= position <= upper + SLACK:
+            yield f"{name} is at {position:.3f}, limits {lower:.3f} ... {upper:.3f}"
+    if env.evaluate()["success"].item() != env.mechanism.succeeded(env._reading()).item():
+        yield "success disagrees with the mechanism"
+
+
+def check(category: str, seeds: list[int]) -> dict[str, Any]:
+    """Runs seeds of a category in one simulator."""
+    warnings.filterwarnings("ignore")
+    from lerobot_env_adamanip.keyframe_env import make_task
+
+    env = make_task(category)
+    try:
+        return {"category": category, "seeds": len(seeds), "wrong": [e for seed in seeds for e in through(env, seed)]}
+    finally:
+        env.close()
+
+
+def main() -> int:
+    """Parses, runs, prints. Returns 0 if nothing went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL)
+    parser.add_argument("--seeds", type=int, default=100, help="episodes per category")
+    parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
+    numbers = [SEED_OFFSET + k for k in range(options.seeds)]
+    batches = [(name, numbers[start : start + 20]) for name in names for start in range(0, len(numbers), 20)]
+    found = {name: {"category": name, "seeds": 0, "wrong": []} for name in names}
+    from tqdm import tqdm
+
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(check, *batch) for batch in batches]
+        for job in tqdm(as_completed(jobs), total=len(jobs), unit="batch", disable=None):
+            result, row = job.result(), found[job.result()["category"]]
+            row["seeds"] += result["seeds"]  # type: ignore[operator]
+            row["wrong"] += result["wrong"]  # type: ignore[operator]
+    rows = list(found.values())
+    lines = [f"{row['category']:16} {row['seeds']:5} seeds, {len(row['wrong'])} wrong" for row in rows]  # type: ignore[arg-type]
+    lines += [f"  {each}" for row in rows for each in row["wrong"]]  # type: ignore[attr-defined]
+    sys.stdout.write((json.dumps(rows) if options.json else "\n".join(lines)) + "\n")
+    return 1 if any(row["wrong"] for row in rows) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

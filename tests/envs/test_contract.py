@@ -1,0 +1,137 @@
+"""One contract for every registered environment: spaces, seeding, partial reset, success, Gymnasium's own checker."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from envs_helpers import SMALL, digest, expert_episode, stay
+from gymnasium.utils.env_checker import check_env
+from lerobot.envs.configs import EnvConfig
+from lerobot.envs.factory import make_env
+
+import lerobot_env_adamanip  # noqa: F401  (registers the environments)
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+pytestmark = pytest.mark.sim
+REGISTERED = sorted(name for name in EnvConfig.get_known_choices() if name.startswith("adamanip"))
+SINGLE = [name for name in REGISTERED if name != "adamanip"]
+every_environment = pytest.mark.parametrize("env_type", SINGLE)
+
+
+def config_of(env_type: str, **options: Any) -> Any:
+    return EnvConfig.get_choice_class(env_type)(**{**SMALL, **options})
+
+
+@pytest.fixture(scope="module")
+def envs() -> Iterator[dict[str, KeyframeEnv]]:
+    made: dict[str, KeyframeEnv] = {}
+    yield made
+    for env in made.values():
+        env.close()
+
+
+@pytest.fixture
+def env(env_type: str, envs: dict[str, KeyframeEnv]) -> KeyframeEnv:
+    if env_type not in envs:
+        for other in envs.values():
+            other.close()  # one simulator at a time
+        envs.clear()
+        config = config_of(env_type)
+        envs[env_type] = KeyframeEnv(config.category, **config.gym_kwargs)
+    return envs[env_type]
+
+
+def test_there_is_an_environment_for_every_category_and_one_for_all() -> None:
+    assert [f"adamanip_{name}" for name in sorted(CATEGORIES)] == SINGLE
+    assert "adamanip" in REGISTERED
+
+
+@every_environment
+def test_spaces_seeding_and_success_are_as_agreed(env: KeyframeEnv, env_type: str) -> None:
+    first, info = env.reset(seed=5)
+    assert env.observation_space.contains(first)
+    assert info == {"is_success": False}
+    assert type(info["is_success"]) is bool
+    category = CATEGORIES[env_type.removeprefix("adamanip_")]
+    assert env.task == env.task_description == category.instruction
+    step, reward, terminated, truncated, info = env.step(stay(env))
+    assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
+    assert set(info) == {"is_success"}
+    for observation in (first, step):
+        assert env.observation_space.contains(observation)
+        assert all(np.isfinite(observation[key]).all() for key in ("agent_pos", "effort", "point_cloud"))
+        assert env.workspace.contains(observation["point_cloud"]).all()
+    assert len(np.unique(first["point_cloud"], axis=0)) == len(first["point_cloud"])
+    again, other = digest(env.reset(seed=5)[0]), digest(env.reset(seed=6)[0])
+    assert again == digest(first)
+    assert other != again
+
+
+@every_environment
+def test_gymnasiums_checker_has_nothing_to_say(env: KeyframeEnv, env_type: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Poses are not bounded by the space (the driver clips them, and says what it reached).
+        warnings.filterwarnings("ignore", message=".*(infinity|symmetric and normalized|spec).*")
+        check_env(env, skip_render_check=True)
+
+
+@every_environment
+def test_the_adaptive_expert_ends_an_episode_with_success(env: KeyframeEnv, env_type: str) -> None:
+    hashes, phases, info = expert_episode(env, 17)
+    assert info["is_success"] is True
+    record = env.episode_record()
+    assert (record["success"], record["key_frames"]) == (True, len(phases))
+    assert record["category"] == env_type.removeprefix("adamanip_")
+    assert expert_episode(env, 17)[0] == hashes
+
+
+@every_environment
+def test_resetting_one_of_two_leaves_the_other_alone_and_processes_change_nothing(env_type: str) -> None:
+    config = config_of(env_type, observe_images=False)
+    functions = [lambda: KeyframeEnv(config.category, **config.gym_kwargs)] * 2
+    mode = gym.vector.AutoresetMode.DISABLED
+    runs = []
+    for vector in (
+        gym.vector.SyncVectorEnv(functions, autoreset_mode=mode),
+        gym.vector.AsyncVectorEnv(functions, context="forkserver", autoreset_mode=mode),
+    ):
+        try:
+            seen = [rows(vector.reset(seed=[1, 2])[0])]
+            up = seen[0][0]["agent_pos"][:10].copy(), seen[0][1]["agent_pos"][:10].copy()
+            seen.append(rows(vector.step(np.stack(up))[0]))
+            masked = {"reset_mask": np.array([True, False])}
+            seen.append(rows(vector.reset(seed=[3, None], options=masked)[0]))
+            seen.append(rows(vector.step(np.stack(up))[0]))
+        finally:
+            vector.close()
+        assert digest(seen[2][1]) == digest(seen[1][1])
+        assert digest(seen[2][0]) != digest(seen[1][0])
+        runs.append([[digest(each) for each in step] for step in seen])
+    assert runs[0] == runs[1]
+
+
+def rows(batch: dict[str, Any]) -> list[dict[str, Any]]:
+    """The observations of a batch, copied."""
+    return [{key: value[k].copy() for key, value in batch.items()} for k in range(2)]
+
+
+def test_the_suite_holds_every_category_and_starts_none() -> None:
+    config = config_of("adamanip")
+    made = make_env(config, n_envs=2, use_async_envs=True)
+    assert list(made) == list(CATEGORIES)
+    assert all(list(group) == [0] for group in made.values())
+    chosen = make_env(config_of("adamanip", categories="lamp, safe"), n_envs=1)
+    assert list(chosen) == ["lamp", "safe"]
+    vector = chosen["lamp"][0]
+    try:
+        assert vector.single_observation_space["point_cloud"].shape == (SMALL["num_points"], 3)
+        assert vector.call("task_description") == (CATEGORIES["lamp"].instruction,)
+    finally:
+        vector.close()

@@ -1,0 +1,30 @@
+"""Nonsense neither crashes nor explodes, in any category. The full run: ``scripts/check_robustness.py --seeds 100``."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Any
+
+import pytest
+from envs_helpers import ROOT
+
+from lerobot_adamanip.categories import CATEGORIES
+
+pytestmark = pytest.mark.sim
+
+
+@pytest.fixture(scope="module")
+def script() -> Any:
+    spec = importlib.util.spec_from_file_location("check_robustness", ROOT / "scripts" / "check_robustness.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_random_wild_and_malformed_actions_do_no_harm(script: Any, category: str) -> None:
+    result = script.check(category, [1, 2])
+    assert result["seeds"] == 2
+    assert result["wrong"] == []
