@@ -26,6 +26,9 @@ DOWN_REST = np.array([0.0, -0.287, 0.0, -1.376, 0.0, 1.090, np.pi / 4])
 
 At x = 0.42 m a hand that points down comes up to 0.74 m, where the arm is stretched.
 """
+HIGH_REST = np.array([0.0, -0.219, 0.0, -1.341, 0.0, 1.122, 0.0])
+"""Hand pointing down at (0.41, 0, 0.69) m, above what stands on a plinth, the last joint in the middle of its range: a
+cap held from above turns by +-2.35 rad, for grasps yawed by up to +-0.5 from there, at x 0.36-0.52, z 0.55-0.70 m."""
 LIMIT_MARGIN = 0.02
 """Kept from every joint limit [rad]."""
 

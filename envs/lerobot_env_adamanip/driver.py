@@ -33,6 +33,7 @@ class MotionLimits:
         stall_rotation: [rad] likewise: 1.25 N m about the approach, which is what two fingers can hold.
         stall_ticks: control ticks.
         settle_ticks: at most waited for the arm to come to rest.
+        finger_speed: [m/s] of each finger. Unbounded, they would be inside what they close on within one physics step.
         grip_ticks: waited for the fingers.
         reached_position: [m] error up to which a goal counts as reached.
         reached_rotation: [rad] likewise.
@@ -48,6 +49,7 @@ class MotionLimits:
     stall_rotation: float = 0.045
     stall_ticks: int = 4
     settle_ticks: int = 25
+    finger_speed: float = 0.2
     grip_ticks: int = 20
     reached_position: float = 0.012
     reached_rotation: float = 0.12
@@ -92,7 +94,7 @@ class KeyframeDriver:
         self._read, self._tick_simulation = read, tick
         self._dt, self._stiffness = control_dt, stiffness
         self._target: Array = read().qpos.copy()
-        self._finger_target = FINGER_OPEN
+        self._finger = self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
@@ -173,8 +175,7 @@ class KeyframeDriver:
         """One control tick towards ``target``; True once the arm has strained for long enough to give up."""
         velocity = (target - self._target) / self._dt
         self._target = target
-        self._tick_simulation(target, velocity, self._finger_target)
-        self._ticks += 1
+        self._tick(target, velocity)
         lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), self.kinematics.tcp_in_base(target))
         limits = self.limits
         strained = np.linalg.norm(lag[:3]) > limits.stall_position or np.linalg.norm(lag[3:]) > limits.stall_rotation
@@ -186,8 +187,14 @@ class KeyframeDriver:
         if outcome is not Outcome.REACHED:
             for _ in range(8):
                 self._target = self._read().qpos.copy()
-                self._tick_simulation(self._target, np.zeros(NUM_ARM_JOINTS), self._finger_target)
-                self._ticks += 1
+                self._tick(self._target, np.zeros(NUM_ARM_JOINTS))
+
+    def _tick(self, target: Array, velocity: Array) -> None:
+        """One control tick; the fingers' target moves no faster than fingers do."""
+        step = self.limits.finger_speed * self._dt
+        self._finger += float(np.clip(self._finger_target - self._finger, -step, step))
+        self._tick_simulation(target, velocity, self._finger)
+        self._ticks += 1
 
     def _torque(self, state: ArmState) -> Array:
         """External joint torque (7,) [N m], as the drives' springs feel it: exact at rest, gravity being balanced.

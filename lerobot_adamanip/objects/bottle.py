@@ -16,6 +16,7 @@ from lerobot_adamanip.objects.base import (
     Joint,
     Link,
     Material,
+    Pose,
     Shape,
     annotate,
     any_roll,
@@ -148,9 +149,10 @@ def build_bottle(object_id: str, design: BottleDesign) -> ArticulatedObject:
     at = (-front, 0.0)
     origin = (*at, design.neck_top)
     plug = Shape("cylinder", (0.6 * design.cap.radius, 0.002), _upright(0.006), design.cap.look, collides=False)
+    lift = Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), friction=0.2, damping=4.0)
     links = (
         Link("body", _body_shapes(design, at), mass=1.5),
-        Link("plug", (plug,), 0.01, "body", Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), 0.2, 4.0)),
+        Link("plug", (plug,), 0.01, "body", lift),
         Link(
             "cap", cap_shapes(design.cap), 0.03, "plug",
             Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), friction=0.03, damping=0.01),
@@ -167,7 +169,7 @@ HANDLE_REACH = 0.034
 """How far a jug's handle stands out from its body [m]."""
 
 
-def _upright(height: float) -> np.ndarray:
+def _upright(height: float) -> Pose:
     """Pose of a cylinder about z, ``height`` [m] up."""
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]

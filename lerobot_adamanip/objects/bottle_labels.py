@@ -9,7 +9,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.bottle_recipes import LABEL_INKS, LABEL_PAPERS, Color
-from lerobot_adamanip.objects.lathe import Ring, decal, oval, patch, ring_at
+from lerobot_adamanip.objects.lathe import Curves, Ring, decal, oval, patch, ring_at
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,17 @@ def label_shapes(label: Label, rings: Sequence[Ring], shoulder: float, axis: tup
     curves = _PRINTS[label.kind](middle, height, width)
     colors = {"paper": label.paper, "ink": label.ink, "accent": label.accent}
     return tuple(
-        decal(rings, *curve, Material(colors[name], 0.7), layer=layer, axis=axis) for name, layer, curve in curves
+        decal(rings, curve, Material(colors[name], 0.7), layer=layer, axis=axis) for name, layer, curve in curves
     )
 
 
-Print = tuple[str, int, tuple[np.ndarray, ...]]
+Print = tuple[str, int, Curves]
+"""Colour, layer and outline of one print."""
 
 
 def _lines(middle: float, width: float, count: int, pitch: float, name: str = "ink") -> list[Print]:
     """Print too small to read."""
-    rows = []
+    rows: list[Print] = []
     for row in range(count):
         z = middle - row * pitch
         across, lower, upper = patch(width * (0.95, 0.7, 0.85)[row % 3], z - 0.0007, z + 0.0007, 7)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.shapes import convex_mesh
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.rotations import rotation_about, transform
 
 Array = NDArray[np.float64]
+Curves = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+"""Of a picture on a surface: (N,) positions along the circumference from the middle, increasing, and (N,) heights of
+its lower and its upper edge there [m]."""
 SIDES = 48
 """Of what is turned: flat faces that small look round."""
 PROUD = 0.0004
@@ -107,9 +111,7 @@ def fluted(
 
 def decal(
     rings: Sequence[Ring],
-    across: ArrayLike,
-    lower: ArrayLike,
-    upper: ArrayLike,
+    curves: Curves,
     material: Material,
     *,
     turn: float = 0.0,
@@ -120,15 +122,13 @@ def decal(
 
     Args:
         rings: profile of the surface.
-        across: (N,) positions along the circumference from the middle, increasing [m].
-        lower: (N,) height of the picture's lower edge there [m].
-        upper: (N,) height of its upper edge [m].
+        curves: see `Curves`; `patch` and `oval` make some.
         material: look.
         turn: azimuth of the picture's middle from +x [rad].
         layer: 1 lies on the surface, 2 on that, ...
         axis: (x, y) of the surface's axis in the link's frame [m].
     """
-    across, lower, upper = (np.asarray(values, dtype=np.float64) for values in (across, lower, upper))
+    across, lower, upper = curves
     rows = 9
     heights = lower + (upper - lower) * np.linspace(0.0, 1.0, rows)[:, None]
     # One angle per column, so that the edges of a picture on a tapered bottle stay upright.
@@ -142,17 +142,23 @@ def decal(
     return _mesh(points.reshape(-1, 3) + np.array([*axis, 0.0]), faces, material)
 
 
-def patch(width: float, bottom: float, top: float, columns: int = 25) -> tuple[Array, Array, Array]:
+def patch(width: float, bottom: float, top: float, columns: int = 25) -> Curves:
     """Returns the curves of a rectangle, for `decal` [m]."""
     across = np.linspace(-width / 2, width / 2, columns)
     return across, np.full(columns, bottom), np.full(columns, top)
 
 
-def oval(width: float, height: float, middle: float, *, sharp: bool = False, shift: float = 0.0) -> tuple[Array, ...]:
+def oval(width: float, height: float, middle: float, *, sharp: bool = False, shift: float = 0.0) -> Curves:
     """Returns the curves of an ellipse (or, ``sharp``, a rhombus) around ``middle`` [m], for `decal`."""
     along = np.linspace(-1.0, 1.0, 25)
-    half = 0.5 * height * (1 - np.abs(along) if sharp else np.sqrt(np.maximum(0.0, 1 - along**2)))
+    half: Array = 0.5 * height * (1 - np.abs(along) if sharp else np.sqrt(np.maximum(0.0, 1 - along**2)))
     return shift + along * width / 2, middle - half, middle + half
+
+
+def swivelled(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
+    """Returns the shapes turned about their link's z axis by ``angle`` [rad]."""
+    turn = transform(rotation=rotation_about((0.0, 0.0, 1.0), angle))
+    return tuple(replace(shape, pose_in_link=turn @ shape.pose_in_link) for shape in shapes)
 
 
 def _quads(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_env_adamanip.arm import DOWN_REST
+from lerobot_env_adamanip.arm import HIGH_REST
 from lerobot_env_adamanip.layout import Reach
 from lerobot_env_adamanip.tasks.base import LIFT_REACH, AdaManipTask, turn_then_open
 
@@ -26,10 +26,10 @@ class BottleTask(AdaManipTask):
     """
 
     category: ClassVar[str] = "bottle"
-    nominal_x: ClassVar[float] = 0.48
-    part_height: ClassVar[float] = 0.62
+    nominal_x: ClassVar[float] = 0.43
+    part_height: ClassVar[float] = 0.6
     plinth_least: ClassVar[float] = 0.07
-    rest: ClassVar[NDArray[np.float64]] = DOWN_REST
+    rest: ClassVar[NDArray[np.float64]] = HIGH_REST
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
         """The cap turns both ways, and opens from there."""

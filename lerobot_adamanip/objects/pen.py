@@ -1,0 +1,126 @@
+"""Pens, upright in a desk stand with their cap up: it is turned loose and drawn off.
+
+What a pen is (kind, proportions, colours, stand) is drawn from its number alone. What is hidden (which way the cap
+turns loose, and how far) is drawn per episode by the mechanism and leaves no trace in the geometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.lathe import swivelled
+from lerobot_adamanip.objects.pen_parts import Pen, barrel_shapes, cap_shapes, tip_shapes
+from lerobot_adamanip.objects.pen_recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
+from lerobot_adamanip.objects.pen_stands import Stand, draw_stand, stand_shapes
+from lerobot_adamanip.rotations import rotation_with_x_along, transform
+
+LIFT_UPPER = 0.05
+"""How far a loose cap comes off [m] (paper code: 0.05)."""
+CAP_RANGE = 2.35
+"""Nominal turn of a cap to either side [rad] (paper code: 2.35)."""
+GRIP_BELOW_END = 0.016
+"""Distance of a grip from where the cap's end begins [m]: the pads reach a centimetre to either side."""
+CLIP_ROLLS = (0.0, np.pi, 0.2, np.pi + 0.2, -0.2, np.pi - 0.2)
+"""Rolls at which fingers that close across the clip's side keep off it [rad]."""
+SUNK = 0.7
+"""Share of a stand's height that the barrel goes down into it."""
+
+
+@dataclass(frozen=True)
+class PenDesign:
+    """The parameters of one pen and its stand; ``clip_turn`` is the azimuth of the clip from +x [rad]."""
+
+    pen: Pen
+    stand: Stand
+    clip_turn: float
+
+
+def draw_design(rng: np.random.Generator, kind: str) -> PenDesign:
+    """Draws the parameters of one pen of a kind, and of its stand."""
+    recipe = RECIPES[kind]
+    barrel = LOOKS[str(rng.choice(recipe.barrels))]
+    cap = LOOKS[str(rng.choice(recipe.caps))] if recipe.caps else barrel
+    trim = str(rng.choice(recipe.trims)) if recipe.trims else ""
+    radius = rng.uniform(*recipe.cap_radius)
+    pen = Pen(
+        kind=kind,
+        radius=radius,
+        length=rng.uniform(*recipe.cap_length),
+        end=str(rng.choice(recipe.ends)),
+        clip=str(rng.choice(recipe.clips)),
+        tip=recipe.tip,
+        barrel_radius=radius * rng.uniform(*recipe.barrel_ratio),
+        exposed=rng.uniform(*recipe.exposed),
+        sides=recipe.sides,
+        depth=rng.uniform(*recipe.depth),
+        squareness=rng.uniform(*recipe.squareness),
+        ribbed=recipe.ribbed,
+        print=recipe.print,
+        cap=cap,
+        barrel=barrel,
+        trim=LOOKS[trim] if trim else cap,
+    )
+    turn = rng.uniform(-0.7, 0.7)
+    return PenDesign(pen, draw_stand(rng, str(rng.choice(STANDS)), _stand_materials(rng)), turn)
+
+
+def _stand_materials(rng: np.random.Generator) -> tuple[Material, Material, Material]:
+    family = (WOODS, STONES, PLAINS)[rng.integers(3)]
+    extra = PLAINS[rng.integers(len(PLAINS))]
+    return family[rng.integers(len(family))], LOOKS[str(rng.choice(SOCKETS))], extra
+
+
+def make_pen(number: int) -> ArticulatedObject:
+    """Builds pen ``number`` (36 in the paper's set; any number is an object)."""
+    kinds = tuple(RECIPES)
+    # Every kind once in each run of numbers, in an order of that run's own: none is missing among the seen ones.
+    order = np.random.default_rng([number // len(kinds), 0x9E17]).permutation(len(kinds))
+    design = draw_design(np.random.default_rng([number, 0x9E17]), kinds[order[number % len(kinds)]])
+    return build_pen(f"pen_{number:03d}", design)
+
+
+def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
+    """Builds the links and the annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
+    pen, stand = design.pen, design.stand
+    lip = stand.top + pen.exposed
+    origin = (*stand.axis, lip)
+    upright = transform((0, 0, 0.005), rotation_with_x_along((0.0, 0.0, 1.0)))
+    plug = Shape("cylinder", (0.5 * pen.radius * pen.depth, 0.002), upright, pen.cap, collides=False)
+    lift = Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), friction=0.2, damping=4.0)
+    links = (
+        Link("body", _body_shapes(design, lip), mass=0.8),
+        Link("plug", (plug,), 0.005, "body", lift),
+        Link(
+            "cap", swivelled(cap_shapes(pen), design.clip_turn), 0.012, "plug",
+            Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), friction=0.02, damping=0.006),
+        ),
+    )  # fmt: skip
+    # Roll turns against the azimuth: the hand looks down.
+    grasp = from_above((*stand.axis, lip + pen.length - GRIP_BELOW_END), roll=-design.clip_turn)
+    parts = (annotate(links, "cap", "cap", grasp, CLIP_ROLLS),)
+    size = (float(stand.width), float(stand.depth), float(lip + pen.cap_height))
+    return ArticulatedObject(object_id, "pen", links, parts, size, f"{pen.kind}, {pen.clip} clip, {stand.kind}")
+
+
+def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:
+    """Stand and barrel; the barrel's print faces the way the clip does."""
+    pen, stand = design.pen, design.stand
+    bottom = (1 - SUNK) * stand.height
+    hole = pen.barrel_radius * (0.97 if pen.sides > 6 else 1.0)
+    standing = barrel_shapes(pen, bottom, lip, (0.0, 0.0)) + tip_shapes(pen, lip, (0.0, 0.0))
+    at = transform((*stand.axis, 0.0))
+    turned_pen = swivelled(standing, design.clip_turn)
+    return stand_shapes(stand, hole) + tuple(
+        Shape(s.kind, s.size, at @ s.pose_in_link, s.material, s.collides, s.vertices, s.faces) for s in turned_pen
+    )
+
+
+def cap_range(pen: ArticulatedObject) -> float:
+    """Returns the nominal range of the cap to either side [rad]."""
+    return pen.joint("cap").limits[1]
+
+
+__all__ = ["CAP_RANGE", "LIFT_UPPER", "PenDesign", "build_pen", "cap_range", "draw_design", "make_pen"]
