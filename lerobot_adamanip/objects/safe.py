@@ -271,9 +271,4 @@ def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-def knob_range(safe: ArticulatedObject) -> float:
-    """Returns the nominal range of the knob [rad]; an episode's is 0.9 to 1.0 of it, to one side."""
-    return safe.joint("knob").limits[1]
-
-
-__all__ = ["DOOR_UPPER", "SafeDesign", "build_safe", "draw_design", "knob_range", "make_safe"]
+__all__ = ["DOOR_UPPER", "SafeDesign", "build_safe", "draw_design", "make_safe"]

@@ -95,7 +95,7 @@ def test_success_terminates_with_a_reward_and_a_true_bool(env: KeyframeEnv) -> N
     record = env.episode_record()
     assert record["success"] is True
     assert record["key_frames"] == len(phases)
-    assert record["door_angle"] > np.pi / 7
+    assert record["joints"]["door"] > np.pi / 7
     assert json.loads(json.dumps(record)) == record
 
 
@@ -181,7 +181,7 @@ def test_grasping_tells_little_of_the_lock_and_pulling_all(env: KeyframeEnv) -> 
         env.reset(seed=21, options={"hidden_overrides": {"locked": locked}})
         grasp_handle(env)
         tools.append(env.feedback.tcp_in_base[:3, 3])
-        doors.append(env.episode_record()["door_angle"])
+        doors.append(env.episode_record()["joints"]["door"])
     assert np.linalg.norm(tools[0] - tools[1]) < 1e-3
     assert doors[1] == pytest.approx(0.0, abs=1e-5)
     assert 0 <= doors[0] < np.deg2rad(0.3)
@@ -225,7 +225,7 @@ def test_wild_actions_neither_crash_nor_explode(env: KeyframeEnv) -> None:
         assert env.feedback.outcome in tuple(Outcome)
         assert np.abs(observation["agent_pos"][:3]).max() < 1.5
         assert np.abs(observation["agent_pos"][17:]).max() < 3.0  # [rad/s]: a Panda's joint limit
-    assert -0.02 < env.episode_record()["door_angle"] < np.pi
+    assert -0.02 < env.episode_record()["joints"]["door"] < np.pi
 
 
 @pytest.mark.parametrize("position", [(0.2, 0.0, 0.05), (0.15, 0.0, 0.74), (0.45, 0.3, 1.1)])

@@ -41,7 +41,7 @@ def test_an_override_changes_its_own_value_and_no_other_draw(overrides: dict[str
 
 def test_draw_frequencies_are_as_configured() -> None:
     count = 4000
-    mechanism = SafeMechanism(DOOR_UPPER, NOMINAL, SafeMechanismConfig(p_locked=0.3, p_clockwise=0.8))
+    mechanism = SafeMechanism(DOOR_UPPER, NOMINAL, config=SafeMechanismConfig(p_locked=0.3, p_clockwise=0.8))
     state = mechanism.draw(count, generator())
     hidden = [mechanism.hidden(state, i) for i in range(count)]
     assert sum(h["locked"] for h in hidden) / count == pytest.approx(0.3, abs=0.03)
@@ -56,7 +56,7 @@ def test_draw_frequencies_are_as_configured() -> None:
 
 @pytest.mark.parametrize("p", [0.0, 1.0])
 def test_probabilities_of_zero_and_one_are_certain(p: float) -> None:
-    mechanism = SafeMechanism(DOOR_UPPER, NOMINAL, SafeMechanismConfig(p_locked=p))
+    mechanism = SafeMechanism(DOOR_UPPER, NOMINAL, config=SafeMechanismConfig(p_locked=p))
     state = mechanism.draw(500, generator())
     assert {mechanism.hidden(state, i)["locked"] for i in range(500)} == {bool(p)}
 
@@ -87,7 +87,7 @@ def test_a_wrong_override_is_refused_with_what_is_allowed(overrides: dict[str, A
 )  # fmt: skip
 def test_an_impossible_configuration_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match="allowed:"):
-        SafeMechanism(DOOR_UPPER, NOMINAL, SafeMechanismConfig(**options))
+        SafeMechanism(DOOR_UPPER, NOMINAL, config=SafeMechanismConfig(**options))
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])

@@ -16,7 +16,7 @@ from lerobot_adamanip.mechanisms import SafeMechanism, SafeMechanismConfig, repl
 
 DOOR_UPPER, NOMINAL = 1.578, 1.5
 SAFE = SafeMechanism(DOOR_UPPER, NOMINAL)
-TURN_LOCKS = SafeMechanism(DOOR_UPPER, NOMINAL, SafeMechanismConfig(lock_on_turn=True))
+TURN_LOCKS = SafeMechanism(DOOR_UPPER, NOMINAL, config=SafeMechanismConfig(lock_on_turn=True))
 REST = {"door": 0.0, "knob": 0.0}
 angles = st.floats(-3.0, 3.0)
 wishes = st.lists(st.fixed_dictionaries({"door": angles, "knob": angles}), max_size=12)

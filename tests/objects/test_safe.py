@@ -23,7 +23,7 @@ from lerobot_adamanip.objects import (
     seen_objects,
     unseen_objects,
 )
-from lerobot_adamanip.objects.safe import DOOR_UPPER, GRASP_REACH, build_safe, draw_design, knob_range, make_safe
+from lerobot_adamanip.objects.safe import DOOR_UPPER, GRASP_REACH, build_safe, draw_design, make_safe
 from lerobot_adamanip.rotations import rotation_about, transform
 
 SEEN, UNSEEN = seen_objects("safe"), unseen_objects("safe", 12)
@@ -135,7 +135,7 @@ def test_a_grasp_lies_within_its_part_and_open_fingers_clear_everything(
 def test_a_hand_that_turns_the_knob_touches_nothing_else(safe: ArticulatedObject, side: int) -> None:
     knob = safe.part("knob")
     for fraction in (0.25, 0.5, 0.75, 1.0):
-        turned = fingers(knob.turned(side * fraction * knob_range(safe)))
+        turned = fingers(knob.moved({"knob": side * fraction * safe.joint("knob").limits[1]}))
         assert not solid(safe, turned, 0.002, links={"body", "leaf"}).any()
 
 
@@ -152,9 +152,9 @@ def test_handle_and_knob_are_a_hand_apart_and_nothing_sticks_out_into_its_palm(s
 @every_safe
 def test_a_positive_door_angle_moves_the_handle_out_of_the_front(safe: ArticulatedObject) -> None:
     handle = safe.part("handle")
-    x = [handle.turned(angle)[0, 3] for angle in np.linspace(0, 1.2, 13)]
+    x = [handle.moved({"door": angle})[0, 3] for angle in np.linspace(0, 1.2, 13)]
     assert np.all(np.diff(x) > 0)
-    assert handle.turned(0.7)[2, 3] == pytest.approx(handle.grasp[2, 3])
+    assert handle.moved({"door": 0.7})[2, 3] == pytest.approx(handle.grasp[2, 3])
 
 
 @every_safe
@@ -162,17 +162,18 @@ def test_a_positive_door_angle_moves_the_handle_out_of_the_front(safe: Articulat
 def test_a_part_is_annotated_with_the_axis_of_its_joint(
     safe: ArticulatedObject, part: str, joint: str, link: str
 ) -> None:
-    annotation = safe.part(part)
-    np.testing.assert_allclose(annotation.axis, safe.joint(joint).axis, atol=1e-12)
+    motion = safe.part(part).motion(joint)
+    assert motion.kind == safe.joint(joint).kind
+    np.testing.assert_allclose(motion.axis, safe.joint(joint).axis, atol=1e-12)
     body = next(item for item in safe.links if item.name == link)
-    away = annotation.axis_point - link_origin(safe, body)
-    np.testing.assert_allclose(np.cross(away, annotation.axis), 0, atol=1e-12)
+    away = motion.point - link_origin(safe, body)
+    np.testing.assert_allclose(np.cross(away, motion.axis), 0, atol=1e-12)
 
 
 def test_hinges_are_on_both_sides_and_handles_away_from_them() -> None:
     sides = set()
     for safe in SAFES.values():
-        hinge, handle = safe.part("handle").axis_point[1], safe.part("handle").grasp[1, 3]
+        hinge, handle = safe.part("handle").motion("door").point[1], safe.part("handle").grasp[1, 3]
         assert abs(handle - hinge) > 0.5 * safe.size[0]
         assert safe.joint("door").axis[2] == np.sign(hinge)
         sides.add(np.sign(hinge))
@@ -203,7 +204,7 @@ def test_the_knob_s_range_is_not_to_be_seen() -> None:
 def test_what_is_hidden_is_drawn_apart_from_the_object() -> None:
     draws = []
     for safe in SAFES.values():
-        mechanism = SafeMechanism(DOOR_UPPER, knob_range(safe))
+        mechanism = SafeMechanism(DOOR_UPPER, safe.joint("knob").limits[1])
         state = mechanism.draw(64, torch.Generator().manual_seed(3))
         draws.append([(h["locked"], h["direction"]) for h in (mechanism.hidden(state, i) for i in range(64))])
     assert all(draw == draws[0] for draw in draws)
@@ -219,5 +220,5 @@ def test_an_annotation_in_another_frame_turns_with_it() -> None:
     part = SAFES["safe_004"].part("handle")
     frame = transform((0.6, 0.1, 0.3), rotation_about((0.2, 0.1, 1.0), 2.8))
     moved: PartAnnotation = part.in_frame(frame)
-    np.testing.assert_allclose(moved.turned(0.6), frame @ part.turned(0.6), atol=1e-12)
+    np.testing.assert_allclose(moved.moved({"door": 0.6}), frame @ part.moved({"door": 0.6}), atol=1e-12)
     np.testing.assert_allclose(part.in_frame(np.eye(4)).grasp, part.grasp)
