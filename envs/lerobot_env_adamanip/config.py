@@ -40,6 +40,8 @@ class AdaManipEnvConfig(EnvConfig):
     fps: int = FPS
     # Which objects: seen (the paper's count), unseen (the next 20), FIRST:END, or ids separated by commas.
     objects: str = "seen"
+    # Use the objects of others in this folder (AdaManip's, UniDoorManip's or PartNet-Mobility's), see docs/annotate.md.
+    assets: str | None = None
     # Points in observation.point_cloud; a policy that uses fewer takes the first, which are a farthest-point sample.
     num_points: int = DEFAULT_NUM_POINTS
     # Side of the front image [px].
@@ -85,6 +87,7 @@ class AdaManipEnvConfig(EnvConfig):
         """Arguments of `KeyframeEnv`."""
         return {
             "objects": self.objects,
+            "assets": self.assets,
             "num_points": self.num_points,
             "image_size": self.image_size,
             "observe_images": self.observe_images,

@@ -22,7 +22,7 @@ from lerobot_adamanip.errors import (
 )
 from lerobot_adamanip.experts.base import Feedback
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
-from lerobot_adamanip.objects import PartAnnotation, parse_object_selection
+from lerobot_adamanip.objects import PartAnnotation, select_objects
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import (
     ACTION_DIM,
@@ -50,6 +50,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Args:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`.
         objects: which ones: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's is drawn from its seed.
+        assets: a folder of objects of others (AdaManip's, UniDoorManip's, PartNet-Mobility's), to use instead of
+            generated ones; then ``seen`` means all of them.
         num_points: N.
         image_size: of the front camera [px].
         observe_images: whether observations hold the image.
@@ -68,6 +70,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         category: str = "safe",
         *,
         objects: str = "seen",
+        assets: str | os.PathLike[str] | None = None,
         num_points: int = DEFAULT_NUM_POINTS,
         image_size: int = IMAGE_SIZE,
         observe_images: bool = True,
@@ -78,7 +81,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         episode_log: str | os.PathLike[str] | None = None,
         workspace: Workspace = DEFAULT_WORKSPACE,
     ) -> None:
-        parse_object_selection(category, objects)
+        select_objects(category, objects, assets)
         randomization(pose_preset)
         require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         _check_range("image size [px]", image_size, 16, 2048, "--env.image_size=256")
@@ -91,6 +94,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._episode_log = Path(episode_log) if episode_log else None
         self._task_options = {
             "objects": objects,
+            "assets": None if assets is None else str(assets),
             "pose_preset": pose_preset,
             "mechanism_preset": mechanism_preset,
             "image_size": image_size,

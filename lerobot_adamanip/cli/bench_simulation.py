@@ -88,7 +88,7 @@ def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
 
 def _key_frame_ms(options: CollectOptions) -> float:
     """Times the key frames of one expert's episode, observation included; returns their mean [ms]."""
-    watch, env = Stopwatch(), make_env(options)
+    watch, env = Stopwatch(), make_env(options, options.objects[0])
     try:
         env.reset(seed=SEED, options={"object_id": options.objects[0]})
         expert = resolve(options.expert_factory)(

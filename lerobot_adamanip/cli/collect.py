@@ -17,7 +17,7 @@ from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.demos.collect import Listener, Summary, collect
 from lerobot_adamanip.demos.options import CollectOptions
 from lerobot_adamanip.demos.publish import publish, require_hub_name
-from lerobot_adamanip.objects import parse_object_selection
+from lerobot_adamanip.objects import select_objects
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -45,6 +45,9 @@ class Collect:
 
     objects: str = "seen"
     """seen, unseen, FIRST:END (0:4), or ids separated by commas (safe_000,safe_007)."""
+
+    assets: Path | None = None
+    """Folder of objects of others, to use instead of generated ones; seen then means all of them."""
 
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper's protocol has 4096; LeRobot reads fewer much faster."""
@@ -98,13 +101,16 @@ class Collect:
             trials=self.trials,
             seed=self.seed,
         )
-        presets = {
-            "env_options": _changed(
-                pose_preset=(self.pose_preset, "default"), mechanism_preset=(self.mechanism_preset, "paper")
-            ),
-            "expert_options": _changed(preset=(self.expert_preset, "paper")),
-        }
-        options = dataclasses.replace(options, **{name: chosen for name, chosen in presets.items() if chosen})
+        env_options = _changed(
+            assets=(None if self.assets is None else str(self.assets.resolve()), None),
+            pose_preset=(self.pose_preset, "default"),
+            mechanism_preset=(self.mechanism_preset, "paper"),
+        )
+        expert_options = _changed(preset=(self.expert_preset, "paper"))
+        if env_options:
+            options = dataclasses.replace(options, env_options=env_options)
+        if expert_options:
+            options = dataclasses.replace(options, expert_options=expert_options)
         try:
             summary = self._collect(options)
         except KeyboardInterrupt:
@@ -118,8 +124,8 @@ class Collect:
 
     def _objects(self) -> tuple[str, ...]:
         if self.category != ALL:
-            return parse_object_selection(self.category, self.objects)
-        return tuple(name for category in CATEGORIES for name in parse_object_selection(category, self.objects))
+            return select_objects(self.category, self.objects, self.assets)
+        return tuple(name for category in CATEGORIES for name in select_objects(category, self.objects, self.assets))
 
     def _collect(self, options: CollectOptions) -> Summary:
         # What libraries print must not get into the JSON.
@@ -154,7 +160,7 @@ class Collect:
             print(f"missing: {line}")
 
 
-def _changed(**presets: tuple[str, str]) -> dict[str, str]:
+def _changed(**presets: tuple[str | None, str | None]) -> dict[str, str | None]:
     """Returns the presets that are not the default ones: a manifest holds no more than what was asked for."""
     return {name: value for name, (value, default) in presets.items() if value != default}
 

@@ -14,6 +14,7 @@ from lerobot_adamanip.categories import ALL
 from lerobot_adamanip.demos.shards import write_atomically
 from lerobot_adamanip.errors import ConfigurationError, DatasetError, explain, require_choice
 from lerobot_adamanip.experts import EXPERT_KINDS
+from lerobot_adamanip.objects import category_of
 
 DEMO_SEED_START = 2**24
 """Demonstration seeds lie in [2^24, 2^31); evaluation uses seeds below a million, so the two never meet."""
@@ -94,7 +95,7 @@ class CollectOptions:
 
     def category_of(self, object_id: str) -> str:
         """Returns the category of one of the objects."""
-        return object_id.rpartition("_")[0] if self.category == ALL else self.category
+        return category_of(object_id) if self.category == ALL else self.category
 
     def items(self) -> list[Item]:
         """Returns the episodes in dataset order: the first of every object, then the second: any prefix is balanced."""

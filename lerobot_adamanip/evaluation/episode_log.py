@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.errors import AdaManipError, DatasetError, explain
-from lerobot_adamanip.objects import SEEN_COUNTS, parse_object_id
+from lerobot_adamanip.objects import SEEN_COUNTS, category_of, is_foreign, parse_object_id
+from lerobot_adamanip.objects.foreign import parse_foreign_id
 
 
 @dataclass(frozen=True)
@@ -45,11 +46,13 @@ class EpisodeRecord:
     @property
     def category(self) -> str:
         """Kind of object."""
-        return parse_object_id(self.object_id)[0]
+        return category_of(self.object_id)
 
     @property
-    def unseen(self) -> bool:
-        """Whether the object is none of those that demonstrations are collected on."""
+    def unseen(self) -> bool | None:
+        """Whether the object is none of those that demonstrations are collected on; None of a foreign object."""
+        if is_foreign(self.object_id):
+            return None
         category, number = parse_object_id(self.object_id)
         return number >= SEEN_COUNTS[category]
 
@@ -68,7 +71,7 @@ def parse_record(content: Any) -> EpisodeRecord:
         _typed(hidden, "locked", bool)
     object_id = _typed(content, "object_id", str)
     try:
-        parse_object_id(object_id)
+        (parse_foreign_id if is_foreign(object_id) else parse_object_id)(object_id)
     except AdaManipError:
         raise ValueError(f"unknown object_id {object_id!r}") from None
     first_part = content.get("first_part")

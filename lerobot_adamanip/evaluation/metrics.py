@@ -170,8 +170,8 @@ def summarise(records: Sequence[EpisodeRecord]) -> Summary:
         overall=success(lambda _: True),
         locked=success(lambda record: record.locked is True),
         unlocked=success(lambda record: record.locked is False),
-        seen=success(lambda record: not record.unseen),
-        unseen=success(lambda record: record.unseen),
+        seen=success(lambda record: record.unseen is False),
+        unseen=success(lambda record: record.unseen is True),
         categories={
             name: success(lambda record, name=name: record.category == name)  # type: ignore[misc]
             for name in dict.fromkeys(record.category for record in kept)

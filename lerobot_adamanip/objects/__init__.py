@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import functools
 import importlib
+import os
 import re
+from pathlib import Path
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Motion, PartAnnotation, Shape
+from lerobot_adamanip.objects.foreign import AssetSource, is_foreign
 
 SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""
@@ -83,7 +86,43 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     return ids
 
 
+def select_objects(category: str, selection: str, assets: str | os.PathLike[str] | None = None) -> tuple[str, ...]:
+    """Returns the ids of generated objects, or of those in the folder ``assets``; see `AssetSource.select` there."""
+    return (
+        parse_object_selection(category, selection)
+        if assets is None
+        else AssetSource(Path(assets)).select(category, selection)
+    )
+
+
+def get_object(identifier: str, assets: str | os.PathLike[str] | None = None) -> ArticulatedObject:
+    """Makes a generated object, or loads one of the folder ``assets``, by id."""
+    return make_object(identifier) if assets is None else AssetSource(Path(assets)).load(identifier)
+
+
+def category_of(identifier: str) -> str:
+    """Returns ``safe`` for ``safe_007`` and for ``safe:sa1``; the id's form is not checked."""
+    return identifier.partition(":")[0] if is_foreign(identifier) else identifier.rpartition("_")[0]
+
+
 __all__ = [
-    "SEEN_COUNTS", "ArticulatedObject", "Joint", "Link", "Material", "Motion", "PartAnnotation", "Shape", "categories",
-    "make_object", "object_id", "parse_object_id", "parse_object_selection", "seen_objects", "unseen_objects",
+    "SEEN_COUNTS",
+    "ArticulatedObject",
+    "Joint",
+    "Link",
+    "Material",
+    "Motion",
+    "PartAnnotation",
+    "Shape",
+    "categories",
+    "category_of",
+    "get_object",
+    "is_foreign",
+    "make_object",
+    "object_id",
+    "parse_object_id",
+    "parse_object_selection",
+    "seen_objects",
+    "select_objects",
+    "unseen_objects",
 ]  # fmt: skip

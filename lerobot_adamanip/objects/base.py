@@ -236,7 +236,8 @@ def annotate(
     while current is not None:
         chain.append(current)
         current = by_name[current.parent] if current.parent is not None else None
-    motions, origin = [], np.zeros(3)
+    motions: list[Motion] = []
+    origin: NDArray[np.float64] = np.zeros(3)
     for each in reversed(chain):
         if each.joint is not None:
             origin = origin + each.joint.origin

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
-from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_selection
+from lerobot_adamanip.objects import ArticulatedObject, get_object, select_objects
 from lerobot_env_adamanip.arm import LEVEL_REST, NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.building import build_object, sapien_pose
 from lerobot_env_adamanip.driver import ArmState, KeyframeDriver
@@ -67,6 +67,7 @@ class AdaManipTask(BaseEnv):
         self,
         *args: Any,
         objects: str = "seen",
+        assets: str | None = None,
         pose_preset: str = "default",
         mechanism_preset: str = "paper",
         image_size: int = 256,
@@ -91,7 +92,7 @@ class AdaManipTask(BaseEnv):
                     try_="gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
                 )
             )  # fmt: skip
-        self.object_ids = parse_object_selection(self.category, objects)
+        self.object_ids, self._assets = select_objects(self.category, objects, assets), assets
         self.spread = randomization(pose_preset)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
@@ -137,7 +138,7 @@ class AdaManipTask(BaseEnv):
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
-        self.obj = make_object(str(chosen))
+        self.obj = get_object(str(chosen), self._assets)
         self.mechanism = make_mechanism(self.obj, self.mechanism_preset)
         self.floor_z = self._floor_height()
         build_ground(self.scene)
