@@ -1,4 +1,4 @@
-"""Makes the kinematic safe importable."""
+"""Makes the kinematic world importable."""
 
 from __future__ import annotations
 

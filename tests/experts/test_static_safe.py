@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinematic_safe import KinematicSafe, adaptive, as_bytes, placed_parts, run, static
+from kinematic import KinematicWorld, adaptive, as_bytes, placed_parts, run, static
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.experts import Feedback, Goal, Outcome, Phase, make_expert
-from lerobot_adamanip.experts.safe import PULL_ANGLES
-from lerobot_adamanip.objects import object_id
+from lerobot_adamanip.experts.doors import PULL_ANGLES
+from lerobot_adamanip.objects import make_object, object_id
 from lerobot_adamanip.rotations import pose_from_vector, rotation_about, transform
 
 fast = settings(max_examples=25, deadline=None)
@@ -25,9 +25,9 @@ hiddens = st.fixed_dictionaries({"locked": st.booleans(), "direction": st.sample
 @fast
 @given(ids, hiddens, seeds)
 def test_it_goes_straight_there(name: str, hidden: dict[str, Any], seed: int) -> None:
-    safe = KinematicSafe(name, hidden, layout=seed)
+    safe = KinematicWorld(name, hidden, layout=seed)
     episode = run(safe, static(safe, seed))
-    assert episode.door > 0.95 * PULL_ANGLES[-1]
+    assert episode.opened > 0.95 * PULL_ANGLES[-1]
     assert episode.failed_pulls() == 0
     assert {goal.trial for goal in episode.goals} == {0}
     assert episode.phases.count(Phase.GRASP) == 1 + hidden["locked"]
@@ -37,7 +37,7 @@ def test_it_goes_straight_there(name: str, hidden: dict[str, Any], seed: int) ->
 @fast
 @given(ids, hiddens, seeds)
 def test_it_needs_no_more_key_frames_than_trial_and_error(name: str, hidden: dict[str, Any], seed: int) -> None:
-    one, other = KinematicSafe(name, hidden), KinematicSafe(name, hidden)
+    one, other = KinematicWorld(name, hidden), KinematicWorld(name, hidden)
     straight, tried = run(one, static(one)), run(other, adaptive(other, seed))
     assert len(straight.goals) + 3 * hidden["locked"] <= len(tried.goals)
 
@@ -47,14 +47,14 @@ def test_it_needs_no_more_key_frames_than_trial_and_error(name: str, hidden: dic
 def test_it_leaves_nothing_but_the_approach_to_chance(
     name: str, hidden: dict[str, Any], first: int, second: int
 ) -> None:
-    safes = KinematicSafe(name, hidden), KinematicSafe(name, hidden)
+    safes = KinematicWorld(name, hidden), KinematicWorld(name, hidden)
     episodes = [run(safe, static(safe, seed)) for safe, seed in zip(safes, (first, second), strict=True)]
     one, other = ([goal for goal in episode.goals if goal.phase is not Phase.APPROACH] for episode in episodes)
     assert as_bytes(one) == as_bytes(other)
 
 
 def build(category: str = "safe", kind: str = "adaptive", **options: Any) -> None:
-    make_expert(category, kind, placed_parts("safe_000"), generator=np.random.default_rng(0), **options)
+    make_expert(category, kind, placed_parts(make_object("safe_000")), generator=np.random.default_rng(0), **options)
 
 
 @pytest.mark.parametrize(

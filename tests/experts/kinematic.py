@@ -1,0 +1,239 @@
+"""An object and a hand without a simulator: joints follow the held part within the limits that the mechanism commands.
+
+The hand has some play: it gives way a little before a stall is felt, and an expert has to tell that from motion.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.experts import Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
+from lerobot_adamanip.mechanisms import make_mechanism
+from lerobot_adamanip.objects import ArticulatedObject, Motion, PartAnnotation, make_object, object_id
+from lerobot_adamanip.rotations import angle_between, rotation_about, transform
+
+PLAY = {"revolute": 0.045, "prismatic": 0.004}
+"""What hand and drives give way before a stall is felt [rad, m]."""
+AROUND_A_PART = 0.22
+"""Finger opening around a part."""
+TWISTED = ("bottle", "pen", "pressure_cooker", "coffee_maker", "window", "door")
+Pose = NDArray[np.float64]
+cached_object = functools.cache(make_object)  # more objects than `make_object` keeps, over and over
+
+
+def object_names(category: str) -> st.SearchStrategy[str]:
+    """Ids of a few of a category's objects, seen and unseen: few, because some take long to make."""
+    seen = CATEGORIES[category].seen
+    numbers = [*range(0, seen, max(1, seen // 8)), *range(seen, seen + 5)]
+    return st.sampled_from([object_id(category, number) for number in numbers])
+
+
+def placed_parts(obj: ArticulatedObject, seed: int = 0) -> dict[str, PartAnnotation]:
+    """Annotations in the base frame of a robot that the object stands before, somewhere; held from any good side."""
+    rng = np.random.default_rng(seed)
+    yaw = np.pi + rng.uniform(-0.3, 0.3)
+    frame = transform((rng.uniform(0.5, 0.8), rng.uniform(-0.2, 0.2), 0.3), rotation_about((0, 0, 1), yaw))
+    return {part.name: part.in_frame(frame).rolled(float(rng.choice(part.rolls))) for part in obj.parts}
+
+
+@dataclass(frozen=True)
+class Move:
+    """A key frame that moved, or tried to move, a joint: by its sign, as felt before it, and from where to where."""
+
+    joint: str
+    sign: int
+    start: float
+    end: float
+    stalled: bool
+
+
+class KinematicWorld:
+    """One episode.
+
+    Args:
+        name: object id.
+        hidden: hidden values; those left out are drawn with ``draw``.
+        layout: seed of where the object stands.
+        torn: this many pulls at the joint that opens end with an empty hand that has reached its goal.
+        preset: of the mechanism.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        hidden: Mapping[str, Any] | None = None,
+        *,
+        draw: int = 0,
+        layout: int = 0,
+        torn: int = 0,
+        preset: str = "paper",
+    ) -> None:
+        self.obj = cached_object(name)
+        self.parts = placed_parts(self.obj, layout)
+        self.mechanism = make_mechanism(self.obj, preset)
+        self.state = self.mechanism.draw(1, torch.Generator().manual_seed(draw), hidden)
+        self.hidden = self.mechanism.hidden(self.state, 0)
+        self.joints = dict.fromkeys(self.mechanism.joints, 0.0)
+        self.final, self.key = self.mechanism.joints
+        self.held: PartAnnotation | None = None
+        self.torn = torn
+        self.feedback = Feedback(transform((0.4, 0.0, 0.6)), 1.0)
+        self.moves: list[Move | None] = []
+        self.successes: list[bool] = []
+        self._limits()
+
+    def _limits(self) -> dict[str, tuple[float, float]]:
+        reading = {name: torch.tensor([q], dtype=torch.float64) for name, q in self.joints.items()}
+        self.state, command = self.mechanism.step(self.state, reading)
+        return {name: (float(limit.lower), float(limit.upper)) for name, limit in command.items()}
+
+    def step(self, goal: Goal) -> Feedback:
+        """Runs one key frame."""
+        self.moves.append(None)
+        was_closed, button = self.feedback.gripper < 0.5, self._button_before(goal.tcp_in_base)
+        self._spring_back()
+        if goal.gripper > 0.5:
+            self.held = None
+        if self.held is not None:
+            self.feedback = self._move(self.held, goal, AROUND_A_PART)
+        elif goal.gripper < 0.5 and was_closed and button is not None:
+            self.feedback = self._move(button, goal, 0.0)
+        else:
+            self.held = self._within_reach(goal.tcp_in_base) if goal.gripper < 0.5 else None
+            opening = AROUND_A_PART if self.held else goal.gripper
+            self.feedback = Feedback(goal.tcp_in_base.copy(), opening, Outcome.REACHED)
+        reading = {name: torch.tensor([q]) for name, q in self.joints.items()}
+        self.successes.append(bool(self.mechanism.succeeded(reading)))
+        return self.feedback
+
+    def _button_before(self, goal: Pose) -> PartAnnotation | None:
+        """The part, if any, that a closed hand on its way to ``goal`` pushes: it slides, and the hand is before it."""
+        for part in self.parts.values():
+            motion = part.motions[-1]
+            depth = motion.followed(part.grasp, goal)
+            beside = goal[:3, 3] - part.grasp[:3, 3] - depth * motion.axis
+            if motion.kind == "prismatic" and depth > 0 and np.linalg.norm(beside) < 0.01:
+                return part
+        return None
+
+    def _spring_back(self) -> None:
+        for part in self.parts.values():
+            if part.motions[-1].kind == "prismatic":
+                self.joints[part.motions[-1].joint] = 0.0
+
+    def _within_reach(self, tcp: Pose) -> PartAnnotation | None:
+        for part in self.parts.values():
+            there = part.moved(self.joints)
+            if np.linalg.norm(there[:3, 3] - tcp[:3, 3]) < 0.01 and angle_between(there[:3, :3], tcp[:3, :3]) < 0.1:
+                return part
+        return None
+
+    def _move(self, part: PartAnnotation, goal: Goal, opening: float) -> Feedback:
+        """The hand takes along, or pushes, the joint that its way to the goal fits best."""
+        motion = meant(_present(part, self.joints), self.feedback.tcp_in_base, goal.tcp_in_base)
+        joint, start = motion.joint, self.joints[motion.joint]
+        sign = int(np.sign(motion.followed(self.feedback.tcp_in_base, goal.tcp_in_base)))
+        if joint == self.final and self.torn:
+            self.torn -= 1
+            self.held = None
+            return Feedback(goal.tcp_in_base.copy(), 0.0, Outcome.REACHED)
+        wanted = start + motion.followed(part.moved(self.joints), goal.tcp_in_base)
+        self.joints[joint] = float(np.clip(wanted, *self._limits()[joint]))
+        self._limits()
+        beyond, play = wanted - self.joints[joint], PLAY[motion.kind]
+        felt = part.moved({**self.joints, joint: self.joints[joint] + float(np.clip(beyond, -play, play))})
+        stalled = abs(beyond) > play
+        self.moves[-1] = Move(joint, sign, start, self.joints[joint], stalled)
+        return Feedback(felt, opening, Outcome.STALLED if stalled else Outcome.REACHED)
+
+
+def _present(part: PartAnnotation, joints: Mapping[str, float]) -> list[Motion]:
+    """A part's motions with their axes where the joints before them have taken them."""
+    frame, motions = np.eye(4), []
+    for motion in part.motions:
+        motions.append(motion.in_frame(frame))
+        frame = frame @ motion.applied(np.eye(4), joints[motion.joint])
+    return motions
+
+
+def meant(motions: list[Motion], start: Pose, goal: Pose) -> Motion:
+    """The motion that leads from ``start`` nearest to ``goal``; a radian counts as much as 10 cm."""
+
+    def missed(motion: Motion) -> float:
+        there = motion.applied(start, motion.followed(start, goal))
+        away = float(np.linalg.norm(there[:3, 3] - goal[:3, 3]))
+        return away + 0.1 * angle_between(there[:3, :3], goal[:3, :3])
+
+    return min(motions, key=missed)
+
+
+@dataclass
+class Episode:
+    """What happened: goals, the feedback after each, and the world in the end."""
+
+    goals: list[Goal]
+    felt: list[Feedback]
+    world: KinematicWorld
+
+    @property
+    def phases(self) -> list[Phase]:
+        return [goal.phase for goal in self.goals]
+
+    @property
+    def opened(self) -> float:
+        """Where the joint that opens stands in the end [rad or m]."""
+        return self.world.joints[self.world.final]
+
+    @property
+    def key_frames(self) -> float:
+        """Until success; infinity without."""
+        return self.world.successes.index(True) + 1 if any(self.world.successes) else np.inf
+
+    @property
+    def moves(self) -> list[Move]:
+        """Those key frames that moved, or tried to move, a joint, up to success."""
+        until = None if self.key_frames == np.inf else int(self.key_frames)
+        return [move for move in self.world.moves[:until] if move is not None]
+
+    def failed_pulls(self) -> int:
+        pairs = zip(self.goals, self.felt, strict=True)
+        return sum(felt.failed or felt.gripper < 0.05 for goal, felt in pairs if goal.phase is Phase.TRY)
+
+    def turns(self) -> list[tuple[int, bool]]:
+        """Each move of the key joint: (sign relative to the hand before it, whether it stalled)."""
+        return [(move.sign, move.stalled) for move in self.moves if move.joint == self.world.key]
+
+
+def run(world: KinematicWorld, frames: KeyFrames, *, at_most: int = 80) -> Episode:
+    """Plays an expert against a world until it has nothing more to do."""
+    goals, felt = [next(frames)], []
+    for _ in range(at_most):
+        felt.append(world.step(goals[-1]))
+        try:
+            goals.append(frames.send(felt[-1]))
+        except StopIteration:
+            return Episode(goals, felt, world)
+    raise AssertionError("the expert does not end")
+
+
+def adaptive(world: KinematicWorld, seed: int = 0, trials: int = 1, preset: str = "paper") -> KeyFrames:
+    rng = np.random.default_rng(seed)
+    return make_expert(world.obj.category, "adaptive", world.parts, generator=rng, trials=trials, preset=preset)
+
+
+def static(world: KinematicWorld, seed: int = 0) -> KeyFrames:
+    rng = np.random.default_rng(seed)
+    return make_expert(world.obj.category, "static", world.parts, generator=rng, hidden=world.hidden)
+
+
+def as_bytes(goals: list[Goal]) -> list[tuple[bytes, float, Phase, int]]:
+    return [(goal.tcp_in_base.tobytes(), goal.gripper, goal.phase, goal.trial) for goal in goals]
