@@ -116,7 +116,7 @@ def draw_design(rng: np.random.Generator) -> MicrowaveDesign:
         handle_length=length,
         handle_radius=rng.uniform(0.008, 0.011),
         button_style=style,
-        button_z=half_z[style] + rng.uniform(0.018, 0.026),
+        button_z=half_z[style] + rng.uniform(0.022, 0.030),
         button_half=(min(half_y[style], panel / 2 - 0.014), half_z[style]),
         button_travel=travel,
         button_out=travel - rng.uniform(0.0, 0.002),
