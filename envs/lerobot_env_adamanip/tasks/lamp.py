@@ -26,8 +26,8 @@ class LampTask(AdaManipTask):
     """
 
     category: ClassVar[str] = "lamp"
-    nominal_x: ClassVar[float] = 0.48
-    part_height: ClassVar[float] = 0.62
+    nominal_x: ClassVar[float] = 0.44
+    part_height: ClassVar[float] = 0.56
     rest: ClassVar[NDArray[np.float64]] = DOWN_REST
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
