@@ -1,0 +1,48 @@
+"""The table of categories, and the documentation made from it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.experts import SEQUENCES, make_expert
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
+from lerobot_adamanip.objects import make_object, object_id
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_the_papers_counts_add_up() -> None:
+    assert len(CATEGORIES) == 9
+    assert sum(category.seen for category in CATEGORIES.values()) == 277
+
+
+@pytest.mark.parametrize("name", CATEGORIES)
+def test_a_category_has_objects_rules_and_experts_that_fit_each_other(name: str) -> None:
+    obj = make_object(object_id(name, 0))
+    assert (obj.category, obj.object_id) == (name, object_id(name, 0))
+    parts = {part.name: part for part in obj.parts}
+    for preset in MECHANISM_PRESETS:
+        mechanism = make_mechanism(obj, preset)
+        assert set(mechanism.joints) == {link.joint.name for link in obj.links if link.joint is not None}
+        assert set(mechanism.goals) <= set(mechanism.joints)
+        carried = {motion.joint for part in obj.parts for motion in part.motions}
+        assert set(mechanism.joints) == carried
+        for joint, goal in mechanism.goals.items():
+            assert 0 < goal < obj.joint(joint).limits[1]
+    import numpy as np
+
+    first = next(make_expert(name, "adaptive", parts, generator=np.random.default_rng(0)))
+    assert first.gripper == 1.0
+    assert SEQUENCES[name]
+
+
+def test_the_page_of_categories_is_what_the_code_says() -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "make_category_table.py"), "--check"], check=False, timeout=240
+    )
+    assert done.returncode == 0, "run: python scripts/make_category_table.py"
