@@ -61,7 +61,7 @@ TWISTS = {
     "pen": Twist("cap", "cap", "lift", np.deg2rad(30.0), LIFT),
     "pressure_cooker": Twist("handle", "lid", "lift", np.deg2rad(12.0), LIFT),
     "coffee_maker": Twist("handle", "portafilter", "drop", np.deg2rad(12.0), LIFT),
-    "window": Twist("handle", "handle", "sash", np.deg2rad(25.0), SWING, p_open_first=0.0),
+    "window": Twist("handle", "handle", "sash", np.deg2rad(20.0), SWING, p_open_first=0.0),
     "door": Twist("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_first=0.0),
 }
 

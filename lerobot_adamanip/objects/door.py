@@ -13,7 +13,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.framing import FINISHES, GAP, Surround, knuckles
-from lerobot_adamanip.objects.handles import METALS, HandleDesign, draw_handle, handle_shapes, plate_shapes
+from lerobot_adamanip.objects.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.leaves import LeafPlan, leaf_shapes
 from lerobot_adamanip.objects.shapes import box, chamfered_box, disk
 
@@ -132,11 +132,7 @@ def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
             "leaf", leaf_shapes(plan, side) + _furniture(design), mass=5.0, parent="frame",
             joint=Joint("leaf", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, DOOR_UPPER), 0.3, 1.0),
         ),
-        Link(
-            "lever", handle_shapes(design.handle), mass=0.12, parent="leaf",
-            # Positive turns clockwise as seen by who stands in front: about -x, into the door.
-            joint=Joint("lever", "revolute", (-1.0, 0.0, 0.0), tuple(pivot), (-LEVER_RANGE, LEVER_RANGE), 0.12, 0.03),
-        ),
+        handle_link(design.handle, ("lever", "leaf", "lever"), pivot, LEVER_RANGE, damping=0.03),
     )  # fmt: skip
     grip = facing(hinge + pivot + design.handle.grip_offset(), design.handle.rest)
     size = (surround.width, design.depth + 0.004, surround.height)

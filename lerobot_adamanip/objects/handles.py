@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.objects.base import TWO_FINGERS, Material, Shape, any_roll
+from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
 from lerobot_adamanip.objects.shapes import box, chamfered_box, convex_mesh, disk, rod
 from lerobot_adamanip.rotations import rotation_about, transform
 
@@ -29,6 +29,10 @@ METALS = (
     Material((0.05, 0.05, 0.055), 0.5, 0.2),
 )
 DARK = Material((0.02, 0.02, 0.02), 0.7)
+MASS = 0.06
+"""Of what turns [kg]."""
+SPRING = 0.35
+"""Stiffness of the return spring [N m/rad]."""
 SIDES = 32
 """Of what is round: a multiple of eight, so that a pad meets a flat from each of `any_roll`'s sides."""
 
@@ -83,7 +87,7 @@ def draw_handle(
     )
     if style == "olive":
         thickness = (0.024, 0.030)
-    grip = rng.uniform(0.068, 0.085) if lever else 0.0
+    grip = rng.uniform(0.064, 0.076) if lever else 0.0
     return HandleDesign(
         style=style,
         standoff=rng.uniform(0.056, 0.063),
@@ -105,6 +109,43 @@ def handle_shapes(design: HandleDesign) -> tuple[Shape, ...]:
     else:
         shapes = _lever(design)
     return turned(shapes, design.rest)
+
+
+def handle_link(
+    design: HandleDesign, names: tuple[str, str, str], pivot: NDArray[np.float64], turn_range: float, damping: float
+) -> Link:
+    """Returns the handle on its spindle. Positive turns clockwise as seen by who stands in front: about -x.
+
+    A return spring, as in a lock case, brings it back to rest. It is tensioned against the handle's weight, or one that
+    hangs to the side would sag in the direction it may turn in, and show it.
+
+    Args:
+        design: of the handle.
+        names: of link, parent link and joint.
+        pivot: (3,) in the parent's frame [m].
+        turn_range: to either side [rad].
+        damping: of the spindle [N m s/rad].
+    """
+    link, parent, name = names
+    shapes = handle_shapes(design)
+    tension = -MASS * 9.81 * _sideways(shapes) / SPRING
+    x, y, z = (float(value) for value in pivot)
+    joint = Joint(
+        name, "revolute", (-1.0, 0.0, 0.0), (x, y, z), (-turn_range, turn_range), friction=0.02, damping=damping,
+        stiffness=SPRING, rest=tension,
+    )  # fmt: skip
+    return Link(link, shapes, mass=MASS, parent=parent, joint=joint)
+
+
+def _sideways(shapes: Sequence[Shape]) -> float:
+    """Returns how far (y) [m] a handle's centre of mass is from its spindle, the box around it being its body."""
+    reach = []
+    for shape in shapes:
+        if shape.collides:
+            reach.append(shape.pose_in_link[1, 3])
+            if shape.vertices is not None:
+                reach += list(shape.vertices @ shape.pose_in_link[1, :3] + shape.pose_in_link[1, 3])
+    return float(max(reach) + min(reach)) / 2
 
 
 def turned(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
@@ -209,6 +250,6 @@ def plate_shapes(
 
 
 __all__ = [
-    "CENTRED", "KNOBS", "LEVERS", "METALS", "PLATES", "HandleDesign", "draw_handle", "handle_shapes", "lathe",
-    "plate_shapes", "turned",
+    "CENTRED", "KNOBS", "LEVERS", "METALS", "PLATES", "HandleDesign", "draw_handle", "handle_link", "handle_shapes",
+    "lathe", "plate_shapes", "turned",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.framing import FINISHES, GAP, Surround, knuckles
-from lerobot_adamanip.objects.handles import METALS, HandleDesign, draw_handle, handle_shapes, plate_shapes
+from lerobot_adamanip.objects.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.leaves import Field, at_field, glazing
 from lerobot_adamanip.objects.shapes import chamfered_box
 
@@ -158,13 +158,7 @@ def build_window(object_id: str, design: WindowDesign) -> ArticulatedObject:
             "sash", _sash_shapes(design) + plate, mass=4.0, parent="frame",
             joint=Joint("sash", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, SASH_UPPER), 0.3, 1.0),
         ),
-        Link(
-            "handle", handle_shapes(design.handle), mass=0.12, parent="sash",
-            # Positive turns clockwise as seen by who stands in the room: about -x, out of it.
-            joint=Joint(
-                "handle", "revolute", (-1.0, 0.0, 0.0), tuple(pivot), (-HANDLE_RANGE, HANDLE_RANGE), 0.05, 0.03
-            ),
-        ),
+        handle_link(design.handle, ("handle", "sash", "handle"), pivot, HANDLE_RANGE, damping=0.03),
     )  # fmt: skip
     grip = facing(hinge + pivot + design.handle.grip_offset(), design.handle.rest)
     name, (up, level) = ("left" if side < 0 else "right"), design.bars
