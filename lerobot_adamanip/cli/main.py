@@ -30,6 +30,9 @@ COMMANDS = {
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
     "objects": Entry("lerobot_adamanip.cli.objects:Objects", "draw a contact sheet of the objects of a category"),
+    "annotate": Entry(
+        "lerobot_adamanip.cli.annotate:Annotate", "say in the browser where the parts of somebody's objects are held"
+    ),
     "report": Entry(
         "lerobot_adamanip.cli.report:Report", "success rates with intervals, trials and plots of an evaluation"
     ),

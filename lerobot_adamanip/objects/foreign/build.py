@@ -45,13 +45,26 @@ def build_foreign(folder: Path, category: str) -> ArticulatedObject:
     return assemble(urdf, annotation, posed(urdf, annotation))
 
 
-def assemble(urdf: Urdf, annotation: Annotation, found: Posed) -> ArticulatedObject:
-    """Returns the object; `ConfigurationError` if its parts, joints or size cannot be what the category needs."""
+def assemble(
+    urdf: Urdf, annotation: Annotation, found: Posed, *, solid: bool = True, checked: bool = True
+) -> ArticulatedObject:
+    """Returns the object.
+
+    Args:
+        urdf: its description.
+        annotation: of the URDF.
+        found: the URDF at rest.
+        solid: with collision shapes; to look at it, they are not needed.
+        checked: whether size and parts have to be plausible; while somebody still annotates, they may not be.
+
+    Raises:
+        ConfigurationError: its joints, or, if checked, its parts or size cannot be what the category needs.
+    """
     check_joints(urdf, annotation)
     to_object: Pose = np.linalg.inv(object_frame(found, annotation)).astype(np.float64)
     leaders = groups(urdf, annotation.joints)
     origins = {name: (to_object @ pose)[:3, 3] for name, pose in found.poses.items()} | {urdf.root: np.zeros(3)}
-    return _Assembly(urdf, annotation, found, to_object, leaders, origins).build()
+    return _Assembly(urdf, annotation, found, to_object, leaders, origins, solid, checked).build()
 
 
 def check_joints(urdf: Urdf, annotation: Annotation) -> None:
@@ -73,6 +86,7 @@ class _Assembly:
         to_object: (4, 4) from the URDF's root frame to the object frame.
         leaders: per link, the link it is rigidly part of.
         origins: (3,) of each link at rest, object frame.
+        solid, checked: see `assemble`.
     """
 
     urdf: Urdf
@@ -81,12 +95,15 @@ class _Assembly:
     to_object: Pose
     leaders: Mapping[str, str]
     origins: Mapping[str, Array]
+    solid: bool
+    checked: bool
 
     def build(self) -> ArticulatedObject:
         links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._depth))
         lower, upper = self._box(links)
         depth, width, height = (float(length) for length in upper - lower)
-        _check_size(self.urdf, max(depth, width, height))
+        if self.checked:
+            _check_size(self.urdf, max(depth, width, height))
         roles = ROLES[self.annotation.category].parts
         return ArticulatedObject(
             f"{self.annotation.category}:{self.urdf.path.parent.name}",
@@ -108,7 +125,7 @@ class _Assembly:
         shapes: list[Shape] = []
         for member in members:
             shapes += [_visual(surface, into) for surface in self.found.visuals[member]]
-            for surface in self.found.collisions[member]:
+            for surface in self.found.collisions[member] if self.solid else ():
                 shapes += [_solid(vertices, faces, into) for vertices, faces in convex_parts(surface)]
         mass = sum(self.urdf.links[member].mass or 0.0 for member in members)
         above = self.urdf.joint_above(name)
@@ -144,7 +161,7 @@ class _Assembly:
         part = annotate(links, self.leaders[choice.link], role.name, grasp, choice.rolls)
         carried = {motion.joint for motion in part.motions}
         away = float(np.max(np.maximum(lower - grasp[:3, 3], grasp[:3, 3] - upper)))
-        if away > NEAR or not set(role.joints) <= carried:
+        if self.checked and (away > NEAR or not set(role.joints) <= carried):
             raise broken(
                 where,
                 f"the {role.name} is not where, or on what, a {self.annotation.category} has it.",
