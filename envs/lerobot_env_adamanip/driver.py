@@ -96,6 +96,7 @@ class KeyframeDriver:
         self._target: Array = read().qpos.copy()
         self._finger = self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
+        self.closing = False  # whether this key frame only closes the fingers: see `AdaManipTask`, detent
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
@@ -108,15 +109,23 @@ class KeyframeDriver:
         """
         goal, gripper = self.goal = self._checked(action)
         self._ticks = self._strained = 0
-        gripper_moves = abs(self._finger_goal(gripper) - self._finger_target) > 5e-3
-        self._finger_target = self._finger_goal(gripper)
+        finger_goal = self._finger_goal(gripper)
+        gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
+        self.closing = finger_goal < self._finger_target - 5e-3 and self._stays(goal)
+        self._finger_target = finger_goal
         outcome = self._follow(goal)
         if outcome is Outcome.REACHED:
             outcome = self._settle(goal, self.limits.grip_ticks if gripper_moves else 0)
         self.effort = self._torque(self._read())
         self._relax(outcome)
         self.feedback = self._feedback(outcome)
+        self.closing = False
         return self.feedback
+
+    def _stays(self, goal: Array) -> bool:
+        here, limits = self.kinematics.tcp_in_base(self._target), self.limits
+        near = np.linalg.norm(goal[:3, 3] - here[:3, 3]) < limits.reached_position
+        return bool(near and angle_between(goal[:3, :3], here[:3, :3]) < limits.reached_rotation)
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[Array, float]:
         array = np.asarray(action, dtype=np.float64)

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from envs_helpers import SMALL, digest
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.stats import binom
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.experts import Phase, make_expert
-from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_6d
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 pytestmark = pytest.mark.sim
@@ -27,11 +25,7 @@ HIDDEN: dict[str, list[dict[str, Any]]] = {
     "lamp": [{"mode": mode} for mode in range(3)],
 }
 every_category = pytest.mark.parametrize("category", CATEGORIES)
-EPISODES = 40
-POSITION_NOISE, ROTATION_NOISE = 1.5e-3, 0.012
-"""Fingers that close centre what is free to move on themselves: so far may a held tool differ [m, rad]."""
-CLOUD_NOISE, IMAGE_NOISE = 2.5e-3, 1.5
-"""Mean distance of points [m], mean difference of pixels [of 255]."""
+EPISODES = 30
 
 
 @pytest.fixture(scope="module")
@@ -52,33 +46,31 @@ def env(category: str, envs: dict[str, KeyframeEnv]) -> KeyframeEnv:
     return envs[category]
 
 
-def until_touch_and_after(env: KeyframeEnv, seed: int, hidden: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
-    """Hashes of the observations until the hand touches the object, and the observation once it holds it."""
+def until_it_holds_and_after(env: KeyframeEnv, seed: int, hidden: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Hashes of the observations until the hand holds a part, and of those after each motion that an expert tries."""
     observation, _ = env.reset(seed=seed, options={"hidden_overrides": hidden})
     expert = make_expert(env.category, "adaptive", env.annotations, generator=np.random.default_rng(0))
-    hashes, goal = [digest(observation)], next(expert)
-    while goal.phase is Phase.APPROACH:
-        observation = env.step(goal.action())[0]
-        hashes.append(digest(observation))
+    held, tried, goal = [digest(observation)], [], next(expert)
+    while goal.phase in (Phase.APPROACH, Phase.GRASP):
+        held.append(digest(env.step(goal.action())[0]))
         goal = expert.send(env.feedback)
-    assert goal.phase is Phase.GRASP
-    return hashes, env.step(goal.action())[0]
+    for _ in range(3):
+        observation, _, ended, truncated, _ = env.step(goal.action())
+        tried.append(digest(observation))
+        if ended or truncated:
+            break
+        goal = expert.send(env.feedback)
+    return held, tried
 
 
 @every_category
 @pytest.mark.parametrize("seed", [31, 32])
 def test_nothing_shows_before_the_action_that_tells(env: KeyframeEnv, category: str, seed: int) -> None:
-    runs = [until_touch_and_after(env, seed, hidden) for hidden in HIDDEN[category]]
-    assert all(len(hashes) == 3 and hashes == runs[0][0] for hashes, _ in runs)  # bit for bit
-    first = runs[0][1]
-    for _, held in runs[1:]:
-        assert np.linalg.norm(held["agent_pos"][:3] - first["agent_pos"][:3]) < POSITION_NOISE
-        turned = angle_between(*(matrix_from_rotation_6d(each["agent_pos"][3:9]) for each in (held, first)))
-        assert turned < ROTATION_NOISE
-        pixels = held["pixels"]["front"].astype(int) - first["pixels"]["front"].astype(int)
-        assert np.abs(pixels).mean() < IMAGE_NOISE
-        distances, _ = cKDTree(first["point_cloud"]).query(held["point_cloud"])
-        assert np.median(distances) < CLOUD_NOISE
+    """Cloud, image, state and effort are equal bit for bit, the hand's grip included; then they are not."""
+    runs = [until_it_holds_and_after(env, seed, hidden) for hidden in HIDDEN[category]]
+    assert len(runs[0][0]) == 4  # reset, two approaches, grasp
+    assert all(held == runs[0][0] for held, _ in runs)
+    assert len({tuple(tried) for _, tried in runs}) > 1
 
 
 def leave_one_out(features: NDArray[np.float64], labels: NDArray[np.int64]) -> int:

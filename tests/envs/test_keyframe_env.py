@@ -165,33 +165,20 @@ def first_of(phases: list[Phase], wanted: Phase) -> int:
 
 
 @pytest.mark.parametrize("seed", [21, 22])
-def test_a_lock_shows_only_when_the_door_is_touched(env: KeyframeEnv, seed: int) -> None:
+def test_a_lock_shows_only_when_the_door_is_pulled(env: KeyframeEnv, seed: int) -> None:
     free, phases, _ = expert_episode(env, seed, hidden_overrides={"locked": False})
     locked, _, _ = expert_episode(env, seed, hidden_overrides={"locked": True})
-    touched, pulled = first_of(phases, Phase.GRASP), first_of(phases, Phase.TRY)
-    assert touched == 3  # reset and two approaches
-    assert free[:touched] == locked[:touched]
+    pulled = first_of(phases, Phase.TRY)
+    assert pulled == 4  # reset, two approaches, grasp
+    assert free[:pulled] == locked[:pulled]
     assert free[pulled] != locked[pulled]
 
 
-def test_grasping_tells_little_of_the_lock_and_pulling_all(env: KeyframeEnv) -> None:
-    """Closing fingers centre a free door on themselves, by less than a millimetre: real doors do so as well."""
-    tools, doors = [], []
-    for locked in (False, True):
-        env.reset(seed=21, options={"hidden_overrides": {"locked": locked}})
-        grasp_handle(env)
-        tools.append(env.feedback.tcp_in_base[:3, 3])
-        doors.append(env.episode_record()["joints"]["door"])
-    assert np.linalg.norm(tools[0] - tools[1]) < 1e-3
-    assert doors[1] == pytest.approx(0.0, abs=1e-5)
-    assert 0 <= doors[0] < np.deg2rad(0.3)
-
-
-def test_the_knobs_direction_shows_only_when_it_is_touched(env: KeyframeEnv) -> None:
+def test_the_knobs_direction_shows_only_when_it_is_turned(env: KeyframeEnv) -> None:
     runs = [expert_episode(env, 23, hidden_overrides={"locked": True, "direction": direction}) for direction in (1, -1)]
     phases, turned = runs[0][1], first_of(runs[0][1], Phase.UNLOCK)
     assert phases[turned - 2] is Phase.GRASP
-    assert runs[0][0][: turned - 1] == runs[1][0][: turned - 1]
+    assert runs[0][0][:turned] == runs[1][0][:turned]
     assert runs[0][0][turned] != runs[1][0][turned]
     assert all(info["is_success"] for _, _, info in runs)
 

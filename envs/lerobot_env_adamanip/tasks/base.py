@@ -169,11 +169,12 @@ class AdaManipTask(BaseEnv):
         overrides = {**self.hidden_overrides, **(options.get("hidden_overrides") or {})}
         self.mechanism_state = self.mechanism.draw(1, generator, overrides or None)
         self._applied: dict[str, tuple[float, float]] = {}
-        self._apply_mechanism()
+        self._detent: dict[str, float] | None = None
         self.driver = KeyframeDriver(
             self.kinematics, self._arm_state, self._tick, control_dt=self.control_timestep,
             stiffness=np.asarray(AdaManipPanda.arm_stiffness),
         )  # fmt: skip
+        self._apply_mechanism()
 
     def _place(self, layout: Layout) -> None:
         pose = layout.object_in_base
@@ -205,10 +206,19 @@ class AdaManipTask(BaseEnv):
         self._apply_mechanism()
 
     def _apply_mechanism(self) -> None:
+        """Writes the mechanism's limits, but for the detent.
+
+        While a key frame does nothing but close the fingers, the joints are held where they are: fingers that close
+        unevenly would move what is free, by a fraction of a degree, and tell the hidden state before anything was tried.
+        """
+        positions = self.joint_positions()
+        self._detent = (self._detent or positions) if self.driver.closing else None
         self.mechanism_state, command = self.mechanism.step(self.mechanism_state, self._reading())
         for joint in self.articulation._objs[0].active_joints:
             name = joint.name.rsplit("_", 1)[-1]
             limits = (float(command[name].lower[0]), float(command[name].upper[0]))
+            if self._detent is not None:
+                limits = (self._detent[name], self._detent[name])
             if self._applied.get(name) != limits:
                 joint.limits = [list(limits)]
                 self._applied[name] = limits
