@@ -6,7 +6,7 @@ and head, because a hand that turns it from above sweeps a circle of 21 cm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from lerobot_adamanip.objects.base import (
     any_roll,
     from_above,
 )
-from lerobot_adamanip.objects.lamp_heads import BRASS, HEADS, METALS, PAINTS, WOODS, Head, Place
+from lerobot_adamanip.objects.lamp_heads import BRASS, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
 from lerobot_adamanip.objects.rounded import lathe, slab
 from lerobot_adamanip.objects.shapes import box, rod
 
@@ -81,8 +81,11 @@ class LampDesign:
 def draw_design(rng: np.random.Generator) -> LampDesign:
     """Draws one lamp: the head first, as it decides how far from the switch the stem has to stand."""
     head = Head.drawn(rng, str(rng.choice(list(HEADS))))
-    beside = rng.random() < 0.35
-    bearing = rng.choice([-1, 1]) * rng.uniform(1.15, 1.5) if beside else rng.uniform(-0.4, 0.4)
+    bearing = rng.uniform(-0.4, 0.4)
+    if rng.random() < 0.4 and head.style not in WIDE:
+        bearing = rng.choice([-1, 1]) * rng.uniform(1.15, 1.5)
+        # An arm beside the switch reaches back: in front of it is the robot's own.
+        head = replace(head, side=int(np.sign(bearing)))
     base_style = str(rng.choice(BASE_STYLES))
     wooden = base_style in ("plate", "block") and rng.random() < 0.35
     paints = (head.metal, head.metal, *PAINTS)
@@ -194,7 +197,10 @@ def _bounds(shapes: tuple[Shape, ...]) -> tuple[NDArray[np.float64], NDArray[np.
         if shape.vertices is not None:
             local = shape.vertices.astype(np.float64)
         else:
-            half = shape.size if shape.kind == "box" else (shape.size[1], shape.size[0], shape.size[0])
+            half = shape.size
+            if shape.kind != "box":
+                radius, along = shape.size
+                half = (along + (radius if shape.kind == "capsule" else 0.0), radius, radius)
             local = np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
         corners.append(local @ shape.pose_in_link[:3, :3].T + shape.pose_in_link[:3, 3])
     stacked = np.concatenate(corners)

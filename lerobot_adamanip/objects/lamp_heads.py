@@ -267,3 +267,5 @@ _RADII = {
     "ring": (0.007, 0.009), "architect": (0.048, 0.058), "gooseneck": (0.046, 0.055),
 }  # fmt: skip
 _LEANING = ("drum", "empire", "globe", "banker")
+WIDE = ("banker", "bar", "ring")
+"""Reach out to both sides of the stem: they stand behind the switch, not beside it."""
