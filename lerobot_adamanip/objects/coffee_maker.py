@@ -129,7 +129,7 @@ def draw_design(rng: np.random.Generator) -> CoffeeMakerDesign:
 
 def make_coffee_maker(number: int) -> ArticulatedObject:
     """Builds machine ``number`` (18 in the paper's set; any number is an object)."""
-    design = draw_design(np.random.default_rng([number, 0xCAFE]))
+    design = draw_design(np.random.default_rng([number, 0xCAFA]))
     return build_coffee_maker(f"coffee_maker_{number:03d}", design)
 
 

@@ -179,7 +179,7 @@ def _wand(design: CoffeeMakerDesign) -> list[Shape]:
         start = np.array([design.axis_x - 0.046, y, design.group_z + 0.006])
         hinge = [upright((start[0], y, start[2]), 0.012, 0.006, chrome)]
     knee = np.array([design.axis_x - 0.024, y + s * 0.010, design.tray_height + 0.075])
-    tip = knee + (0.010, s * 0.006, -0.040)
+    tip = knee + np.array([0.010, s * 0.006, -0.040])
     sleeve = start + 0.45 * (knee - start)
     return [
         *hinge, rod(start, knee, 0.0045, chrome), rod(knee, tip, 0.0045, chrome),

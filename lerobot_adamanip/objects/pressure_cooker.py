@@ -131,12 +131,13 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
     """Builds the links and the annotation of a design: joints ``lift`` and ``lid``, part ``handle`` (the lid's)."""
     rim = (design.axis_x, 0.0, design.height)
     up = (0.0, 0.0, 1.0)
-    lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), friction=1.0, damping=8.0)
+    # An arm reaching down gives by half a millimetre per newton: a lid of sheet aluminium, as light as real ones are.
+    lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), friction=0.3, damping=8.0)
     lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), friction=0.15, damping=0.15)
     links = (
         Link("pot", _pot_shapes(design), mass=2.5),
-        Link("seal", _seal_shapes(design), mass=0.15, parent="pot", joint=lift),
-        Link("lid", _lid_shapes(design), mass=0.9, parent="seal", joint=lid),
+        Link("seal", _seal_shapes(design), mass=0.05, parent="pot", joint=lift),
+        Link("lid", _lid_shapes(design), mass=0.4, parent="seal", joint=lid),
     )
     grip = (design.axis_x + design.grip_radius, 0.0, design.handle_z + 0.002)
     depth = 2 * design.radius + (_LOOP_DEPTH if design.helper_loop else 0.0)
@@ -181,7 +182,7 @@ def _pot_handle_shapes(design: PressureCookerDesign) -> list[Shape]:
     half_width, half_height = design.handle_half[0] + 0.001, design.handle_half[1] + 0.002
     z = design.handle_z - design.handle_half[1] - HANDLE_GAP - half_height
     length = design.handle_length - 0.004
-    shapes = _grip_shapes(design, 0.020, length, z, half_width, half_height, droop=0.006)
+    shapes = _grip_shapes(design, (0.020, length), z, (half_width, half_height), droop=0.006)
     bracket = chamfered_box((0.008, 0, z), (0.016, 0.75 * half_width, 0.7 * half_height), 0.002, design.steel)
     return [*shapes, bracket]
 
@@ -264,7 +265,7 @@ def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) ->
     r, z = design.radius, design.handle_z - design.height
     half_width, half_height = design.handle_half
     start = r + 0.007
-    shapes = _grip_shapes(design, start, r + design.handle_length, z, half_width, half_height)
+    shapes = _grip_shapes(design, (start, r + design.handle_length), z, design.handle_half)
     saddle = [(0.62 * r, top - 0.001, 0.8 * half_width, 0.004), (0.70 * r, top + 0.001, half_width, 0.006),
               (r + 0.012, z, half_width + 0.001, half_height)]  # fmt: skip
     shapes.append(bar(saddle, design.plastic, squareness=0.5, collides=False))
@@ -273,30 +274,29 @@ def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) ->
     return shapes
 
 
+def _eyelet(design: PressureCookerDesign, end: float, z: float) -> Shape:
+    """The rivet of the ring that a cooker hangs by."""
+    return Shape("capsule", (0.0025, 0.004), transform((end, 0, z)), design.steel, False)
+
+
 def _grip_shapes(
-    design: PressureCookerDesign, start: float, end: float, z: float, half_width: float, half_height: float,
-    droop: float = 0.0,
-) -> list[Shape]:  # fmt: skip
-    """A handle along x from ``start`` to ``end``: parallel sides where fingers close, shape where they do not."""
-    w, h, plastic = half_width, half_height, design.plastic
+    design: PressureCookerDesign, ends: tuple[float, float], z: float, half: tuple[float, float], droop: float = 0.0
+) -> list[Shape]:
+    """A handle along x between two ``ends``: parallel sides where fingers close, shape where they do not."""
+    (start, end), (w, h), plastic = ends, half, design.plastic
     tail = end - 0.022
     low = z - droop
     if design.handle_style == "straight":
         stations = [(start, z, w, h), (tail, z, w, h), (end - 0.003, low, w, 0.9 * h), (end, low, 0.8 * w, 0.7 * h)]
-        return [bar(stations, plastic, squareness=0.45), *_eyelet(design, end, low)]
+        return [bar(stations, plastic, squareness=0.45), _eyelet(design, end, low)]
     if design.handle_style == "tapered":
         stations = [(start, z, w, h), (tail, z, w, 0.92 * h), (end, low, 0.72 * w, 0.62 * h)]
-        return [bar(stations, plastic, squareness=0.6), *_eyelet(design, end, low)]
+        return [bar(stations, plastic, squareness=0.6), _eyelet(design, end, low)]
     # Moulded: a hump in front of the fingers and a bulb behind them.
     grip = [(start, z, w, h), (end, low, w, 0.85 * h)]
     hump = [(start, z, w + 0.004, h), (start + 0.018, z, w + 0.005, h), (start + 0.030, z, w, 0.9 * h)]
     bulb = [(tail, z, w, 0.85 * h), (end - 0.006, low, w + 0.003, h), (end + 0.002, low, 0.8 * w, 0.75 * h)]
     return [bar(each, plastic, squareness=0.7) for each in (grip, hump, bulb)]
-
-
-def _eyelet(design: PressureCookerDesign, end: float, z: float) -> list[Shape]:
-    """The ring that a cooker hangs by."""
-    return [Shape("capsule", (0.0025, 0.004), transform((end, 0, z)), design.steel, False)]
 
 
 __all__ = ["LID_RANGE", "LIFT_UPPER", "PressureCookerDesign", "build_pressure_cooker", "draw_design",

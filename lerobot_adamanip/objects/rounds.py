@@ -59,7 +59,7 @@ def _outline(a: float, b: float, corner: float, inset: float) -> NDArray[np.floa
     for quarter, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
         angles = np.pi / 2 * (quarter + np.linspace(0, 1, 7))
         arc = (corner - inset) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        points.append(arc + (sx * (a - corner), sy * (b - corner)))
+        points.append(arc + np.array([sx * (a - corner), sy * (b - corner)]))
     return np.concatenate(points)
 
 

@@ -26,8 +26,8 @@ class CoffeeMakerTask(AdaManipTask):
     """
 
     category: ClassVar[str] = "coffee_maker"
-    nominal_x: ClassVar[float] = 0.48
-    part_height: ClassVar[float] = 0.62
+    nominal_x: ClassVar[float] = 0.56
+    part_height: ClassVar[float] = 0.58
     rest: ClassVar[NDArray[np.float64]] = DOWN_REST
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
