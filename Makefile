@@ -23,7 +23,11 @@ setup: .venv/.renders  ## create .venv, install everything, see to a Vulkan devi
 	bash scripts/setup_vulkan.sh
 	@touch $@
 
-test: setup  ## all tests: first those without a simulator, then those with it
+# For one test; `make setup` alone does without.
+.venv/.browser: .venv/.installed scripts/setup_browser.sh
+	bash scripts/setup_browser.sh
+
+test: setup .venv/.browser  ## all tests: first those without a simulator, then those with it
 	@status=0; \
 	echo "== tests without the simulator"; $(PYTEST) -m "not sim" || status=$$?; \
 	echo "== tests with the simulator"; $(PYTEST) -m sim || status=$$?; \

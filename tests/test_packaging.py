@@ -127,7 +127,9 @@ def test_constraints_pin_every_dependency() -> None:
     assert {Requirement(w).name.lower().replace("_", "-") for w in wanted} <= pinned
 
 
-@pytest.mark.parametrize("script", ["scripts/setup_python.sh", "scripts/setup_vulkan.sh", ".ci/run"])
+@pytest.mark.parametrize(
+    "script", ["scripts/setup_python.sh", "scripts/setup_vulkan.sh", "scripts/setup_browser.sh", ".ci/run"]
+)
 def test_scripts_are_executable_bash(script: str) -> None:
     assert os.access(ROOT / script, os.X_OK)
     run(["bash", "-n", str(ROOT / script)])

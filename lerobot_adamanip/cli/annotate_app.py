@@ -14,7 +14,7 @@ from lerobot_adamanip.cli.annotate_view import ObjectView, add_gripper, place
 from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.objects.base import ArticulatedObject, Pose
 from lerobot_adamanip.objects.foreign.draft import Draft
-from lerobot_adamanip.objects.foreign.roles import ROLES, JointRole, PartRole
+from lerobot_adamanip.objects.foreign.roles import ROLES, JointRole
 from lerobot_adamanip.rotations import matrix_from_quaternion, transform
 
 HELP = """**The grey gripper shows where the part is held.** Drag its arrows and rings. It approaches along its blue
@@ -41,7 +41,7 @@ class AnnotationApp:
         _scenery(server)
         names = [folder.name for folder in self._folders]
         self._chooser = server.gui.add_dropdown("Object", names, initial_value=names[0])
-        self._chooser.on_update(lambda _: self._open(names.index(self._chooser.value)))
+        by_hand(self._chooser, lambda: self._open(names.index(self._chooser.value)))
         self._save = server.gui.add_button("Save", color="green")
         self._save.on_click(lambda _: self._saved())
         self._status = server.gui.add_markdown("")
@@ -101,7 +101,7 @@ class AnnotationApp:
         assert self._draft is not None
         gui, draft = self._server.gui, self._draft
         scale = gui.add_number("Metres per unit", draft.annotation.scale, min=0.001, max=1000.0, step=0.001)
-        scale.on_update(lambda _: self._change(lambda: draft.set_scale(float(scale.value)), redraw=True))
+        by_hand(scale, lambda: self._change(lambda: draft.set_scale(float(scale.value)), redraw=True))
         self._panel += [scale]
         for role in self._roles.joints:
             self._add_joint(role, "opens" if role is self._roles.final else "releases")
@@ -118,25 +118,23 @@ class AnnotationApp:
             chosen = gui.add_dropdown("URDF joint", names, initial_value=choice.joint)
             rest = gui.add_number("At rest", choice.rest, step=0.001)
             opened = gui.add_number("Open", choice.open, step=0.001)
-            lower = -1.0 if role.either_way else 0.0
-            slider = gui.add_slider(f"Move {role.name}", lower, 1.0, 0.01, 0.0)
+            slider = gui.add_slider(f"Move {role.name}", -1.0 if role.either_way else 0.0, 1.0, 0.01, 0.0)
 
-        def choose(_: Any) -> None:
-            if self._change(lambda: draft.set_joint(role, chosen.value), redraw=True):
-                now = draft.annotation.joints[role.name]
-                rest.value, opened.value = now.rest, now.open
-            elif chosen.value != draft.annotation.joints[role.name].joint:
-                chosen.value = draft.annotation.joints[role.name].joint
-
-        def limit(_: Any) -> None:
+        def show() -> None:
             now = draft.annotation.joints[role.name]
-            if (float(rest.value), float(opened.value)) != (now.rest, now.open) and rest.value != opened.value:
-                self._change(lambda: draft.set_range(role.name, float(rest.value), float(opened.value)), redraw=True)
+            chosen.value, rest.value, opened.value = now.joint, now.rest, now.open
 
-        chosen.on_update(choose)
-        rest.on_update(limit)
-        opened.on_update(limit)
-        slider.on_update(lambda _: self._move(role.name, float(slider.value)))
+        def choose() -> None:
+            self._change(lambda: draft.set_joint(role, chosen.value), redraw=True)
+            show()
+
+        def limit() -> None:
+            self._change(lambda: draft.set_range(role.name, float(rest.value), float(opened.value)), redraw=True)
+
+        by_hand(chosen, choose)
+        by_hand(rest, limit)
+        by_hand(opened, limit)
+        by_hand(slider, lambda: self._move(role.name, float(slider.value)))
 
     def _move(self, joint: str, fraction: float) -> None:
         with self._lock:
@@ -149,41 +147,31 @@ class AnnotationApp:
         assert self._draft is not None
         gui, draft = self._server.gui, self._draft
         folder = gui.add_folder("Part")
-        self._panel.append(folder)
         parts = {part.name: part for part in self._roles.parts}
         with folder:
             self._part = gui.add_dropdown("Edit", list(parts), initial_value=next(iter(parts)))
             link = gui.add_dropdown("On link", list(draft.urdf.links))
             sides = gui.add_checkbox("Round: hold from any side", False)
             again = gui.add_button("Propose again")
-        size = 0.12
-        self._gizmo = self._server.scene.add_transform_controls("/grasp", scale=size, depth_test=False)
+        self._gizmo = self._server.scene.add_transform_controls("/grasp", scale=0.12, depth_test=False)
         self._gripper = add_gripper(self._server, "/grasp/gripper")
-        self._panel += [self._gripper, self._gizmo]
+        self._panel += [folder, self._gripper, self._gizmo]
 
-        def show(_: Any = None) -> None:
+        def show() -> None:
             held = draft.annotation.parts[self._part.value]
             link.value, sides.value = held.link, len(held.rolls) > 2
             self._place_gizmo()
 
-        def relink(part: PartRole, to: str) -> None:
-            if self._change(lambda: draft.set_link(part, to)):
-                show()
-
-        def chosen(_: Any) -> None:
-            if link.value != draft.annotation.parts[self._part.value].link:
-                relink(parts[self._part.value], link.value)
-
-        def rounded(_: Any) -> None:
-            if bool(sides.value) != (len(draft.annotation.parts[self._part.value].rolls) > 2):
-                self._change(lambda: draft.set_round(self._part.value, bool(sides.value)))
+        def relink() -> None:
+            self._change(lambda: draft.set_link(parts[self._part.value], link.value))
+            show()
 
         show()
-        self._part.on_update(show)
-        link.on_update(chosen)
-        sides.on_update(rounded)
-        again.on_click(lambda _: relink(parts[self._part.value], link.value))
-        self._gizmo.on_update(lambda _: self._dragged())
+        by_hand(self._part, show)
+        by_hand(link, relink)
+        by_hand(sides, lambda: self._change(lambda: draft.set_round(self._part.value, bool(sides.value))))
+        again.on_click(lambda _: relink())
+        by_hand(self._gizmo, self._dragged)
 
     # The gripper ---------------------------------------------------------------------------------------------------
 
@@ -229,6 +217,11 @@ class AnnotationApp:
         self._status.content = text
 
 
+def by_hand(handle: Any, action: Callable[[], object]) -> None:
+    """Calls ``action`` when somebody changes a control on the page, not when the program does."""
+    handle.on_update(lambda event: action() if event.client is not None else None)
+
+
 def show(server: Any, obj: ArticulatedObject) -> None:
     """Shows an object that cannot be changed: sliders, and a gripper at each part."""
     _scenery(server)
@@ -252,7 +245,7 @@ def show(server: Any, obj: ArticulatedObject) -> None:
 
 def _slide(server: Any, name: str, limits: tuple[float, float], move: Callable[[str, float], None]) -> None:
     slider = server.gui.add_slider(f"Move {name}", limits[0], limits[1], (limits[1] - limits[0]) / 200, 0.0)
-    slider.on_update(lambda _: move(name, float(slider.value)))
+    by_hand(slider, lambda: move(name, float(slider.value)))
 
 
 def _scenery(server: Any) -> None:
@@ -260,7 +253,8 @@ def _scenery(server: Any) -> None:
     server.scene.configure_default_lights(cast_shadow=False)  # shadows are too much for a machine without a GPU
     server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5)
     server.scene.add_frame("/axes", axes_length=0.15, axes_radius=0.003)
-    server.gui.configure_theme(control_layout="fixed", control_width="large", show_logo=False)
+    server.gui.configure_theme(control_width="medium", show_logo=False)
+    server.gui.main_panel.dock_right()
 
 
 def _aim(server: Any, view: ObjectView | None) -> None:
@@ -268,7 +262,7 @@ def _aim(server: Any, view: ObjectView | None) -> None:
     if view is None:
         return
     width, depth, height = view.obj.size
-    far = 1.7 * float(np.linalg.norm((width, depth, height))) + 0.2
+    far = 1.25 * float(np.linalg.norm((width, depth, height))) + 0.2
     target = np.array([0.0, 0.0, height / 2])
     eye = target + far * np.array([0.8, -0.45, 0.4])
     server.initial_camera.position, server.initial_camera.look_at = eye, target

@@ -148,7 +148,8 @@ def _origin(path: Path, element: Any, where: str) -> Pose:
 def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
     if element is None:
         return None
-    red, green, blue, _ = np.clip(numbers(path, element.get("rgba", ""), 4, "a colour"), 0, 1)
+    # Written as screens show them; shaders work on linear colours.
+    red, green, blue, _ = np.clip(numbers(path, element.get("rgba", ""), 4, "a colour"), 0, 1) ** 2.2
     return float(red), float(green), float(blue)
 
 

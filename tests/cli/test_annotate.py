@@ -1,0 +1,174 @@
+"""`adamanip annotate` without a browser: what it proposes, what it keeps, what it says."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.cli import main as cli
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.objects import make_object, seen_objects
+from lerobot_adamanip.objects.foreign import load_object
+from lerobot_adamanip.objects.foreign.draft import DRAFT_NAME, Draft
+from lerobot_adamanip.objects.foreign.roles import ROLES
+from lerobot_adamanip.rotations import rotation_about, transform
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "objects"))
+from foreign_folders import adamanip_bottle, adamanip_safe, partnet_safe
+
+DOOR, KNOB = ROLES["safe"].joints
+
+
+def test_a_proposal_is_usable_as_it_stands(tmp_path: Path) -> None:
+    draft = Draft(partnet_safe(tmp_path / "101564"), "safe")
+    assert "proposed" in draft.origin
+    assert {name: choice.joint for name, choice in draft.annotation.joints.items()} == {
+        "door": "joint_0",
+        "knob": "joint_2",
+    }
+    assert draft.problem() == ""
+    obj = draft.object()
+    assert obj.size[2] == pytest.approx(0.42, abs=0.03), "a typical size: PartNet-Mobility has no metres"
+    # The handle is the mesh of the door that sticks out, not the door; it is upright, so the fingers close across.
+    handle = obj.part("handle").grasp
+    np.testing.assert_allclose(handle[:3, 1], (0, 1, 0), atol=1e-9)
+    door_edge = obj.joint("door").origin[1]
+    assert abs(handle[1, 3] - door_edge) > 0.2
+    draft.save()
+    assert load_object(draft.folder, "safe").part("handle").grasp == pytest.approx(handle)
+
+
+@pytest.mark.parametrize(("make", "category"), [(adamanip_safe, "safe"), (adamanip_bottle, "bottle")])
+def test_annotated_points_are_where_it_starts(tmp_path: Path, make: Any, category: str) -> None:
+    folder = make(tmp_path / "x1")
+    draft = Draft(folder, category)
+    assert "AdaManip" in draft.origin
+    before = load_object(folder, category)
+    draft.save()
+    after = load_object(folder, category)
+    for part in before.parts:
+        np.testing.assert_allclose(after.part(part.name).grasp, part.grasp, atol=1e-9)
+    assert [link.joint for link in after.links] == [link.joint for link in before.links]
+
+
+def test_work_is_never_lost(tmp_path: Path) -> None:
+    folder = partnet_safe(tmp_path / "101564")
+    draft = Draft(folder, "safe")
+    grasp = draft.annotation.parts["knob"].grasp @ transform((0.0, 0.01, 0.0), rotation_about((0, 0, 1), 0.3))
+    draft.set_grasp("knob", grasp)
+    draft.set_round("knob", True)
+    draft.set_range("door", 0.0, 1.2)
+    draft.autosave()  # and the program is killed
+    again = Draft(folder, "safe")
+    assert "not saved" in again.origin
+    np.testing.assert_allclose(again.annotation.parts["knob"].grasp, grasp, atol=1e-12)
+    assert len(again.annotation.parts["knob"].rolls) > 2
+    again.save()
+    assert not (folder / DRAFT_NAME).exists()
+    assert Draft(folder, "safe").origin == "saved annotation"
+    assert load_object(folder, "safe").joint("door").limits == (0.0, 1.2)
+
+
+def test_what_cannot_be_used_is_kept_but_not_saved(tmp_path: Path) -> None:
+    folder = partnet_safe(tmp_path / "101564")
+    draft = Draft(folder, "safe")
+    draft.set_grasp("knob", transform((2.0, 0.0, 0.0)))
+    assert "outside" in draft.problem()
+    with pytest.raises(ConfigurationError, match="knob"):
+        draft.save()
+    assert not (folder / "adamanip.json").exists()
+    assert (folder / DRAFT_NAME).exists()
+
+
+def test_joints_that_clash_change_nothing(tmp_path: Path) -> None:
+    draft = Draft(partnet_safe(tmp_path / "101564"), "safe")
+    before = draft.annotation
+    with pytest.raises(ConfigurationError, match="two of its own"):
+        draft.set_joint(KNOB, "joint_0")
+    assert draft.annotation.joints == before.joints
+
+
+def test_a_broken_annotation_is_not_overwritten(tmp_path: Path) -> None:
+    folder = partnet_safe(tmp_path / "101564")
+    (folder / "adamanip.json").write_text("{ half of")
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        Draft(folder, "safe")
+    assert (folder / "adamanip.json").read_text() == "{ half of"
+
+
+def test_a_larger_scale_takes_the_grasps_along(tmp_path: Path) -> None:
+    draft = Draft(partnet_safe(tmp_path / "101564"), "safe")
+    before, at = draft.object(), draft.annotation.parts["handle"].grasp[:3, 3]
+    draft.set_scale(2 * draft.annotation.scale)
+    np.testing.assert_allclose(draft.annotation.parts["handle"].grasp[:3, 3], 2 * at)
+    np.testing.assert_allclose(draft.object().size, 2 * np.asarray(before.size), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "Nothing to show"),
+        (["{}", "--object", "safe_003"], "Nothing to show"),
+        (["{}", "--category", "teapot"], "Unknown category"),
+        (["{}/nowhere"], "does not exist"),
+        (["{}"], "No safe found"),
+        (["--object", "safe:x"], "Unknown object id"),
+    ],
+)
+def test_mistakes_are_one_message(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["annotate", *(word.format(tmp_path) for word in arguments)]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    pytest.importorskip("viser")
+    from lerobot_adamanip.cli.annotate import start_server
+
+    made = start_server("127.0.0.1", 18080)
+    yield made
+    made.stop()
+
+
+def test_a_dragged_gripper_moves_the_grasp_wherever_the_joints_stand(tmp_path: Path, server: Any) -> None:
+    from lerobot_adamanip.cli.annotate_app import AnnotationApp
+
+    app = AnnotationApp(server, [partnet_safe(tmp_path / "101564")], "safe")
+    draft, before = app._draft, np.array(app._gizmo.position)
+    assert draft is not None
+    grasp = draft.annotation.parts["handle"].grasp
+    app._move("door", 0.5)
+    opened = draft.object().part("handle").moved({"door": 0.5 * draft.object().joint("door").limits[1]})
+    np.testing.assert_allclose(app._gizmo.position, opened[:3, 3], atol=1e-6)
+    app._dragged()  # dropped where it was
+    np.testing.assert_allclose(draft.annotation.parts["handle"].grasp, grasp, atol=1e-6)
+    app._gizmo.position = np.asarray(app._gizmo.position) + 0.01 * opened[:3, 2]  # towards the door that stands open
+    app._dragged()
+    app._move("door", 0.0)
+    np.testing.assert_allclose(np.asarray(app._gizmo.position) - before, 0.01 * grasp[:3, 2], atol=1e-6)
+    app.autosave()
+    assert json.loads((tmp_path / "101564" / DRAFT_NAME).read_text())["category"] == "safe"
+
+
+def test_a_generated_object_can_be_looked_at(server: Any) -> None:
+    from lerobot_adamanip.cli.annotate_app import show
+    from lerobot_adamanip.cli.annotate_view import triangles
+
+    safe = make_object(seen_objects("safe")[3])
+    show(server, safe)
+    for link in safe.links:
+        for shape in link.shapes:
+            vertices, faces = triangles(shape)
+            assert faces.max() < len(vertices)
+            if shape.kind != "mesh":
+                radius = np.ptp(vertices @ shape.pose_in_link[:3, :3], axis=0) / 2
+                half = (shape.size[1] + (shape.size[0] if shape.kind == "capsule" else 0), shape.size[0], shape.size[0])
+                np.testing.assert_allclose(radius, shape.size if shape.kind == "box" else half, rtol=0.02)
