@@ -76,7 +76,8 @@ def _camera_pose(obj: ArticulatedObject) -> sapien.Pose:
 
 def _camera_side(obj: ArticulatedObject) -> float:
     """Returns the sign of the camera's y: away from the hinges."""
-    hinges = [link.joint.origin[1] for link in obj.links if link.joint is not None and link.joint.limits[0] == 0.0]
+    joints = [link.joint for link in obj.links if link.joint is not None]
+    hinges = [joint.origin[1] for joint in joints if joint.kind == "revolute" and joint.limits[0] == 0.0]
     return -float(np.sign(hinges[0])) if hinges and hinges[0] else 1.0
 
 

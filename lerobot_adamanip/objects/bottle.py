@@ -144,7 +144,7 @@ def make_bottle(number: int) -> ArticulatedObject:
 
 def build_bottle(object_id: str, design: BottleDesign) -> ArticulatedObject:
     """Builds the links and the annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
-    front = max(ring.radius * ring.depth for ring in design.rings)
+    front = max(design.cap.radius, *(ring.radius * ring.depth for ring in design.rings))
     half_width = max(ring.radius for ring in design.rings) + (HANDLE_REACH if design.handle else 0.0)
     at = (-front, 0.0)
     origin = (*at, design.neck_top)

@@ -89,7 +89,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "mustard": Recipe(
         (0.17, 0.20), (0.029, 0.033), (0.74, 0.80), (0.93, 0.95), "round", (0.80, 0.90), (0.018, 0.021),
-        (0.018, 0.021), ("nozzle",), ("yellow plastic", "red plastic", "cream plastic", "brown plastic"),
+        (0.020, 0.023), ("nozzle",), ("yellow plastic", "red plastic", "cream plastic", "brown plastic"),
         ("yellow", "red", "white", "black"), ("oval", "band"), ribs=(0, 3),
     ),
     "hot sauce": Recipe(
@@ -131,7 +131,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "serum": Recipe(
         (0.135, 0.16), (0.0255, 0.029), (0.70, 0.76), (0.86, 0.90), "round", (0.82, 0.92), (0.0125, 0.0145),
-        (0.018, 0.020), ("bulb",), ("amber glass", "blue glass", "frosted glass", "green glass"),
+        (0.020, 0.023), ("bulb",), ("amber glass", "blue glass", "frosted glass", "green glass"),
         ("black", "white", "gold", "silver"), ("minimal", "pharmacy"), foot=(0.002, 0.004),
     ),
     "oil": Recipe(

@@ -10,7 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.base import (
+    TWO_FINGERS,
+    ArticulatedObject,
+    Joint,
+    Link,
+    Material,
+    Shape,
+    annotate,
+    from_above,
+)
 from lerobot_adamanip.objects.lathe import swivelled
 from lerobot_adamanip.objects.pen_parts import Pen, barrel_shapes, cap_shapes, tip_shapes
 from lerobot_adamanip.objects.pen_recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
@@ -25,6 +34,9 @@ GRIP_BELOW_END = 0.016
 """Distance of a grip from where the cap's end begins [m]: the pads reach a centimetre to either side."""
 CLIP_ROLLS = (0.0, np.pi, 0.2, np.pi + 0.2, -0.2, np.pi - 0.2)
 """Rolls at which fingers that close across the clip's side keep off it [rad]."""
+CLIP_TURN, CLIP_SPREAD = np.pi / 4, 0.38
+"""Azimuth of the clip from +x, its middle and half width [rad]: where a hand that keeps off it can turn as far either
+way."""
 SUNK = 0.7
 """Share of a stand's height that the barrel goes down into it."""
 
@@ -63,7 +75,7 @@ def draw_design(rng: np.random.Generator, kind: str) -> PenDesign:
         barrel=barrel,
         trim=LOOKS[trim] if trim else cap,
     )
-    turn = rng.uniform(-0.7, 0.7)
+    turn = CLIP_TURN + rng.uniform(-1, 1) * CLIP_SPREAD
     return PenDesign(pen, draw_stand(rng, str(rng.choice(STANDS)), _stand_materials(rng)), turn)
 
 
@@ -100,7 +112,9 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
     )  # fmt: skip
     # Roll turns against the azimuth: the hand looks down.
     grasp = from_above((*stand.axis, lip + pen.length - GRIP_BELOW_END), roll=-design.clip_turn)
-    parts = (annotate(links, "cap", "cap", grasp, CLIP_ROLLS),)
+    # What is nearly rectangular is held by its sides, not by its corners.
+    rolls = TWO_FINGERS if pen.squareness else CLIP_ROLLS
+    parts = (annotate(links, "cap", "cap", grasp, rolls),)
     size = (float(stand.width), float(stand.depth), float(lip + pen.cap_height))
     return ArticulatedObject(object_id, "pen", links, parts, size, f"{pen.kind}, {pen.clip} clip, {stand.kind}")
 

@@ -10,6 +10,7 @@ from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.bottle_caps import darker
 from lerobot_adamanip.objects.lathe import SIDES, Ring, decal, fluted, patch, turned
 from lerobot_adamanip.objects.shapes import box, chamfered_box, convex_mesh
+from lerobot_adamanip.rotations import transform
 
 END = {"dome": 0.0055, "flat": 0.0015, "cone": 0.0035, "finial": 0.0065}
 """Length of a cap's upper end, beyond what fingers can hold [m]."""
@@ -107,10 +108,8 @@ def _clip(pen: Pen) -> tuple[Shape, ...]:
         return (root, blade, *turned(ball, look, axis=(out, 0.0), sides=16))
     if pen.clip == "arrow":
         outline = np.array([(0.0006, low), (0.0027, low + 0.008), (-0.0006, low), (-0.0027, low + 0.008)])
-        points = [(out + s * 0.0009, y, z - low) for s in (-1, 1) for y, z in outline]
-        pose = np.eye(4)
-        pose[2, 3] = low
-        return (root, blade, convex_mesh(np.array(points), pose, look))
+        points = [(s * 0.0009, y, z - low - 0.004) for s in (-1, 1) for y, z in outline]
+        return (root, blade, convex_mesh(np.array(points), transform((out, 0, low + 0.004)), look))
     foot = box((out - 0.0009, 0, low + 0.0012), (0.0010, half_width, 0.0012), look)
     return (root, blade, foot)
 
