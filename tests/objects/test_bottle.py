@@ -33,7 +33,7 @@ def test_every_kind_is_among_the_seen_ones() -> None:
 def test_it_has_the_size_of_a_bottle_and_stands_behind_its_origin(bottle: ArticulatedObject) -> None:
     width, depth, height = bottle.size
     assert 0.12 <= height <= 0.32
-    assert 0.04 <= depth <= 0.095
+    assert 0.035 <= depth <= 0.095
     assert 0.05 <= width <= 0.17
     check_size(bottle)
 

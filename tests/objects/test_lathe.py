@@ -10,7 +10,7 @@ from lerobot_adamanip.objects.base import Material
 from lerobot_adamanip.objects.lathe import PROUD, Ring, decal, fluted, oval, patch, ring_at, swivelled, turned
 
 PLAIN = Material((0.5, 0.5, 0.5))
-PROFILE = (Ring(0.0, 0.03), Ring(0.05, 0.04, 0.8), Ring(0.05, 0.04, 0.8), Ring(0.08, 0.01))
+PROFILE = (Ring(0.0, 0.03), Ring(0.05, 0.04), Ring(0.05, 0.04), Ring(0.08, 0.01))
 
 
 def test_what_is_turned_is_inside_its_profile_and_nothing_else() -> None:
