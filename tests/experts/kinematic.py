@@ -33,7 +33,7 @@ cached_object = functools.cache(make_object)  # more objects than `make_object` 
 def object_names(category: str) -> st.SearchStrategy[str]:
     """Ids of a few of a category's objects, seen and unseen: few, because some take long to make."""
     seen = CATEGORIES[category].seen
-    numbers = [*range(0, seen, max(1, seen // 8)), *range(seen, seen + 5)]
+    numbers = [*range(0, seen, max(1, seen // 4)), *range(seen, seen + 3)]
     return st.sampled_from([object_id(category, number) for number in numbers])
 
 
@@ -108,7 +108,8 @@ class KinematicWorld:
         elif goal.gripper < 0.5 and was_closed and button is not None:
             self.feedback = self._move(button, goal, 0.0)
         else:
-            self.held = self._within_reach(goal.tcp_in_base) if goal.gripper < 0.5 else None
+            closes = goal.gripper < 0.5 and not was_closed
+            self.held = self._within_reach(goal.tcp_in_base) if closes else None
             opening = AROUND_A_PART if self.held else goal.gripper
             self.feedback = Feedback(goal.tcp_in_base.copy(), opening, Outcome.REACHED)
         reading = {name: torch.tensor([q]) for name, q in self.joints.items()}
@@ -121,7 +122,7 @@ class KinematicWorld:
             motion = part.motions[-1]
             depth = motion.followed(part.grasp, goal)
             beside = goal[:3, 3] - part.grasp[:3, 3] - depth * motion.axis
-            if motion.kind == "prismatic" and depth > 0 and np.linalg.norm(beside) < 0.01:
+            if motion.kind == "prismatic" and depth > 1e-3 and np.linalg.norm(beside) < 0.01:
                 return part
         return None
 
@@ -168,6 +169,9 @@ def _present(part: PartAnnotation, joints: Mapping[str, float]) -> list[Motion]:
 def meant(motions: list[Motion], start: Pose, goal: Pose) -> Motion:
     """The motion that leads from ``start`` nearest to ``goal``; a radian counts as much as 10 cm."""
 
+    if len(motions) == 1:
+        return motions[0]
+
     def missed(motion: Motion) -> float:
         there = motion.applied(start, motion.followed(start, goal))
         away = float(np.linalg.norm(there[:3, 3] - goal[:3, 3]))
@@ -213,11 +217,13 @@ class Episode:
         return [(move.sign, move.stalled) for move in self.moves if move.joint == self.world.key]
 
 
-def run(world: KinematicWorld, frames: KeyFrames, *, at_most: int = 80) -> Episode:
-    """Plays an expert against a world until it has nothing more to do."""
+def run(world: KinematicWorld, frames: KeyFrames, *, until: str = "", at_most: int = 80) -> Episode:
+    """Plays an expert against a world until it has nothing more to do, or has tried a joint named ``until``."""
     goals, felt = [next(frames)], []
     for _ in range(at_most):
         felt.append(world.step(goals[-1]))
+        if until and (move := world.moves[-1]) is not None and until in (move.joint, "any"):
+            return Episode(goals, felt, world)
         try:
             goals.append(frames.send(felt[-1]))
         except StopIteration:

@@ -1,0 +1,178 @@
+"""What holds for the experts of every category, whatever is hidden: they succeed, in time, and never by looking."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kinematic import KinematicWorld, adaptive, as_bytes, cached_object, object_names, placed_parts, run, static
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.experts import EXPERT_PRESETS, SEQUENCES, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.objects import seen_objects
+from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_adamanip.schema import MAX_KEY_FRAMES
+
+fast = settings(max_examples=8, deadline=None)
+seeds = st.integers(0, 2**31 - 1)
+every_category = pytest.mark.parametrize("category", CATEGORIES)
+
+
+@every_category
+@fast
+@given(st.data(), seeds, seeds, seeds)
+def test_trial_and_error_succeeds_within_an_episode(
+    category: str, data: st.DataObject, draw: int, layout: int, seed: int
+) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), draw=draw, layout=layout)
+    episode = run(world, adaptive(world, seed))
+    assert episode.key_frames <= MAX_KEY_FRAMES, (world.hidden, episode.phases)
+    assert episode.key_frames >= len(episode.goals) - 2, "it ends when it is done"
+
+
+@pytest.mark.parametrize("presets", list(itertools.product(MECHANISM_PRESETS, EXPERT_PRESETS)), ids="-".join)
+@every_category
+@settings(max_examples=3, deadline=None)
+@given(st.data(), seeds, seeds)
+def test_it_succeeds_under_every_preset(
+    category: str, presets: tuple[str, str], data: st.DataObject, draw: int, seed: int
+) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), draw=draw, preset=presets[0])
+    episode = run(world, adaptive(world, seed, preset=presets[1]))
+    assert episode.key_frames <= MAX_KEY_FRAMES, (world.hidden, episode.phases)
+
+
+@every_category
+@fast
+@given(st.data(), seeds, seeds)
+def test_sight_of_the_hidden_state_succeeds_without_a_failed_try(
+    category: str, data: st.DataObject, draw: int, seed: int
+) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), draw=draw)
+    episode = run(world, static(world, seed))
+    assert episode.key_frames <= MAX_KEY_FRAMES, (world.hidden, episode.phases)
+    assert {goal.trial for goal in episode.goals} == {0}
+    assert all(abs(move.end - move.start) > 0 for move in episode.moves), "nothing that it moves is blocked"
+
+
+@every_category
+@fast
+@given(st.data(), seeds, seeds)
+def test_it_needs_no_more_key_frames_than_trial_and_error(
+    category: str, data: st.DataObject, draw: int, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    one, other = KinematicWorld(name, draw=draw), KinematicWorld(name, draw=draw)
+    straight, tried = run(one, static(one)), run(other, adaptive(other, seed))
+    assert straight.key_frames <= tried.key_frames
+
+
+@every_category
+@fast
+@given(st.data(), seeds, seeds, seeds)
+def test_what_is_hidden_changes_nothing_until_it_is_felt(
+    category: str, data: st.DataObject, first: int, second: int, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    one, other = (
+        run(world, adaptive(world, seed)) for world in (KinematicWorld(name, draw=d) for d in (first, second))
+    )
+    pairs = zip(one.felt, other.felt, strict=False)
+    same = [a.tcp_in_base.tobytes() == b.tcp_in_base.tobytes() and a.outcome == b.outcome for a, b in pairs]
+    felt_alike = same.index(False) if False in same else len(same)
+    assert as_bytes(one.goals[: felt_alike + 1]) == as_bytes(other.goals[: felt_alike + 1])
+    if felt_alike < len(same):
+        assert one.phases[felt_alike] in (Phase.TRY, Phase.UNLOCK, Phase.OPEN), "moving a part is what tells"
+
+
+@every_category
+@fast
+@given(st.data(), seeds, seeds)
+def test_an_expert_that_is_told_a_history_repeats_it_byte_for_byte(
+    category: str, data: st.DataObject, draw: int, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, draw=draw)
+    episode = run(world, adaptive(world, seed))
+    again = adaptive(KinematicWorld(name, draw=draw + 1), seed)
+    goals = [next(again)]
+    for feedback in episode.felt[:-1]:
+        goals.append(again.send(feedback))
+    assert as_bytes(goals) == as_bytes(episode.goals)
+    with pytest.raises(StopIteration):
+        again.send(episode.felt[-1])
+
+
+felt_things = st.lists(
+    st.tuples(st.sampled_from(list(Outcome)), st.floats(0, 1), st.floats(-1, 1), st.floats(-1.5, 1.5)), max_size=60
+)
+
+
+def listen(frames: KeyFrames, history: list[tuple[Outcome, float, float, float]]) -> list[Goal]:
+    goals = [next(frames)]
+    for outcome, gripper, shift, turn in history:
+        pose = goals[-1].tcp_in_base @ transform((0.0, 0.0, 0.1 * shift), rotation_about((0, 0, 1), turn))
+        try:
+            goals.append(frames.send(Feedback(pose, gripper, outcome)))
+        except StopIteration:
+            break
+    return goals
+
+
+@every_category
+@fast
+@given(st.data(), felt_things, seeds)
+def test_whatever_it_feels_it_depends_on_feedback_and_its_own_dice_alone(
+    category: str, data: st.DataObject, history: Any, seed: int
+) -> None:
+    parts = placed_parts(cached_object(data.draw(object_names(category))))
+    before = copy.deepcopy(parts)
+    both = []
+    for noise in (1, 2):
+        np.random.seed(noise)  # noqa: NPY002  (an expert must not draw from the global source)
+        both.append(listen(make_expert(category, "adaptive", parts, generator=np.random.default_rng(seed)), history))
+    assert as_bytes(both[0]) == as_bytes(both[1])
+    assert all(np.isfinite(goal.action()).all() and 0 <= goal.gripper <= 1 for goal in both[0])
+    assert [goal.trial for goal in both[0]] == sorted(goal.trial for goal in both[0])
+    for name, part in before.items():
+        assert np.array_equal(part.grasp, parts[name].grasp), "annotations stay as they are"
+
+
+@every_category
+@fast
+@given(st.data(), seeds, seeds)
+def test_fingers_open_and_close_where_the_hand_is(category: str, data: st.DataObject, draw: int, seed: int) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), draw=draw)
+    episode = run(world, adaptive(world, seed))
+    assert episode.phases[:2] == [Phase.APPROACH] * 2
+    for before, goal in zip(episode.felt, episode.goals[1:], strict=False):
+        if (goal.gripper > 0.5) != (before.gripper > 0.5) and goal.phase is not Phase.APPROACH:
+            assert np.linalg.norm(goal.tcp_in_base[:3, 3] - before.tcp_in_base[:3, 3]) < 1e-9
+
+
+@every_category
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kind": "adaptive", "hidden": {"locked": True, "direction": 1, "turn_range": 1.0, "mode": 0}},
+        {"kind": "static"}, {"kind": "adaptive", "trials": 0}, {"kind": "adaptive", "preset": "author"},
+        {"kind": "clairvoyant"},
+    ],
+)  # fmt: skip
+def test_an_expert_with_the_wrong_knowledge_is_refused(category: str, options: dict[str, Any]) -> None:
+    parts = placed_parts(cached_object(seen_objects(category)[0]))
+    with pytest.raises(ConfigurationError) as caught:
+        make_expert(category, generator=np.random.default_rng(0), annotations=parts, **options)
+    assert all(word in str(caught.value) for word in ("got:", "allowed:", "try:"))
+
+
+def test_every_category_s_sequence_is_told_in_words() -> None:
+    assert set(SEQUENCES) == set(CATEGORIES)
+    assert all(len(words) > 20 for words in SEQUENCES.values())
