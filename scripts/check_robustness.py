@@ -26,7 +26,7 @@ from lerobot_adamanip.rotations import rotation_6d_from_matrix, rotation_about
 from lerobot_adamanip.schema import ACTION_DIM
 
 SEED_OFFSET = 7_000_000
-RANDOM_ACTIONS = 6
+RANDOM_ACTIONS = 4
 MAX_JOINT_SPEED = 3.0
 """[rad/s]: beyond a Panda's joint speed limits (2.175 to 2.61) something has exploded."""
 SLACK = 0.1
