@@ -69,9 +69,11 @@ class HandleDesign:
     def grip_offset(self) -> NDArray[np.float64]:
         """Returns the grip from the pivot (3,): x out of the leaf, z up [m]."""
         sideways = _SWEEP if self.style == "swept lever" else 0.0
-        return rotation_about((1.0, 0.0, 0.0), self.rest) @ (self.standoff, sideways, -self.grip)
+        return rotation_about((1.0, 0.0, 0.0), self.rest) @ (self.standoff - DEEPER, sideways, -self.grip)
 
 
+DEEPER = 0.003
+"""How far the pads reach past the middle of what they hold [m]: every failed pull costs a little."""
 _SWEEP = 0.010
 """How far a swept lever bows to the side [m]."""
 
@@ -159,7 +161,7 @@ def _lever(design: HandleDesign) -> list[Shape]:
     neck = rod((0.004, 0, 0), (x, 0, 0), 0.0085, metal)
     if design.style == "flat lever":
         middle = (end + half) / 2
-        return [neck, chamfered_box((x, 0, middle), (0.0065, half, half - middle), 0.002, metal)]
+        return [neck, chamfered_box((x, 0, middle), (0.010, half, half - middle), 0.002, metal)]
     if design.style == "tapered lever":
         return [rod((0.004, 0, 0), (x, 0, 0), 0.010, metal), _tapered(x, end, half, metal)]
     if design.style == "swept lever":
@@ -175,7 +177,7 @@ def _lever(design: HandleDesign) -> list[Shape]:
 def _tapered(x: float, end: float, half: float, metal: Material) -> Shape:
     """A blade that is broad over the pivot and slim, but never less than ``half`` to each side, at its end."""
     ring = []
-    for z, y, depth in ((0.013, half + 0.001, 0.005), (0.010, half + 0.004, 0.008), (end, half, 0.005)):
+    for z, y, depth in ((0.013, half + 0.001, 0.007), (0.010, half + 0.004, 0.011), (end, half, 0.009)):
         ring += [(x + sx * depth, sy * y, z) for sx in (-1, 1) for sy in (-0.72, 0.72)]
         ring += [(x + sx * 0.6 * depth, sy * y, z) for sx in (-1, 1) for sy in (-1, 1)]
     return convex_mesh(np.asarray(ring, dtype=np.float64), np.eye(4), metal)
@@ -209,7 +211,7 @@ def _centred(design: HandleDesign) -> list[Shape]:
     x, half, metal = design.standoff, design.thickness / 2, design.metal
     neck = rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False)
     if design.style == "T bar":
-        return [neck, chamfered_box((x, 0, 0), (0.010, half, design.length / 2), 0.004, metal)]
+        return [neck, chamfered_box((x, 0, 0), (0.013, half, design.length / 2), 0.003, metal)]
     points = [
         (x + 0.016 * np.cos(t), s * (half if abs(np.sin(t)) < 0.6 else 0.82 * half), 0.030 * np.sin(t))
         for t in np.linspace(0, 2 * np.pi, 24, endpoint=False)
