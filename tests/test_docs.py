@@ -155,10 +155,20 @@ def collect_fake_demos(root: Path) -> None:
     collect(root, CollectOptions(**OPTIONS), max_attempts=ATTEMPTS)
 
 
+def write_foreign_safe(folder: Path) -> None:
+    """A small object in AdaManip's layout."""
+    sys.path.insert(0, str(ROOT / "tests" / "objects"))
+    from foreign_folders import adamanip_safe
+
+    adamanip_safe(folder)
+
+
 @pytest.mark.parametrize("block", python_blocks())
 def test_python_runs(block: Block, tmp_path: Path) -> None:
     if block.mark == "outputs/demos":
         collect_fake_demos(tmp_path / "outputs" / "demos")
+    if block.mark == "assets":
+        write_foreign_safe(tmp_path / "assets" / "safe" / "sa1")
     run_block(block.code, tmp_path)
 
 

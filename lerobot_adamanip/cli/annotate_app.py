@@ -264,7 +264,7 @@ def _aim(server: Any, view: ObjectView | None) -> None:
     width, depth, height = view.obj.size
     far = 1.25 * float(np.linalg.norm((width, depth, height))) + 0.2
     target = np.array([0.0, 0.0, height / 2])
-    eye = target + far * np.array([0.8, -0.45, 0.4])
+    eye = target + far * np.array([0.9, -0.3, 0.35])
     server.initial_camera.position, server.initial_camera.look_at = eye, target
     for client in server.get_clients().values():
         client.camera.position, client.camera.look_at = eye, target

@@ -26,6 +26,8 @@ TYPICAL_SIZE = {
     "lamp": 0.40, "microwave": 0.50, "safe": 0.42,
 }  # fmt: skip
 """Longest side of an object of a category [m], for collections that scale every object to one size."""
+SMALLEST_PART = 0.02
+"""What is smaller along each side is a mark or a screw, nothing to hold [m]."""
 GRIP_DEPTH = 0.015
 """How far a proposed grasp reaches over a part, at most [m]."""
 
@@ -91,7 +93,11 @@ def _graspable(boxes: Sequence[tuple[Array, Array]], part: PartRole) -> tuple[Ar
     """The box of the mesh that sticks out furthest towards the hand, if it is one among larger ones; else of all."""
     lower, upper = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
     along = 0 if part.grasp == "facing" else 2
-    small = [box for box in boxes if np.prod(box[1] - box[0] + 1e-6) < 0.5 * np.prod(upper - lower + 1e-6)]
+    small = [
+        (low, high)
+        for low, high in boxes
+        if np.prod(high - low + 1e-6) < 0.5 * np.prod(upper - lower + 1e-6) and np.max(high - low) > SMALLEST_PART
+    ]
     return max(small, key=lambda box: float(box[1][along]), default=(lower, upper))
 
 

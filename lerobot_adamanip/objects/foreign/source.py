@@ -67,7 +67,7 @@ class AssetSource:
     PartNet-Mobility ``meta.json``) names another category is passed over.
     """
 
-    directory: Path
+    directory: str | Path
 
     def ids(self, category: str) -> tuple[str, ...]:
         """Returns the ids of the objects of a category, sorted.
