@@ -21,13 +21,14 @@ LIFT_UPPER = 0.05
 """How far the lid lifts [m] (paper code)."""
 GAP = 0.0015
 """Between the pot's rim and what turns on it [m]."""
+_LOOP_DEPTH = 0.045
 HANDLE_GAP = 0.010
 """Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
 
 _STEELS = (
-    Material((0.82, 0.83, 0.85), 0.20, 0.95),
-    Material((0.76, 0.77, 0.79), 0.30, 0.9),
-    Material((0.74, 0.74, 0.72), 0.45, 0.85),
+    Material((0.80, 0.81, 0.83), 0.25, 0.7),
+    Material((0.66, 0.67, 0.69), 0.32, 0.75),
+    Material((0.76, 0.75, 0.72), 0.42, 0.7),
 )
 _ENAMELS = (
     Material((0.50, 0.02, 0.025), 0.25, 0.1),
@@ -37,17 +38,12 @@ _ENAMELS = (
     Material((0.70, 0.68, 0.60), 0.25, 0.1),
     Material((0.07, 0.07, 0.075), 0.35, 0.2),
 )
-_PLASTICS = (
-    Material((0.018, 0.018, 0.02), 0.45),
-    Material((0.05, 0.05, 0.055), 0.6),
-    Material((0.11, 0.02, 0.015), 0.4),
-    Material((0.09, 0.05, 0.03), 0.45),
+_PLASTICS = tuple(
+    Material(color, 0.45)
+    for color in ((0.018, 0.018, 0.02), (0.05, 0.05, 0.055), (0.11, 0.02, 0.015), (0.09, 0.05, 0.03))
 )
-_ACCENTS = (
-    Material((0.65, 0.05, 0.02), 0.35),
-    Material((0.75, 0.38, 0.02), 0.35),
-    Material((0.05, 0.30, 0.10), 0.35),
-    Material((0.45, 0.45, 0.46), 0.3, 0.8),
+_ACCENTS = tuple(
+    Material(color, 0.35) for color in ((0.65, 0.05, 0.02), (0.75, 0.38, 0.02), (0.05, 0.30, 0.10), (0.60, 0.60, 0.62))
 )
 BODY_STYLES = ("straight", "bellied", "tapered")
 LID_STYLES = ("dome", "stepped", "flat")
@@ -146,9 +142,6 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
         (2 * design.radius, depth, design.height + design.lid_rise + 0.035),
         f"{design.body_style} pot, {design.lid_style} lid, {design.valve_style} valve, {design.handle_style} handle",
     )  # fmt: skip
-
-
-_LOOP_DEPTH = 0.045
 
 
 def _pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
