@@ -7,7 +7,15 @@ from typing import Any
 
 import torch
 
-from lerobot_adamanip.mechanisms.base import Command, JointLimits, Mechanism, Overrides, Reading, check_names
+from lerobot_adamanip.mechanisms.base import (
+    Command,
+    JointLimits,
+    Mechanism,
+    Overrides,
+    Reading,
+    check_names,
+    check_positive,
+)
 from lerobot_adamanip.mechanisms.lock import LockState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
 
@@ -45,7 +53,7 @@ class MicrowaveMechanism(Mechanism[LockState]):
         config: MicrowaveMechanismConfig = MicrowaveMechanismConfig(),
     ) -> None:
         self.config, self.goals = config, {"door": success}
-        self._travel = button_travel
+        self._travel = check_positive("button_travel", button_travel)
         self._lock = SwitchContact(door_upper, config.p_locked, config.release_fraction)
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> LockState:

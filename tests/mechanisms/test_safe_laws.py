@@ -2,73 +2,24 @@
 
 from __future__ import annotations
 
-import copy
-from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
+from ideal_joints import DOOR_UPPER, SAFE, TURN_LOCKS, generator, limits_after, play, reading
 
-from lerobot_adamanip.mechanisms import SafeMechanism, SafeMechanismConfig, replace_rows
+from lerobot_adamanip.mechanisms import SafeMechanism, replace_rows
 
-DOOR_UPPER, NOMINAL = 1.578, 1.5
-SAFE = SafeMechanism(DOOR_UPPER, NOMINAL)
-TURN_LOCKS = SafeMechanism(DOOR_UPPER, NOMINAL, config=SafeMechanismConfig(lock_on_turn=True))
-REST = {"door": 0.0, "knob": 0.0}
 angles = st.floats(-3.0, 3.0)
 wishes = st.lists(st.fixed_dictionaries({"door": angles, "knob": angles}), max_size=12)
 both = pytest.mark.parametrize("mechanism", [SAFE, TURN_LOCKS], ids=["paper", "turn locks"])
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
-
-def leaves(state: Any) -> list[Tensor]:
-    if is_dataclass(state):
-        return [leaf for item in fields(state) for leaf in leaves(getattr(state, item.name))]
-    return [state]
-
-
-def same(a: Any, b: Any) -> bool:
-    return all(x.dtype == y.dtype and torch.equal(x, y) for x, y in zip(leaves(a), leaves(b), strict=True))
-
-
-def take(state: Any, rows: Tensor) -> Any:
-    if isinstance(state, Tensor):
-        return state[rows]
-    return replace(state, **{item.name: take(getattr(state, item.name), rows) for item in fields(state)})
-
-
-def reading(wish: dict[str, float], batch: int = 1) -> dict[str, Tensor]:
-    return {name: torch.full((batch,), value, dtype=torch.float64) for name, value in wish.items()}
-
-
-def random_reading(batch: int, seed: int) -> dict[str, Tensor]:
-    return {name: torch.rand(batch, generator=generator(seed + i)) * 3 - 1.5 for i, name in enumerate(("door", "knob"))}
-
-
-def play(mechanism: SafeMechanism, hidden: dict[str, Any], sequence: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Returns where the joints were after each wish."""
-    state = mechanism.draw(1, generator(), hidden)
-    state, command = mechanism.step(state, reading(REST))
-    seen = []
-    for wish in sequence:
-        joints = {j: min(max(wish[j], float(command[j].lower)), float(command[j].upper)) for j in mechanism.joints}
-        state, command = mechanism.step(state, reading(joints))
-        seen.append(joints)
-    return seen
-
-
 def after(mechanism: SafeMechanism, hidden: dict[str, Any], *readings: dict[str, float]) -> float:
     """Returns the door's upper limit after these readings."""
-    state = mechanism.draw(1, generator(), hidden)
-    for joints in ({}, *readings):
-        state, command = mechanism.step(state, reading(REST | joints))
-    return float(command["door"].upper)
+    return limits_after(mechanism, hidden, *readings)["door"][1]
 
 
 @both
@@ -167,58 +118,6 @@ def test_turning_locks_only_a_shut_door_that_was_not_locked() -> None:
     assert after(SAFE, unlocked, full, turn) == DOOR_UPPER
 
 
-@both
-@given(st.permutations(range(6)), st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
-def test_batch_order_does_not_matter(mechanism: SafeMechanism, order: list[int], seed: int) -> None:
-    rows = torch.tensor(order)
-    state = mechanism.draw(6, generator(seed))
-    shuffled = take(state, rows)
-    for t in range(4):
-        joints = random_reading(6, seed + 10 * t)
-        state, command = mechanism.step(state, joints)
-        shuffled, shuffled_command = mechanism.step(shuffled, {name: q[rows] for name, q in joints.items()})
-        assert same(take(state, rows), shuffled)
-        assert all(same(take(command[name], rows), shuffled_command[name]) for name in mechanism.joints)
-
-
-@both
-@given(st.lists(st.booleans(), min_size=6, max_size=6), st.integers(0, 1000))
-@settings(max_examples=30, deadline=None)
-def test_resetting_some_environments_leaves_the_others_bit_identical(
-    mechanism: SafeMechanism, resets: list[bool], seed: int
-) -> None:
-    mask = torch.tensor(resets)
-    state = mechanism.draw(6, generator(seed))
-    state, _ = mechanism.step(state, random_reading(6, seed))
-    fresh = mechanism.draw(6, generator(seed + 1))
-    mixed = replace_rows(state, fresh, mask)
-    assert same(take(mixed, ~mask), take(state, ~mask))
-    assert same(take(mixed, mask), take(fresh, mask))
-    joints = random_reading(6, seed + 5)
-    assert same(take(mechanism.step(mixed, joints)[0], ~mask), take(mechanism.step(state, joints)[0], ~mask))
-
-
 def test_replace_rows_refuses_what_is_no_state() -> None:
     with pytest.raises(TypeError, match="dataclass of tensors"):
         replace_rows([1.0], [2.0], torch.tensor([True]))
-
-
-@both
-def test_step_changes_none_of_its_arguments_and_is_repeatable(mechanism: SafeMechanism) -> None:
-    state, joints = mechanism.draw(8, generator()), random_reading(8, 3)
-    state_before, joints_before = copy.deepcopy(state), copy.deepcopy(joints)
-    first, random_state = mechanism.step(state, joints), torch.get_rng_state()
-    second = mechanism.step(state, joints)
-    assert same(state, state_before)
-    assert all(torch.equal(joints[name], joints_before[name]) for name in joints)
-    assert same(first[0], second[0])
-    assert torch.equal(random_state, torch.get_rng_state())
-
-
-def test_hidden_values_stay_as_drawn_while_the_safe_is_worked() -> None:
-    state = SAFE.draw(4, generator())
-    before = [SAFE.hidden(state, i) for i in range(4)]
-    for t in range(5):
-        state, _ = SAFE.step(state, random_reading(4, t))
-    assert [SAFE.hidden(state, i) for i in range(4)] == before
