@@ -99,7 +99,7 @@ class _Assembly:
     checked: bool
 
     def build(self) -> ArticulatedObject:
-        links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._depth))
+        links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._order))
         lower, upper = self._box(links)
         depth, width, height = (float(length) for length in upper - lower)
         if self.checked:
@@ -114,6 +114,12 @@ class _Assembly:
             f"foreign, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
             self_collides=False,
         )
+
+    def _order(self, link: str) -> tuple[int, bool]:
+        """Parents before children, the final joint's link before the key joint's, the same in every process."""
+        above = self.urdf.joint_above(link)
+        key = self.annotation.joints[ROLES[self.annotation.category].key.name].joint
+        return self._depth(link), above is not None and above.name == key
 
     def _depth(self, link: str) -> int:
         above = self.urdf.joint_above(link)
