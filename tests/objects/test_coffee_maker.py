@@ -11,7 +11,7 @@ from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_objec
 from lerobot_adamanip.objects.coffee_maker import DROP_UPPER, PORTAFILTER_RANGE, make_coffee_maker
 from lerobot_adamanip.rotations import rotation_about
 
-SEEN, UNSEEN = seen_objects("coffee_maker"), unseen_objects("coffee_maker", 6)
+SEEN, UNSEEN = seen_objects("coffee_maker"), unseen_objects("coffee_maker", 4)
 MACHINES = {name: make_coffee_maker(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
 every_machine = pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
 TURNS = PORTAFILTER_RANGE * np.linspace(-1, 1, 5)
@@ -21,7 +21,7 @@ GRAVITY = 9.81
 def portafilter_points(machine: ArticulatedObject) -> np.ndarray:
     """Points (N, 3) of what collides on the portafilter, in the object's frame."""
     x, _, z = link_origin(machine, machine.links[2])
-    around = box_points((x - 0.05, -0.05, z - 0.08), (x + 0.24, 0.05, z + 0.01), 0.004)
+    around = box_points((x - 0.05, -0.05, z - 0.08), (x + 0.24, 0.05, z + 0.01), 0.005)
     return around[solid(machine, around, links={"portafilter"})]
 
 

@@ -10,7 +10,7 @@ from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_objec
 from lerobot_adamanip.objects.pressure_cooker import LID_RANGE, LIFT_UPPER, make_pressure_cooker
 from lerobot_adamanip.rotations import rotation_about
 
-SEEN, UNSEEN = seen_objects("pressure_cooker"), unseen_objects("pressure_cooker", 8)
+SEEN, UNSEEN = seen_objects("pressure_cooker"), unseen_objects("pressure_cooker", 4)
 COOKERS = {name: make_pressure_cooker(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
 every_cooker = pytest.mark.parametrize("cooker", COOKERS.values(), ids=COOKERS)
 TURNS = LID_RANGE * np.linspace(-1, 1, 5)
