@@ -56,6 +56,9 @@ def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
     """A spring is a drive towards its rest position; it keeps the joint's damping."""
     for active in articulation._objs[0].active_joints:
         joint = obj.joint(active.name.rsplit("_", 1)[-1])
+        if joint.friction == 0.0:
+            # SAPIEN's builder drops a joint's friction and leaves it at 0.05, under which a spring comes to rest askew.
+            active.set_friction(0.0)
         if joint.stiffness:
             active.set_drive_properties(joint.stiffness, joint.damping)
             active.set_drive_target(joint.rest)

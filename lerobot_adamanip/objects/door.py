@@ -154,7 +154,7 @@ def _frame_shapes(design: DoorDesign, surround: Surround, hinge_y: float) -> tup
     shapes.append(box(head, (0.008, half, 0.008), design.trim, collides=False))
     height = design.plan.height
     tops = tuple(FLOOR_GAP + share * height for share in (0.12, 0.5, 0.88))
-    shapes += knuckles(hinge_y + design.hinge_side * 0.004, tops, 0.034, design.handle.metal)
+    shapes += knuckles(hinge_y + design.hinge_side * 0.008, tops, 0.034, design.handle.metal)
     if design.finish == "plaster":
         edge = surround.width / 2
         for start, end in ((-edge, surround.left - design.casing), (surround.right + design.casing, edge)):

@@ -98,7 +98,7 @@ def draw_handle(
         thickness=rng.uniform(*thickness),
         rest=rest if lever else 0.0,
         plate=str(rng.choice(PLATES)),
-        metal=metals[rng.integers(len(metals))],
+        metal=metals[int(rng.integers(len(metals)))],
     )
 
 
@@ -133,18 +133,21 @@ def handle_link(
     tension = -MASS * 9.81 * _sideways(shapes) / SPRING
     x, y, z = (float(value) for value in pivot)
     joint = Joint(
-        name, "revolute", (-1.0, 0.0, 0.0), (x, y, z), (-turn_range, turn_range), friction=0.02, damping=damping,
+        name, "revolute", (-1.0, 0.0, 0.0), (x, y, z), (-turn_range, turn_range), friction=0.0, damping=damping,
         stiffness=SPRING, rest=tension,
     )  # fmt: skip
     return Link(link, shapes, mass=MASS, parent=parent, joint=joint)
 
 
 def _sideways(shapes: Sequence[Shape]) -> float:
-    """Returns how far (y) [m] a handle's centre of mass is from its spindle, the box around it being its body."""
+    """Returns how far (y) [m] a handle's centre of mass is from its spindle.
+
+    As bodies are built: the middle of a box around meshes, and 2 cm to each side of the centres of all shapes.
+    """
     reach = []
     for shape in shapes:
         if shape.collides:
-            reach.append(shape.pose_in_link[1, 3])
+            reach += [shape.pose_in_link[1, 3] - 0.02, shape.pose_in_link[1, 3] + 0.02]
             if shape.vertices is not None:
                 reach += list(shape.vertices @ shape.pose_in_link[1, :3] + shape.pose_in_link[1, 3])
     return float(max(reach) + min(reach)) / 2
@@ -158,12 +161,12 @@ def turned(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
 
 def _lever(design: HandleDesign) -> list[Shape]:
     x, end, half, metal = design.standoff, -design.length, design.thickness / 2, design.metal
-    neck = rod((0.004, 0, 0), (x, 0, 0), 0.0085, metal)
+    neck = rod((0.004, 0, 0), (x, 0, 0), 0.0085, metal, round_ends=False)
     if design.style == "flat lever":
         middle = (end + half) / 2
         return [neck, chamfered_box((x, 0, middle), (0.010, half, half - middle), 0.002, metal)]
     if design.style == "tapered lever":
-        return [rod((0.004, 0, 0), (x, 0, 0), 0.010, metal), _tapered(x, end, half, metal)]
+        return [rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False), _tapered(x, end, half, metal)]
     if design.style == "swept lever":
         turn, back = -design.grip + 0.022, -design.grip - 0.020
         points = [(x, 0, 0), (x, _SWEEP, turn), (x, _SWEEP, back), (x, 0.3 * _SWEEP, end)]

@@ -187,7 +187,7 @@ def _frame_shapes(design: WindowDesign, surround: Surround, hinge_y: float) -> t
     sill = (depth, half + design.casing + 0.022, SILL_HEIGHT / 2)
     shapes.append(chamfered_box(at, sill, 0.005, design.board))
     heights = tuple(design.bottom + GAP + share * design.height for share in (0.16, 0.84))
-    shapes += knuckles(hinge_y + design.hinge_side * 0.004, heights, 0.026, design.handle.metal)
+    shapes += knuckles(hinge_y + design.hinge_side * 0.008, heights, 0.026, design.handle.metal)
     if design.layout == "single":
         return tuple(shapes)
     return tuple(shapes + _fixed_light(design, surround, hinge_y))
