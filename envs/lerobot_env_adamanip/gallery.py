@@ -65,8 +65,10 @@ def _posture(obj: ArticulatedObject, articulation: Any, open_fraction: float) ->
 
 def _camera_pose(obj: ArticulatedObject) -> sapien.Pose:
     """Looks at the middle of the object from the front and above, from where an open door shows the inside."""
-    _, depth, height = obj.size
-    radius = 0.5 * float(np.linalg.norm(obj.size))
+    width, depth, height = obj.size
+    joints = [link.joint for link in obj.links if link.joint is not None]
+    height += sum(joint.limits[1] * max(0.0, joint.axis[2]) for joint in joints if joint.kind == "prismatic")
+    radius = 0.5 * float(np.linalg.norm((width, depth, height)))
     target = np.array([-0.5 * depth + min(0.04, 0.15 * depth), 0.0, 0.48 * height])
     direction = np.array([1.0, 0.52 * _camera_side(obj), 0.42])
     distance = radius / np.sin(FIELD_OF_VIEW / 2)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.contact_sheet import Portrait, compose_sheet, sheet_suffix
 from lerobot_adamanip.errors import ConfigurationError, explain
 from lerobot_adamanip.objects import (
@@ -32,7 +33,7 @@ class Objects:
     """Picture to write (.png, .jpg or .webp)."""
 
     category: str = "safe"
-    """Which kind of object."""
+    """Which kind of object; all for every one."""
 
     objects: str = "seen"
     """seen, unseen, FIRST:END (0:36), or ids separated by commas (safe_000,safe_007)."""
@@ -48,7 +49,8 @@ class Objects:
 
     def run(self) -> int:
         """Lists and draws; 0."""
-        chosen = [make_object(name) for name in parse_object_selection(self.category, self.objects)]
+        wanted = CATEGORIES if self.category == ALL else (self.category,)
+        chosen = [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)]
         if self.columns < 1 or not _SIZES[0] <= self.size <= _SIZES[1]:
             raise ConfigurationError(
                 explain(

@@ -209,7 +209,7 @@ class AdaManipTask(BaseEnv):
         """Writes the mechanism's limits, but for the detent.
 
         While a key frame does nothing but close the fingers, the joints are held where they are: fingers that close
-        unevenly would move what is free, by a fraction of a degree, and tell the hidden state before anything was tried.
+        unevenly would move what is free, by a fraction of a degree, and tell the hidden state before anything is tried.
         """
         positions = self.joint_positions()
         self._detent = (self._detent or positions) if self.driver.closing else None
