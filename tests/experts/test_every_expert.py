@@ -59,7 +59,7 @@ def test_sight_of_the_hidden_state_succeeds_without_a_failed_try(
     episode = run(world, static(world, seed))
     assert episode.key_frames <= MAX_KEY_FRAMES, (world.hidden, episode.phases)
     assert {goal.trial for goal in episode.goals} == {0}
-    assert all(abs(move.end - move.start) > 0 for move in episode.moves), "nothing that it moves is blocked"
+    assert all(move.end != 0 for move in episode.moves), "nothing that it moves is blocked from the start"
 
 
 @every_category
