@@ -184,7 +184,8 @@ def _body_shapes(design: BottleDesign, at: tuple[float, float]) -> tuple[Shape, 
     below = tuple(ring for ring in design.rings if ring.height < design.fill)
     above = tuple(ring for ring in design.rings if ring.height > design.fill)
     surface = ring_at(design.rings, design.fill)
-    shapes = turned((*below, surface), inside, axis=at) + turned((surface, *above), wall, axis=at)
+    rings = (*below, surface, *above)
+    shapes = turned(rings, lambda height: inside if height < design.fill else wall, axis=at)
     shapes += _finish_shapes(design, at, wall)
     shapes += label_shapes(design.label, design.rings, design.shoulder, at)
     if design.handle:

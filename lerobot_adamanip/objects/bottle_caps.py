@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.lathe import Ring, fluted, turned
+from lerobot_adamanip.objects.lathe import Ring, fluted, grip_solid, turned
 from lerobot_adamanip.objects.shapes import chamfered_box
 
 _EXTRA = {"nozzle": 0.020, "spout": 0.018, "bulb": 0.024, "dome": 0.006}
@@ -57,10 +57,9 @@ def _wall(cap: Cap, edge: float) -> tuple[Shape, ...]:
     h, r = cap.height, cap.radius
     narrow = {"flip": 0.93, "beaker": 0.94}.get(cap.kind, 1.0)
     top = narrow * r
-    if cap.kind == "bulb":
-        return turned((Ring(0, r), Ring(h - edge, r), Ring(h, r - edge)), cap.look)
-    round_edge = [Ring(h - edge * (1 - np.sin(a)), top - edge * (1 - np.cos(a))) for a in np.linspace(0, np.pi / 2, 4)]
-    return turned((Ring(0, r - 0.0008), Ring(0.0008, r), *round_edge), cap.look)
+    rounding = [Ring(h - edge * (1 - np.sin(a)), top - edge * (1 - np.cos(a))) for a in np.linspace(0, np.pi / 2, 4)]
+    look = turned((Ring(0, r - 0.0008), Ring(0.0008, r), *rounding), cap.look, collides=False)
+    return (grip_solid(Ring(0.0002, r), Ring(h - 0.6 * edge, top), cap.look), *look)
 
 
 def _on_top(cap: Cap) -> tuple[Shape, ...]:
@@ -84,7 +83,7 @@ def _on_top(cap: Cap) -> tuple[Shape, ...]:
         return turned((*profile, Ring(h + 0.024, 0.45 * half)), rubber)
     if cap.kind == "dome":
         steps = np.linspace(0, np.pi / 2, 6)[:-1]
-        return turned([Ring(h + 0.006 * np.sin(a), (r - 0.0025) * np.cos(a)) for a in steps], cap.look)
+        return turned([Ring(h + 0.006 * np.sin(a), (r - 0.0025) * np.cos(a)) for a in steps], cap.look, collides=False)
     if cap.kind == "flip":
         lip = chamfered_box((0.93 * r, 0, h - 0.004), (0.003, 0.3 * r, 0.0018), 0.0008, cap.look, collides=False)
         seam = turned(_band(0.62 * h, 0.0005, 0.957 * r + 0.0004), darker(cap.look), collides=False)

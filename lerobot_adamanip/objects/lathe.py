@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +18,10 @@ Array = NDArray[np.float64]
 Curves = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 """Of a picture on a surface: (N,) positions along the circumference from the middle, increasing, and (N,) heights of
 its lower and its upper edge there [m]."""
-SIDES = 48
-"""Of what is turned: flat faces that small look round."""
+SIDES, SOLID_SIDES = 48, 16
+"""Of what is seen, and of the solids inside it."""
+LEAST_SOLID = 0.009
+"""Height of a solid at least, where a profile is that high [m]."""
 PROUD = 0.0004
 """How far decoration lies above the surface it is on [m]: enough for a depth buffer, too little for an eye."""
 
@@ -67,7 +69,11 @@ def turned(
     sides: int = SIDES,
     collides: bool = True,
 ) -> tuple[Shape, ...]:
-    """Returns one convex frustum between each two rings that follow each other.
+    """Returns a frustum between each two rings that follow each other, and the solids inside them.
+
+    What is seen does not collide. PhysX parts what touches along the shortest way, which for a thin slice is up or
+    down, and invents deep contacts with hair-thin ones; and of a convex shape's corners SAPIEN leaves 64, which ones
+    it decides itself.
 
     Args:
         rings: from the bottom up.
@@ -76,16 +82,47 @@ def turned(
         sides: of the polygon that stands for a ring.
         collides: solid, or decoration.
     """
-    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     shapes = []
     for lower, upper in itertools.pairwise(rings):
-        if upper.height - lower.height < 1e-6:
-            continue
-        middle = (lower.height + upper.height) / 2
-        points = np.concatenate([lower.point(angles), upper.point(angles)]) - (0.0, 0.0, middle)
-        material = paint(middle) if callable(paint) else paint
-        shapes.append(convex_mesh(points, transform((*axis, middle)), material, collides=collides))
+        if upper.height - lower.height > 1e-6:
+            material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
+            shapes.append(_frustum(lower, upper, sides, material, axis, collides=False))
+    if collides:
+        for lower, upper in _inscribed(rings):
+            material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
+            shapes.append(_frustum(lower, upper, SOLID_SIDES, material, axis, collides=True))
     return tuple(shapes)
+
+
+def _frustum(
+    lower: Ring, upper: Ring, sides: int, material: Material, axis: tuple[float, float], *, collides: bool
+) -> Shape:
+    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    middle = (lower.height + upper.height) / 2
+    points = np.concatenate([lower.point(angles), upper.point(angles)]) - (0.0, 0.0, middle)
+    return convex_mesh(points, transform((*axis, middle)), material, collides=collides)
+
+
+def _inscribed(rings: Sequence[Ring]) -> Iterator[tuple[Ring, Ring]]:
+    """Pairs of rings, not too close, such that what is between them is inside the profile."""
+    kept, top = [rings[0]], rings[-1]
+    for ring in rings[1:-1]:
+        if min(ring.height - kept[-1].height, top.height - ring.height) >= LEAST_SOLID:
+            kept.append(ring)
+    for lower, upper in itertools.pairwise([*kept, top]):
+        height = upper.height - lower.height
+        if height < LEAST_SOLID / 2:
+            continue
+        between = [ring for ring in rings if lower.height <= ring.height <= upper.height]
+        straight = [lower.radius + (upper.radius - lower.radius) * (r.height - lower.height) / height for r in between]
+        excess = PROUD + max(0.0, *(line - ring.radius for line, ring in zip(straight, between, strict=True)))
+        yield replace(lower, radius=lower.radius - excess), replace(upper, radius=upper.radius - excess)
+
+
+def grip_solid(lower: Ring, upper: Ring, material: Material) -> Shape:
+    """Returns one solid for fingers to press on: it has a flat face towards every grasp of `any_roll`."""
+    inset = (replace(ring, radius=ring.radius - PROUD) for ring in (lower, upper))
+    return _frustum(*inset, SOLID_SIDES, material, (0.0, 0.0), collides=True)
 
 
 def fluted(

@@ -123,7 +123,7 @@ def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:
     """Stand and barrel; the barrel's print faces the way the clip does."""
     pen, stand = design.pen, design.stand
     bottom = (1 - SUNK) * stand.height
-    hole = pen.barrel_radius * (0.97 if pen.sides > 6 else 1.0)
+    hole = pen.barrel_radius * (1.0 if pen.sides else 0.97)
     standing = barrel_shapes(pen, bottom, lip, (0.0, 0.0)) + tip_shapes(pen, lip, (0.0, 0.0))
     at = transform((*stand.axis, 0.0))
     turned_pen = swivelled(standing, design.clip_turn)

@@ -8,7 +8,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.bottle_caps import darker
-from lerobot_adamanip.objects.lathe import SIDES, Ring, decal, fluted, patch, turned
+from lerobot_adamanip.objects.lathe import SIDES, Ring, decal, fluted, grip_solid, patch, turned
 from lerobot_adamanip.objects.shapes import box, chamfered_box, convex_mesh
 from lerobot_adamanip.rotations import transform
 
@@ -29,7 +29,7 @@ class Pen:
         tip: ``nib``, ``ball``, ``felt``, ``chisel`` or ``brush``.
         barrel_radius: half width of the barrel.
         exposed: length of the barrel between stand and cap.
-        sides: of the barrel's cross-section.
+        sides: of the barrel's cross-section; 0 is round.
         depth, squareness: of the cross-section, see `Ring`.
         ribbed: whether the cap has grooves.
         print: ``rings``, ``maker``, ``stripe``, ``column`` or nothing.
@@ -67,7 +67,8 @@ def cap_shapes(pen: Pen) -> tuple[Shape, ...]:
     """Returns the shapes of a cap and its clip. Frame: on the axis at the lip."""
     r, length = pen.radius, pen.length
     rings = [pen.ring(0, r - 0.0004), pen.ring(0.0006, r), pen.ring(0.35 * length, r), pen.ring(length, 0.97 * r)]
-    shapes = turned([*rings, *_end(pen)], pen.cap)
+    grip = grip_solid(pen.ring(0.0002, r), pen.ring(length, 0.97 * r), pen.cap)
+    shapes = (grip, *turned([*rings, *_end(pen)], pen.cap, collides=False))
     if pen.ribbed:
         shapes += (fluted(0.006, 0.8 * length, r + 0.0003, 18, pen.cap, groove=0.0007, taper=0.98),)
     if pen.trim is not pen.cap and pen.squareness == 0.0:
@@ -119,7 +120,7 @@ def barrel_shapes(pen: Pen, bottom: float, lip: float, axis: tuple[float, float]
     r = pen.barrel_radius
     waist = lip - 0.62 * pen.exposed
     rings = [pen.ring(bottom, 0.86 * r), pen.ring(waist, r), pen.ring(lip - 0.0008, r)]
-    shapes = turned(rings, pen.barrel, axis=axis, sides=pen.sides)
+    shapes = turned(rings, pen.barrel, axis=axis, sides=pen.sides or SIDES)
     surface = [pen.ring(lip - pen.exposed, 1.004 * r), pen.ring(lip, 1.004 * r)]
     if pen.print == "rings":
         for height in (0.0025, 0.0048):

@@ -23,7 +23,7 @@ class Recipe:
         barrels: names of `LOOKS`, for the barrel.
         caps: names of `LOOKS`, for the cap; empty: as the barrel.
         trims: names of `LOOKS`, for clip and rings; empty: as the cap.
-        sides: of the barrel's cross-section.
+        sides: of the barrel's cross-section; 0 is round.
         depth: extent front to back as a fraction of the width.
         squareness: of the cross-section.
         ribbed: whether the cap has grooves along it.
@@ -40,7 +40,7 @@ class Recipe:
     barrels: tuple[str, ...]
     caps: tuple[str, ...] = ()
     trims: tuple[str, ...] = ()
-    sides: int = 48
+    sides: int = 0
     depth: Range = (1.0, 1.0)
     squareness: Range = (0.0, 0.0)
     ribbed: bool = False

@@ -13,16 +13,31 @@ PLAIN = Material((0.5, 0.5, 0.5))
 PROFILE = (Ring(0.0, 0.03), Ring(0.05, 0.04), Ring(0.05, 0.04), Ring(0.08, 0.01))
 
 
-def test_what_is_turned_is_inside_its_profile_and_nothing_else() -> None:
+def test_what_is_turned_is_seen_in_slices_and_solid_inside_them() -> None:
     shapes = turned(PROFILE, PLAIN, axis=(0.1, 0.0))
-    assert len(shapes) == 2, "rings at one height have nothing between them"
+    seen, solid = ([shape for shape in shapes if shape.collides == collides] for collides in (False, True))
+    assert len(seen) == 2, "rings at one height have nothing between them"
     for height in (0.01, 0.03, 0.049, 0.06, 0.079):
         ring = ring_at(PROFILE, height)
         for angle in np.linspace(0, 2 * np.pi, 13):
-            edge = ring.point(angle)
-            inside, outside = ((edge * (scale, scale, 1) + (0.1, 0, 0))[None] for scale in (0.97, 1.03))
-            assert any(contains(shape, inside)[0] for shape in shapes)
-            assert not any(contains(shape, outside)[0] for shape in shapes)
+            inside, outside = (
+                (ring.point(angle) * np.array([scale, scale, 1]) + np.array([0.1, 0, 0]))[None] for scale in (0.9, 1.01)
+            )
+            for some in (seen, solid):
+                assert any(contains(shape, inside)[0] for shape in some)
+                assert not any(contains(shape, outside)[0] for shape in some)
+
+
+def test_solids_stay_inside_a_hollow_profile_and_are_never_thin() -> None:
+    rings = [Ring(0.001 * k, 0.03 - 0.01 * np.sin(np.pi * k / 60)) for k in range(61)]
+    for shape in (shape for shape in turned(rings, PLAIN) if shape.collides):
+        assert shape.vertices is not None
+        assert len(shape.vertices) <= 64
+        assert np.ptp(shape.vertices[:, 2]) >= 0.0089
+        for height in np.linspace(0, 0.06, 13):
+            edge = ring_at(rings, float(height)).point(np.linspace(0, 2 * np.pi, 33))
+            assert not contains(shape, edge).any()
+    assert not any(shape.collides for shape in turned((Ring(0.0, 0.02), Ring(0.002, 0.02)), PLAIN))
 
 
 @pytest.mark.parametrize("squareness", [0.0, 0.5, 1.0])
@@ -35,7 +50,7 @@ def test_a_cross_section_keeps_its_width_and_depth(squareness: float) -> None:
 
 def test_colours_follow_the_height() -> None:
     shapes = turned(PROFILE, lambda height: Material((height, 0.0, 0.0)))
-    assert [shape.material.color[0] for shape in shapes] == pytest.approx([0.025, 0.065])
+    assert [shape.material.color[0] for shape in shapes] == pytest.approx([0.025, 0.065] * 2)
 
 
 def test_a_picture_lies_on_the_surface_and_faces_outward() -> None:
@@ -66,5 +81,6 @@ def test_ribs_are_decoration_around_a_radius() -> None:
 
 
 def test_swivelled_shapes_turn_about_the_link_s_axis() -> None:
-    (shape,) = swivelled(turned((Ring(0.0, 0.01), Ring(0.02, 0.01)), PLAIN, axis=(0.05, 0.0)), np.pi / 2)
+    made = turned((Ring(0.0, 0.01), Ring(0.02, 0.01)), PLAIN, axis=(0.05, 0.0), collides=False)
+    (shape,) = swivelled(made, np.pi / 2)
     np.testing.assert_allclose(shape.pose_in_link[:3, 3], [0.0, 0.05, 0.01], atol=1e-12)

@@ -26,8 +26,8 @@ class PenTask(AdaManipTask):
     """
 
     category: ClassVar[str] = "pen"
-    nominal_x: ClassVar[float] = 0.43
-    part_height: ClassVar[float] = 0.6
+    nominal_x: ClassVar[float] = 0.42
+    part_height: ClassVar[float] = 0.57
     plinth_least: ClassVar[float] = 0.07
     rest: ClassVar[NDArray[np.float64]] = HIGH_REST
 
