@@ -12,7 +12,7 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 from mani_skill.utils.building.ground import build_ground
-from mani_skill.utils.structs.types import SimConfig
+from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
@@ -20,7 +20,7 @@ from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, get_object, select_objects
 from lerobot_env_adamanip.arm import LEVEL_REST, NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.building import build_object, sapien_pose
-from lerobot_env_adamanip.driver import ArmState, KeyframeDriver
+from lerobot_env_adamanip.driver import ArmState, KeyframeDriver, MotionLimits
 from lerobot_env_adamanip.layout import Layout, Reach, draw_layout, randomization
 from lerobot_env_adamanip.robot import AdaManipPanda
 
@@ -60,6 +60,10 @@ class AdaManipTask(BaseEnv):
     """Where the plinth lifts the first part to [m]."""
     plinth_least: ClassVar[float] = 0.02
     """Half of the plinth's least width and depth [m]."""
+    motion: ClassVar[MotionLimits] = MotionLimits()
+    """How the arm moves, and when it gives up."""
+    solver_iterations: ClassVar[int] = 15
+    """Of the physics engine for positions: how hard what touches is, not how exactly joints are driven."""
     rest: ClassVar[NDArray[np.float64]] = LEVEL_REST
     """The arm's posture at the start, and the one its elbow is drawn to [rad]."""
 
@@ -111,7 +115,8 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sim_config(self) -> SimConfig:
-        return SimConfig(sim_freq=200, control_freq=50)
+        scene = SceneConfig(solver_position_iterations=self.solver_iterations)
+        return SimConfig(sim_freq=200, control_freq=50, scene_config=scene)
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
@@ -172,7 +177,7 @@ class AdaManipTask(BaseEnv):
         self._detent: dict[str, float] | None = None
         self.driver = KeyframeDriver(
             self.kinematics, self._arm_state, self._tick, control_dt=self.control_timestep,
-            stiffness=np.asarray(AdaManipPanda.arm_stiffness),
+            stiffness=np.asarray(AdaManipPanda.arm_stiffness), limits=self.motion,
         )  # fmt: skip
         self._apply_mechanism()
 
@@ -235,6 +240,8 @@ class AdaManipTask(BaseEnv):
         return ArmState(qpos[:NUM_ARM_JOINTS], qvel[:NUM_ARM_JOINTS], qpos[NUM_ARM_JOINTS:])
 
     def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
+        if self.driver.closing and self._detent is None:
+            self._apply_mechanism()  # before the first tick, not after it
         joints = self.agent.robot._objs[0].active_joints
         for joint, position, speed in zip(joints, target, velocity, strict=False):
             joint.set_drive_target(position)
