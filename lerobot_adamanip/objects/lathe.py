@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 Curves = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 """Of a picture on a surface: (N,) positions along the circumference from the middle, increasing, and (N,) heights of
 its lower and its upper edge there [m]."""
-SIDES, SOLID_SIDES = 48, 16
-"""Of what is seen, and of the solids inside it."""
+SIDES, SOLID_SIDES, GRIP_SIDES = 48, 16, 32
+"""Of what is seen, of the solids inside it, and of those that fingers press on: they would turn about fewer and wider
+faces from one to the next, with a part that is blocked."""
 LEAST_SOLID = 0.009
 """Height of a solid at least, where a profile is that high [m]."""
 PROUD = 0.0004
@@ -121,8 +122,8 @@ def _inscribed(rings: Sequence[Ring]) -> Iterator[tuple[Ring, Ring]]:
 
 def grip_solid(lower: Ring, upper: Ring, material: Material) -> Shape:
     """Returns one solid for fingers to press on: it has a flat face towards every grasp of `any_roll`."""
-    inset = (replace(ring, radius=ring.radius - PROUD) for ring in (lower, upper))
-    return _frustum(*inset, SOLID_SIDES, material, (0.0, 0.0), collides=True)
+    bottom, top = replace(lower, radius=lower.radius - PROUD), replace(upper, radius=upper.radius - PROUD)
+    return _frustum(bottom, top, GRIP_SIDES, material, (0.0, 0.0), collides=True)
 
 
 def fluted(
