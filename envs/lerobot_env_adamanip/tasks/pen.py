@@ -31,9 +31,9 @@ class PenTask(AdaManipTask):
     part_height: ClassVar[float] = 0.57
     plinth_least: ClassVar[float] = 0.07
     motion: ClassVar[MotionLimits] = MotionLimits(angular_speed=0.8, stall_rotation=0.03, stall_ticks=3)
-    # With half the caution a blocked cap has slipped by 20 degrees in the fingers before the arm gives up.
+    """At the usual speed a blocked cap slips by 20 degrees in the fingers before the arm gives up."""
     solver_iterations: ClassVar[int] = 40
-    # With ManiSkill's 15 the fingers sink 2 mm into a cap: a third of a slim pen's.
+    """With ManiSkill's 15 the fingers sink 2 mm into a cap, a third of a slim pen's."""
     rest: ClassVar[NDArray[np.float64]] = HIGH_REST
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
