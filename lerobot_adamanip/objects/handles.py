@@ -31,8 +31,8 @@ METALS = (
 DARK = Material((0.02, 0.02, 0.02), 0.7)
 MASS = 0.06
 """Of what turns [kg]."""
-SPRING = 0.35
-"""Stiffness of the return spring [N m/rad]."""
+SPRING, KNOB_SPRING = 0.35, 0.06
+"""Stiffness of the return spring [N m/rad]: of a lever, and of what is turned between two pads on its own axis."""
 SIDES = 32
 """Of what is round: a multiple of eight, so that a pad meets a flat from each of `any_roll`'s sides."""
 
@@ -130,11 +130,12 @@ def handle_link(
     """
     link, parent, name = names
     shapes = handle_shapes(design)
-    tension = -MASS * 9.81 * _sideways(shapes) / SPRING
+    spring = SPRING if design.style in LEVERS else KNOB_SPRING
+    tension = -MASS * 9.81 * _sideways(shapes) / spring
     x, y, z = (float(value) for value in pivot)
     joint = Joint(
         name, "revolute", (-1.0, 0.0, 0.0), (x, y, z), (-turn_range, turn_range), friction=0.0, damping=damping,
-        stiffness=SPRING, rest=tension,
+        stiffness=spring, rest=tension,
     )  # fmt: skip
     return Link(link, shapes, mass=MASS, parent=parent, joint=joint)
 
