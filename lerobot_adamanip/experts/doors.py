@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_adamanip.experts.base import Phase
-from lerobot_adamanip.experts.hand import FOLLOWED, Attempt, Hand
+from lerobot_adamanip.experts.hand import EMPTY_HAND, FOLLOWED, Attempt, Hand
 from lerobot_adamanip.objects import PartAnnotation
 
 PULL_ANGLES = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
 """Door angles of the pulls [rad]; the first is the try."""
-EMPTY_HAND = 0.05
-"""Finger opening below which nothing is between them: the grip was torn off, which a door that gives does not do."""
 
 
 def pull_door(hand: Hand, handle: PartAnnotation, joint: str, *, trials: int | None = None) -> Attempt:

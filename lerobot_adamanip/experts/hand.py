@@ -18,6 +18,8 @@ JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
 leads there varies, so that a policy learns to correct the last 10 cm by what it sees."""
 FOLLOWED = 0.5
 """A part that has covered this share of a commanded motion follows; one that has not is blocked."""
+EMPTY_HAND = 0.05
+"""Finger opening below which nothing is between them: the grip was torn off."""
 REST: Mapping[str, float] = {}
 
 Frames = Generator[Goal, Feedback, None]

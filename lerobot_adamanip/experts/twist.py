@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.experts.base import KeyFrames, Phase
-from lerobot_adamanip.experts.hand import FOLLOWED, Attempt, Hand
+from lerobot_adamanip.experts.hand import EMPTY_HAND, FOLLOWED, Attempt, Hand
 from lerobot_adamanip.objects import PartAnnotation
 
+MAX_OPENINGS = 3
+"""Times a static expert goes about opening; more than once only after a grip that slipped."""
 RELEASED = 0.9
 """Share of the range a static expert turns through: the final joint is free at 0.85."""
 
@@ -116,7 +118,9 @@ class TwistExpert:
         for number in range(1, int(np.ceil(far / (2 * self.twist.step))) + 1):
             self.angle = direction * min(far, number * 2 * self.twist.step)
             yield from self.hand.move(self.part, self.twist.key, self.angle, Phase.UNLOCK)
-        yield from self._open()
+        for _ in range(MAX_OPENINGS):
+            if (yield from self._open()):
+                return
 
     def _turn(self) -> Attempt:
         """One step in the present direction, or the other one if this is known to be blocked. True if it followed."""
@@ -124,6 +128,8 @@ class TwistExpert:
         start = self.angle
         goal = start + self.direction * twist.step
         yield from hand.move(self.part, twist.key, goal, Phase.UNLOCK)
+        if (yield from self._held_again()):
+            return False
         self.angle = hand.followed(self.part, twist.key)
         turned = self.direction * (self.angle - start)
         if not hand.felt.failed or turned > FOLLOWED * twist.step:
@@ -135,6 +141,14 @@ class TwistExpert:
         hand.trial += 1
         self.direction = -self.direction
         return False
+
+    def _held_again(self) -> Attempt:
+        """True if the grip had been torn off; the part is then held anew, where it was felt last."""
+        if self.hand.felt.gripper > EMPTY_HAND:
+            return False
+        yield from self.hand.let_go()
+        yield from self.hand.hold(self.part, {self.twist.key: self.angle})
+        return True
 
     def _try_to_open(self) -> Attempt:
         for _ in range(self.hand.trials):
@@ -150,6 +164,8 @@ class TwistExpert:
         for number, position in enumerate(twist.opening):
             phase = Phase.TRY if number == 0 else Phase.OPEN
             yield from hand.move(self.part, twist.final, position, phase, key)
+            if (yield from self._held_again()):
+                return False
             followed = hand.followed(self.part, twist.final, key)
             # Also later on: a grip that slips leaves the final joint behind, and the hand has to go about it anew.
             if hand.felt.failed and followed < FOLLOWED * position:

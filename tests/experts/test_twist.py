@@ -207,3 +207,19 @@ def test_the_hand_never_lets_go(category: str, data: st.DataObject, draw: int, s
     episode = run(world, adaptive(world, seed))
     assert episode.phases.count(Phase.GRASP) == 1
     assert all(goal.gripper == 0.0 for goal in episode.goals[2:])
+
+
+@every_twist
+@fast
+@given(directions, fractions, st.integers(1, 2), seeds)
+def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(
+    category: str, direction: int, fraction: float, torn: int, seed: int
+) -> None:
+    name = first_object(category)
+    for kind in (adaptive, static):
+        world = KinematicWorld(name, hidden(name, direction, fraction), torn=torn)
+        episode = run(world, kind(world, seed))
+        lost = [k for k, felt in enumerate(episode.felt) if felt.gripper < 0.05]
+        assert len(lost) == torn
+        assert all(episode.phases[k + 1] is Phase.RELEASE for k in lost)
+        assert episode.opened == pytest.approx(TWISTS[category].opening[-1], rel=0.1)

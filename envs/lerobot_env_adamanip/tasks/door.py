@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 from mani_skill.utils.registration import register_env
-from mani_skill.utils.structs.types import SceneConfig, SimConfig
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.objects import ArticulatedObject
@@ -24,11 +23,8 @@ class DoorTask(AdaManipTask):
     """
 
     category: ClassVar[str] = "door"
-
-    @property
-    def _default_sim_config(self) -> SimConfig:
-        # With ManiSkill's 15 iterations friction has not converged: a blocked pull slips 10 mm where it should hold.
-        return SimConfig(sim_freq=200, control_freq=50, scene_config=SceneConfig(solver_position_iterations=40))
+    # With ManiSkill's 15 friction has not converged: a blocked pull slips 10 mm where it should hold.
+    solver_iterations: ClassVar[int] = 40
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
         """The lever turns both ways, and opens from there."""
