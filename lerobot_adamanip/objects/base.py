@@ -63,7 +63,7 @@ class Joint:
         axis: (3,) unit vector, parent frame.
         origin: (3,) a point on the axis, parent frame [m].
         limits: [rad or m].
-        friction: Coulomb friction [N m or N].
+        friction: Coulomb friction [N m or N]; a wish so far, see docs/decisions.md, 16.
         damping: viscous damping [N m s/rad or N s/m].
         stiffness: of a spring in the joint [N m/rad or N/m]; 0 for none.
         rest: position at which that spring is slack [rad or m]; outside the limits, it presses the joint against one.
