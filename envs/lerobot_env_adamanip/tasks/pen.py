@@ -27,7 +27,7 @@ class PenTask(AdaManipTask):
     """
 
     category: ClassVar[str] = "pen"
-    nominal_x: ClassVar[float] = 0.42
+    nominal_x: ClassVar[float] = 0.40
     part_height: ClassVar[float] = 0.57
     plinth_least: ClassVar[float] = 0.07
     motion: ClassVar[MotionLimits] = MotionLimits(angular_speed=0.8, stall_rotation=0.03, stall_ticks=3)
