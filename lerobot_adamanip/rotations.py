@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+
+HALF_TURN = 1e-4
+"""Sine of an angle near half a turn, below which an axis is found in another way."""
+SMALL_ANGLE = 1e-5
+"""[rad], below which sin(x) / x is 1 and (1 - cos(x)) / x^2 is 1/2 in double precision."""
 
 
 def rotation_6d_from_matrix(matrix: ArrayLike) -> Array:
@@ -63,10 +70,41 @@ def transform(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None 
     return result
 
 
+def rotation_vector_from_matrix(matrix: Array) -> Array:
+    """Returns the rotation vector (3,) [rad] of one rotation (3, 3).
+
+    As scipy's, which takes 0.3 ms to check and orthonormalise its input: inverse kinematics does this thousands of
+    times per second of simulation. The input has to be a rotation.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    x, y, z = (h - f) / 2, (c - g) / 2, (d - b) / 2
+    sine, cosine = math.sqrt(x * x + y * y + z * z), (a + e + i - 1) / 2
+    if sine < HALF_TURN and cosine < 0:  # about half a turn the axis is not in the antisymmetric part
+        return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+    scale = math.atan2(sine, cosine) / sine if sine > 0 else 1.0
+    return np.array((scale * x, scale * y, scale * z))
+
+
+def matrix_from_rotation_vector(vector: Array) -> Array:
+    """Returns the rotation (3, 3) of one rotation vector (3,) [rad], by Rodrigues' formula; fast, as its inverse."""
+    x, y, z = vector.tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    # Series where the quotients are 0/0: they are exact to the last bit there.
+    s = math.sin(angle) / angle if angle > SMALL_ANGLE else 1.0
+    c = (1 - math.cos(angle)) / (angle * angle) if angle > SMALL_ANGLE else 0.5
+    return np.array(
+        (
+            (1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y),
+            (c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x),
+            (c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)),
+        )
+    )
+
+
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
     """Returns the (3, 3) rotation by ``angle`` [rad] about ``axis`` (any length)."""
     direction = np.asarray(axis, dtype=np.float64)
-    return np.asarray(Rotation.from_rotvec(direction / np.linalg.norm(direction) * angle).as_matrix())
+    return matrix_from_rotation_vector(direction / np.linalg.norm(direction) * angle)
 
 
 def rotation_with_x_along(axis: ArrayLike) -> Array:
@@ -94,8 +132,8 @@ def angle_between(first: ArrayLike, second: ArrayLike) -> float:
 
 def interpolate(start: Array, goal: Array, fraction: float) -> Array:
     """Returns the (4, 4) pose at ``fraction`` in [0, 1]: straight line for position, slerp for rotation."""
-    relative = Rotation.from_matrix(start[:3, :3].T @ goal[:3, :3]).as_rotvec() * fraction
-    rotation = start[:3, :3] @ Rotation.from_rotvec(relative).as_matrix()
+    relative = rotation_vector_from_matrix(start[:3, :3].T @ goal[:3, :3]) * fraction
+    rotation = start[:3, :3] @ matrix_from_rotation_vector(relative)
     return transform(start[:3, 3] + fraction * (goal[:3, 3] - start[:3, 3]), rotation)
 
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip import rotations
 
@@ -185,3 +186,13 @@ def test_nothing_changes_its_arguments(start: np.ndarray, goal: np.ndarray) -> N
     rotations.transform(start[:3, 3], start[:3, :3])[:] = 0
     assert np.array_equal(start, before[0])
     assert np.array_equal(goal, before[1])
+
+
+@fast
+@given(directions(), st.sampled_from([0.0, 1e-9, 1e-6, 1e-4, 0.3, 2.0, 3.1, np.pi - 1e-6, np.pi]))
+def test_rotation_vectors_are_scipys(axis: np.ndarray, angle: float) -> None:
+    matrix = rotations.matrix_from_rotation_vector(angle * axis)
+    np.testing.assert_allclose(matrix, Rotation.from_rotvec(angle * axis).as_matrix(), atol=1e-13)
+    back = rotations.rotation_vector_from_matrix(matrix)
+    assert np.linalg.norm(back) == pytest.approx(angle, abs=1e-7)
+    np.testing.assert_allclose(rotations.matrix_from_rotation_vector(back), matrix, atol=1e-7)

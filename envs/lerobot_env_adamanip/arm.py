@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.rotations import rotation_vector_from_matrix
 
 if TYPE_CHECKING:  # so that the driver and the layout's presets load, and are tested, without a simulator
     import sapien
@@ -111,5 +112,5 @@ class ArmKinematics:
 def pose_error(actual: Array, goal: Array) -> Array:
     """Returns the (6,) twist in the actual tool frame that leads to the goal: metres, then radians."""
     rotation = actual[:3, :3].T
-    turn = Rotation.from_matrix(rotation @ goal[:3, :3]).as_rotvec()
+    turn = rotation_vector_from_matrix(rotation @ goal[:3, :3])
     return np.concatenate([rotation @ (goal[:3, 3] - actual[:3, 3]), turn])
