@@ -6,6 +6,7 @@ import hashlib
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,24 @@ from lerobot_adamanip.experts import Phase, make_expert
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL: dict[str, Any] = {"num_points": 128, "image_size": 64}
+
+
+class OneSimulator:
+    """Keeps the latest environment for the next test that wants it, and closes it before another is made."""
+
+    def __init__(self) -> None:
+        self._name, self._env = "", None
+
+    def get(self, name: str, make: Callable[[], Any]) -> Any:
+        if name != self._name:
+            self.close()
+            self._name, self._env = name, make()
+        return self._env
+
+    def close(self) -> None:
+        if self._env is not None:
+            self._env.close()
+            self._name, self._env = "", None
 
 
 def digest(observation: dict[str, Any]) -> str:

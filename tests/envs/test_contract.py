@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from envs_helpers import SMALL, digest, expert_episode, stay
+from envs_helpers import SMALL, OneSimulator, digest, expert_episode, stay
 from gymnasium.utils.env_checker import check_env
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
@@ -29,22 +29,16 @@ def config_of(env_type: str, **options: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def envs() -> Iterator[dict[str, KeyframeEnv]]:
-    made: dict[str, KeyframeEnv] = {}
-    yield made
-    for env in made.values():
-        env.close()
+def simulator() -> Iterator[OneSimulator]:
+    one = OneSimulator()
+    yield one
+    one.close()
 
 
 @pytest.fixture
-def env(env_type: str, envs: dict[str, KeyframeEnv]) -> KeyframeEnv:
-    if env_type not in envs:
-        for other in envs.values():
-            other.close()  # one simulator at a time
-        envs.clear()
-        config = config_of(env_type)
-        envs[env_type] = KeyframeEnv(config.category, **config.gym_kwargs)
-    return envs[env_type]
+def env(env_type: str, simulator: OneSimulator) -> Any:
+    config = config_of(env_type)
+    return simulator.get(env_type, lambda: KeyframeEnv(config.category, **config.gym_kwargs))
 
 
 def test_there_is_an_environment_for_every_category_and_one_for_all() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from envs_helpers import SMALL, digest
+from envs_helpers import SMALL, OneSimulator, digest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import binom
@@ -30,21 +30,15 @@ EPISODES = 24
 
 
 @pytest.fixture(scope="module")
-def envs() -> Iterator[dict[str, KeyframeEnv]]:
-    made: dict[str, KeyframeEnv] = {}
-    yield made
-    for env in made.values():
-        env.close()
+def simulator() -> Iterator[OneSimulator]:
+    one = OneSimulator()
+    yield one
+    one.close()
 
 
 @pytest.fixture
-def env(category: str, envs: dict[str, KeyframeEnv]) -> KeyframeEnv:
-    if category not in envs:
-        for other in envs.values():
-            other.close()  # one simulator at a time
-        envs.clear()
-        envs[category] = KeyframeEnv(category, **SMALL)
-    return envs[category]
+def env(category: str, simulator: OneSimulator) -> Any:
+    return simulator.get(category, lambda: KeyframeEnv(category, **SMALL))
 
 
 def until_it_holds_and_after(

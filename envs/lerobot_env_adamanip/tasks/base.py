@@ -204,9 +204,6 @@ class AdaManipTask(BaseEnv):
             joint.name.rsplit("_", 1)[-1]: float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)
         }
 
-    def _reading(self) -> dict[str, torch.Tensor]:
-        return {name: torch.tensor([q]) for name, q in self.joint_positions().items()}
-
     def _after_control_step(self) -> None:
         self._apply_mechanism()
 
@@ -218,7 +215,7 @@ class AdaManipTask(BaseEnv):
         """
         positions = self.joint_positions()
         self._detent = (self._detent or positions) if self.driver.closing else None
-        self.mechanism_state, command = self.mechanism.step(self.mechanism_state, self._reading())
+        self.mechanism_state, command = self.mechanism.step(self.mechanism_state, _reading(positions))
         for joint in self.articulation._objs[0].active_joints:
             name = joint.name.rsplit("_", 1)[-1]
             limits = (float(command[name].lower[0]), float(command[name].upper[0]))
@@ -254,13 +251,18 @@ class AdaManipTask(BaseEnv):
 
     def evaluate(self) -> dict[str, Any]:
         """Returns success and the object's joint positions [rad or m]."""
-        reading = self._reading()
+        reading = _reading(self.joint_positions())
         return {"success": self.mechanism.succeeded(reading), **reading}
 
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """1 while the success conditions hold."""
         reward: torch.Tensor = info["success"].float()
         return reward
+
+
+def _reading(positions: Mapping[str, float]) -> dict[str, torch.Tensor]:
+    """A mechanism's reading of one environment."""
+    return {name: torch.tensor([position]) for name, position in positions.items()}
 
 
 def turn_then_open(obj: ArticulatedObject, part: str, key: str, final: str, far: float) -> Reach:
