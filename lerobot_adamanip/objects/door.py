@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.framing import FINISHES, GAP, Surround, knuckles
-from lerobot_adamanip.objects.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
-from lerobot_adamanip.objects.leaves import LeafPlan, leaf_shapes
-from lerobot_adamanip.objects.shapes import box, chamfered_box, disk
+from lerobot_adamanip.objects.joinery.framing import FINISHES, GAP, Surround, knuckles
+from lerobot_adamanip.objects.joinery.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
+from lerobot_adamanip.objects.joinery.leaves import LeafPlan, leaf_shapes
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk
 
 DOOR_UPPER = 1.57
 """Opening limit of the leaf [rad] (paper code: 1.57)."""

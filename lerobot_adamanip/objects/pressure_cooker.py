@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
-from lerobot_adamanip.objects.rounds import bar, turned, upright
-from lerobot_adamanip.objects.shapes import box, chamfered_box, rod
+from lerobot_adamanip.objects.shaping.revolved import SMOOTH, revolved
+from lerobot_adamanip.objects.shaping.rounded import bar, upright
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, rod
 from lerobot_adamanip.rotations import transform
 
 LID_RANGE = 0.824
@@ -156,14 +157,15 @@ def _pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     base = outline[0][0] - 0.004
     dark = Material((0.02, 0.02, 0.022), 0.8)
     shapes = [
-        turned(axis, outline, design.body),
-        turned(axis, [(base, 0.0), (base + 0.003, 0.006)], design.steel, collides=False),
+        revolved(axis, outline, design.body, sides=SMOOTH),
+        revolved(axis, [(base, 0.0), (base + 0.003, 0.006)], design.steel, sides=SMOOTH, collides=False),
         upright((axis[0], 0, h), 0.93 * r, 0.0006, dark, collides=False),
-        turned(axis, [(r + 0.0015, h - 0.012), (r + 0.0015, h - 0.0005)], design.steel, collides=False),
+        revolved(axis, [(r + 0.0015, h - 0.012), (r + 0.0015, h - 0.0005)], design.steel, sides=SMOOTH, collides=False),
     ]
     if design.band:
         level = 0.68 * h
-        shapes.append(turned(axis, [(r + 0.001, level), (r + 0.001, level + 0.004)], design.steel, collides=False))
+        band = [(r + 0.001, level), (r + 0.001, level + 0.004)]
+        shapes.append(revolved(axis, band, design.steel, sides=SMOOTH, collides=False))
     shapes += _pot_handle_shapes(design)
     if design.helper_loop:
         shapes += _loop_shapes(design)
@@ -196,7 +198,8 @@ def _seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     """The gasket under the lid: it lifts with the lid and does not turn."""
     rubber = Material((0.30, 0.30, 0.31), 0.9)
     r = 0.93 * design.radius
-    return (turned((0, 0, 0), [(r - 0.004, -0.006), (r, -0.003), (r, 0.0008)], rubber, collides=False),)
+    profile = [(r - 0.004, -0.006), (r, -0.003), (r, 0.0008)]
+    return (revolved((0, 0, 0), profile, rubber, sides=SMOOTH, collides=False),)
 
 
 def _lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
@@ -213,10 +216,10 @@ def _lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     top = outline[-1][1]
     shapes = [
         # What is seen reaches down over the rim; what collides stays above it.
-        turned((0, 0, 0), [(r, -0.010), *outline], design.lid, collides=False),
+        revolved((0, 0, 0), [(r, -0.010), *outline], design.lid, sides=SMOOTH, collides=False),
         upright((0, 0, (GAP + edge) / 2), r, (edge - GAP) / 2, design.lid),
-        turned((0, 0, 0), [(0.97 * r, edge), *((0.98 * a, b - 0.001) for a, b in outline[1:])], design.lid, sides=20),
-        turned((0, 0, 0), [(r + 0.001, -0.011), (r + 0.001, -0.008)], design.steel, collides=False),
+        revolved((0, 0, 0), [(0.97 * r, edge), *((0.98 * a, b - 0.001) for a, b in outline[1:])], design.lid, sides=20),
+        revolved((0, 0, 0), [(r + 0.001, -0.011), (r + 0.001, -0.008)], design.steel, sides=SMOOTH, collides=False),
     ]
     if design.lid_style == "stepped":
         shapes.append(upright((0, 0, rise), 0.5 * r, 0.0008, design.steel, collides=False))
@@ -234,20 +237,20 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
     if design.valve_style == "weight":
         shapes += [
             upright((0, 0, top), 0.0045, 0.010, steel),
-            turned((0, 0, top + 0.008), [(0.011, 0), (0.014, 0.003), (0.014, 0.017), (0.010, 0.021)], black),
+            revolved((0, 0, top + 0.008), [(0.011, 0), (0.014, 0.003), (0.014, 0.017), (0.010, 0.021)], black),
             upright((0, 0, top + 0.030), 0.006, 0.002, steel, collides=False),
         ]
     elif design.valve_style == "indicator":
         shapes += [
-            turned((0, 0, top - 0.002), [(0.026, 0), (0.024, 0.007), (0.018, 0.009)], black),
+            revolved((0, 0, top - 0.002), [(0.026, 0), (0.024, 0.007), (0.018, 0.009)], black),
             upright((0, 0, top + 0.014), 0.0075, 0.008, design.accent),
             *(upright((0, 0, top + z), 0.0078, 0.0009, Material((0.9, 0.9, 0.9), 0.5), collides=False)
               for z in (0.012, 0.017)),
         ]  # fmt: skip
     else:
         shapes += [
-            turned((0, 0, top - 0.002), [(0.030, 0), (0.030, 0.008), (0.027, 0.011)], steel),
-            turned((0, 0, top + 0.008), [(0.024, 0), (0.021, 0.013), (0.018, 0.015)], black),
+            revolved((0, 0, top - 0.002), [(0.030, 0), (0.030, 0.008), (0.027, 0.011)], steel),
+            revolved((0, 0, top + 0.008), [(0.024, 0), (0.021, 0.013), (0.018, 0.015)], black),
             box((0.010, 0, top + 0.0235), (0.008, 0.0018, 0.0012), design.accent, collides=False),
         ]
     return shapes

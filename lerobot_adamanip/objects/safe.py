@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.shapes import box, chamfered_box, disk, prism, rod
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk, prism, rod
 
 WALL = 0.028
 DOOR_THICKNESS = 0.035

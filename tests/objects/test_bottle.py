@@ -8,8 +8,8 @@ from caps import check_cap_and_joints, check_grip, check_shapes, check_size, che
 from solids import fingerprint
 
 from lerobot_adamanip.objects import ArticulatedObject, parse_object_id, seen_objects, unseen_objects
-from lerobot_adamanip.objects.bottle import CAP_RANGE, cap_range, make_bottle
-from lerobot_adamanip.objects.bottle_recipes import RECIPES
+from lerobot_adamanip.objects.bottle import CAP_RANGE, make_bottle
+from lerobot_adamanip.objects.bottle.recipes import RECIPES
 
 SEEN, UNSEEN = seen_objects("bottle"), unseen_objects("bottle", 8)
 BOTTLES = {name: make_bottle(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
@@ -42,7 +42,7 @@ def test_it_has_the_size_of_a_bottle_and_stands_behind_its_origin(bottle: Articu
 def test_its_shapes_and_joints_are_sound(bottle: ArticulatedObject) -> None:
     check_shapes(bottle)
     check_cap_and_joints(bottle)
-    assert cap_range(bottle) == CAP_RANGE
+    assert bottle.joint("cap").limits[1] == CAP_RANGE
 
 
 @every_bottle

@@ -10,7 +10,7 @@ from solids import box_points, contains, face_planes, fingerprint, link_origin, 
 
 from lerobot_adamanip.objects import ArticulatedObject, Link, make_object, parse_object_id, seen_objects, unseen_objects
 from lerobot_adamanip.objects.lamp import GRIP_DEPTH, build_lamp, draw_design, make_lamp
-from lerobot_adamanip.objects.lamp_heads import HEADS
+from lerobot_adamanip.objects.lamp.heads import HEADS
 
 SEEN, UNSEEN = seen_objects("lamp"), unseen_objects("lamp", 25)
 LAMPS = {name: make_lamp(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}

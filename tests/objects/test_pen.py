@@ -8,8 +8,8 @@ from caps import check_cap_and_joints, check_grip, check_shapes, check_size, che
 from solids import fingerprint, solid
 
 from lerobot_adamanip.objects import ArticulatedObject, parse_object_id, seen_objects, unseen_objects
-from lerobot_adamanip.objects.pen import CAP_RANGE, cap_range, make_pen
-from lerobot_adamanip.objects.pen_recipes import RECIPES, STANDS
+from lerobot_adamanip.objects.pen import CAP_RANGE, make_pen
+from lerobot_adamanip.objects.pen.recipes import RECIPES, STANDS
 
 SEEN, UNSEEN = seen_objects("pen"), unseen_objects("pen", 8)
 PENS = {name: make_pen(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
@@ -44,7 +44,7 @@ def test_it_has_the_size_of_a_pen_in_a_stand_behind_its_origin(pen: ArticulatedO
 def test_its_shapes_and_joints_are_sound(pen: ArticulatedObject) -> None:
     check_shapes(pen)
     check_cap_and_joints(pen)
-    assert cap_range(pen) == CAP_RANGE
+    assert pen.joint("cap").limits[1] == CAP_RANGE
 
 
 @every_pen

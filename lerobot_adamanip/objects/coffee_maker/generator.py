@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_adamanip.objects import coffee_maker_looks as looks
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
-from lerobot_adamanip.objects.rounds import bar, turned, upright
-from lerobot_adamanip.objects.shapes import box, disk, rod
+from lerobot_adamanip.objects.coffee_maker import looks
+from lerobot_adamanip.objects.shaping.revolved import revolved
+from lerobot_adamanip.objects.shaping.rounded import bar, upright
+from lerobot_adamanip.objects.shaping.shapes import box, disk, rod
 
 PORTAFILTER_RANGE = 0.80
 """Nominal turn to either side [rad] (paper code)."""
@@ -172,7 +173,7 @@ def _portafilter_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
     bowl = [(r - 0.002, low if bottomless else -0.026), (r - 0.002, -0.010), (r, -0.008), (r, -GAP)]
     if not bottomless:
         bowl = [(0.60 * r, low), *bowl]
-    shapes = [turned((0, 0, 0), bowl, chrome, sides=24)]
+    shapes = [revolved((0, 0, 0), bowl, chrome, sides=24)]
     shapes += [box((0, side * (r + 0.002), -0.005), (0.008, 0.003, 0.003), chrome, collides=False) for side in (-1, 1)]
     start = 0.072
     shapes.append(rod((r - 0.006, 0, -0.017), (start + 0.012, 0, HANDLE_Z), 0.0075, chrome, round_ends=False))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.rounded import plate
-from lerobot_adamanip.objects.shapes import box, chamfered_box, disk, rod
+from lerobot_adamanip.objects.shaping.rounded import plate
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk, rod
 
 BLACK = Material((0.012, 0.012, 0.014), 0.35)
 GLASS = Material((0.010, 0.011, 0.013), 0.12)

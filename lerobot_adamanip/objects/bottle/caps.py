@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.lathe import Ring, fluted, grip_solid, turned
-from lerobot_adamanip.objects.shapes import chamfered_box
+from lerobot_adamanip.objects.shaping.lathe import Ring, fluted, grip_solid, turned
+from lerobot_adamanip.objects.shaping.shapes import chamfered_box
 
 _EXTRA = {"nozzle": 0.020, "spout": 0.018, "bulb": 0.024, "dome": 0.006}
 """What stands on top of the part to hold [m]."""
@@ -46,7 +46,7 @@ def cap_shapes(cap: Cap) -> tuple[Shape, ...]:
         ribs = fluted(0.0022, cap.height - edge, cap.radius + 0.0006, cap.ribs, cap.look, groove=0.0009)
         wall = (*wall, ribs)
     if cap.kind == "long":
-        seam = darker(cap.look)
+        seam = cap.look.darker()
         wall += turned(_band(0.30 * cap.height, 0.0008, cap.radius + 0.0003), seam, collides=False)
         wall += turned(_band(0.36 * cap.height, 0.0004, cap.radius + 0.0003), seam, collides=False)
     return wall + _on_top(cap)
@@ -70,7 +70,7 @@ def _on_top(cap: Cap) -> tuple[Shape, ...]:
         return turned(cone, cap.look) + turned((cone[-1], Ring(h + 0.020, 0.16 * r)), tip)
     if cap.kind == "spout":
         pale = Material((0.80, 0.82, 0.82), 0.4)
-        dark = darker(cap.look)
+        dark = cap.look.darker()
         return (
             *turned((Ring(h, 0.66 * r), Ring(h + 0.005, 0.50 * r)), cap.look),
             *turned((Ring(h + 0.005, 0.24 * r), Ring(h + 0.013, 0.24 * r)), pale),
@@ -86,18 +86,12 @@ def _on_top(cap: Cap) -> tuple[Shape, ...]:
         return turned([Ring(h + 0.006 * np.sin(a), (r - 0.0025) * np.cos(a)) for a in steps], cap.look, collides=False)
     if cap.kind == "flip":
         lip = chamfered_box((0.93 * r, 0, h - 0.004), (0.003, 0.3 * r, 0.0018), 0.0008, cap.look, collides=False)
-        seam = turned(_band(0.62 * h, 0.0005, 0.957 * r + 0.0004), darker(cap.look), collides=False)
+        seam = turned(_band(0.62 * h, 0.0005, 0.957 * r + 0.0004), cap.look.darker(), collides=False)
         return (lip, *seam)
     if cap.kind == "beaker":
-        return turned(_band(0.003, 0.0012, r + 0.0006), darker(cap.look), collides=False)
+        return turned(_band(0.003, 0.0012, r + 0.0006), cap.look.darker(), collides=False)
     return ()
 
 
 def _band(height: float, half: float, radius: float) -> tuple[Ring, Ring]:
     return Ring(height - half, radius), Ring(height + half, radius)
-
-
-def darker(look: Material) -> Material:
-    """Returns the material in half its brightness: seams and lines."""
-    red, green, blue = look.color
-    return replace(look, color=(0.5 * red, 0.5 * green, 0.5 * blue))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.framing import GAP
-from lerobot_adamanip.objects.shapes import box, chamfered_box
+from lerobot_adamanip.objects.joinery.framing import GAP
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box
 from lerobot_adamanip.rotations import rotation_about, transform
 
 GLASS = Material((0.50, 0.66, 0.74), 0.06)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shapes import convex_mesh
+from lerobot_adamanip.objects.shaping.shapes import convex_mesh
 from lerobot_adamanip.rotations import rotation_about, transform
 
 Array = NDArray[np.float64]

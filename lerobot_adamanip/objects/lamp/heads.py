@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.rounded import lathe, shell
-from lerobot_adamanip.objects.shapes import convex_mesh, rod
+from lerobot_adamanip.objects.shaping.revolved import revolved, shell
+from lerobot_adamanip.objects.shaping.shapes import convex_mesh, rod
 from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 BRASS = Material((0.72, 0.53, 0.20), 0.3, 0.9)
@@ -114,7 +114,7 @@ class Head:
 
 
 def _stem(head: Head, place: Place, up: float) -> tuple[Shape, ...]:
-    collar = lathe(place.at(0, 0, 0), ((head.stem + 0.014, 0), (head.stem + 0.003, 0.012)), head.metal)
+    collar = revolved(place.at(0, 0, 0), ((head.stem + 0.014, 0), (head.stem + 0.003, 0.012)), head.metal)
     lean = head.lean * up / head.height
     return (collar, rod(place.at(0, 0, 0), place.at(lean, 0, up), head.stem, head.metal, round_ends=False))
 
@@ -125,7 +125,7 @@ def _fabric(head: Head, place: Place, taper: float) -> tuple[Shape, ...]:
     low, across = head.height - tall, 0.92 * taper * head.radius
     top = place.at(head.lean, 0, low)
     wall = shell(top, ((head.radius, 0.0), (taper * head.radius, tall)), 0.0025, head.shade)
-    bulb = lathe(top, ((0.012, 0.02), (0.026, 0.055), (0.026, 0.075), (0.012, 0.092)), _BULB)
+    bulb = revolved(top, ((0.012, 0.02), (0.026, 0.055), (0.026, 0.075), (0.012, 0.092)), _BULB)
     bars = [
         rod(top + np.array([*end, 0.9 * tall]), top + np.array([*-end, 0.9 * tall]), 0.0018, head.metal)
         for end in across * np.eye(2)
@@ -146,8 +146,8 @@ def _gourd(head: Head, place: Place) -> tuple[Shape, ...]:
     """A ceramic body of two bellies under a fabric shade."""
     glaze = Material(head.shade.color, 0.15) if sum(head.shade.color) < 1.8 else Material((0.10, 0.24, 0.34), 0.12)
     foot = place.at(0, 0, 0)
-    lower = lathe(foot, ((0.034, 0.0), (0.047, 0.025), (0.052, 0.05), (0.044, 0.08), (0.022, 0.105)), glaze)
-    upper = lathe(foot, ((0.020, 0.09), (0.030, 0.115), (0.030, 0.135), (0.014, 0.165)), glaze)
+    lower = revolved(foot, ((0.034, 0.0), (0.047, 0.025), (0.052, 0.05), (0.044, 0.08), (0.022, 0.105)), glaze)
+    upper = revolved(foot, ((0.020, 0.09), (0.030, 0.115), (0.030, 0.135), (0.014, 0.165)), glaze)
     neck = rod(place.at(0, 0, 0.15), place.at(0, 0, head.height - 0.10), 0.008, head.metal, round_ends=False)
     pale = replace(head, shade=_FABRICS[1]) if glaze.color == head.shade.color else head
     return (lower, upper, neck, *_fabric(pale, place, 0.66))
@@ -155,7 +155,7 @@ def _gourd(head: Head, place: Place) -> tuple[Shape, ...]:
 
 def _globe(head: Head, place: Place) -> tuple[Shape, ...]:
     up = head.height - head.radius
-    holder = lathe(place.at(head.lean, 0, up - head.radius - 0.012), ((0.014, 0), (0.026, 0.024)), head.metal)
+    holder = revolved(place.at(head.lean, 0, up - head.radius - 0.012), ((0.014, 0), (0.026, 0.024)), head.metal)
     sphere = rod(place.at(head.lean, 0, up - 5e-4), place.at(head.lean, 0, up + 5e-4), head.radius, _OPAL)
     return (*_stem(head, place, up - head.radius), holder, sphere)
 
@@ -166,19 +166,21 @@ def _mushroom(head: Head, place: Place) -> tuple[Shape, ...]:
     low = place.at(0, 0, 0.85 * head.height - tall)
     arc = np.linspace(0, 0.5 * np.pi, 7)
     dome = [(max(head.radius * np.cos(a), 1e-3), tall * np.sin(a)) for a in arc]
-    column = lathe(
+    column = revolved(
         place.at(0, 0, 0), ((1.5 * head.stem, 0), (head.stem, 0.85 * head.height - tall)), head.shade, sides=32
     )
-    glow = lathe(low - (0, 0, 0.004), ((0.9 * head.radius, 0.0), (0.9 * head.radius, 0.004)), _OPAL)
-    return (column, glow, lathe(low, dome, head.shade, sides=30))
+    glow = revolved(low - (0, 0, 0.004), ((0.9 * head.radius, 0.0), (0.9 * head.radius, 0.004)), _OPAL)
+    return (column, glow, revolved(low, dome, head.shade, sides=30))
 
 
 def _lantern(head: Head, place: Place) -> tuple[Shape, ...]:
     """An opal cylinder between two rims."""
     wood = WOODS[0] if head.side > 0 else head.metal
     rim = ((head.radius, 0.0), (head.radius, 0.012), (head.radius - 0.002, 0.014))
-    rims = [lathe(place.at(0, 0, up), rim, wood, sides=40) for up in (0.0, head.height - 0.014)]
-    glass = lathe(place.at(0, 0, 0.012), ((head.radius - 0.004, 0), (head.radius - 0.004, head.height - 0.024)), _OPAL)
+    rims = [revolved(place.at(0, 0, up), rim, wood, sides=40) for up in (0.0, head.height - 0.014)]
+    glass = revolved(
+        place.at(0, 0, 0.012), ((head.radius - 0.004, 0), (head.radius - 0.004, head.height - 0.024)), _OPAL
+    )
     return (*rims, glass)
 
 
@@ -226,7 +228,7 @@ def _cone(head: Head, tip: NDArray[np.float64], points_to: ArrayLike, radius: fl
     turn = rotation_with_x_along(points_to) @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     profile = ((0.016, -0.012), (0.022, 0.004), (0.55 * radius + 0.012, 0.028), (radius, 0.085))
     bulb = ((0.86 * radius, 0.080), (0.86 * radius, 0.087))
-    made = [lathe((0, 0, 0), profile, head.shade, sides=32), lathe((0, 0, 0), bulb, _BULB)]
+    made = [revolved((0, 0, 0), profile, head.shade, sides=32), revolved((0, 0, 0), bulb, _BULB)]
     return tuple(
         Shape(s.kind, s.size, transform(tip, turn), s.material, s.collides, s.vertices, s.faces) for s in made
     )  # fmt: skip
@@ -242,7 +244,7 @@ def _architect(head: Head, place: Place) -> tuple[Shape, ...]:
         rod(a + k * gap, b + k * gap, 0.0038, head.metal) for a, b in ((foot, elbow), (elbow, tip)) for k in (0, -1)
     ]
     joints = [rod(at + 0.3 * gap, at - 1.3 * gap, 0.011, head.metal, round_ends=False) for at in (foot, elbow, tip)]
-    collar = lathe(place.at(0, 0, 0), ((0.026, 0), (0.022, 0.014)), head.metal)
+    collar = revolved(place.at(0, 0, 0), ((0.026, 0), (0.022, 0.014)), head.metal)
     aim = place.at(0.01, s * 0.05, 0) - place.at(0, 0, 0.11)
     return (collar, *arms, *joints, *_cone(head, tip + 0.1 * aim, aim, head.radius))
 

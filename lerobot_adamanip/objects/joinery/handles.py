@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
-from lerobot_adamanip.objects.shapes import box, chamfered_box, convex_mesh, disk, rod
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, convex_mesh, disk, rod
 from lerobot_adamanip.rotations import rotation_about, transform
 
 LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shapes import box, chamfered_box, rod
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, rod
 
 GAP = 0.005
 """Between a leaf and its frame [m]: the back edge of a leaf that swings out needs a little."""

@@ -21,9 +21,10 @@ from lerobot_adamanip.objects.base import (
     any_roll,
     from_above,
 )
-from lerobot_adamanip.objects.lamp_heads import BRASS, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
-from lerobot_adamanip.objects.rounded import lathe, slab
-from lerobot_adamanip.objects.shapes import box, rod
+from lerobot_adamanip.objects.lamp.heads import BRASS, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
+from lerobot_adamanip.objects.shaping.revolved import revolved
+from lerobot_adamanip.objects.shaping.rounded import slab
+from lerobot_adamanip.objects.shaping.shapes import box, rod
 
 HAND_CLEARANCE = 0.135
 """Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
@@ -140,7 +141,7 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
     t, material = design.thickness, design.base
     center = (-half_x, 0.0, t / 2)
     rubber = Material((0.02, 0.02, 0.022), 0.9)
-    rosette = lathe(
+    rosette = revolved(
         (*place.switch, t - 0.0005), ((design.knob_radius + 0.006, 0.0), (design.knob_radius + 0.005, 0.0015)),
         design.knob, collides=False,
     )  # fmt: skip
@@ -152,7 +153,7 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
         bridge.pose_in_link[:3, :3] = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
         bridge.pose_in_link[:3, 3] = (*middle, t / 2)
         rounds = [
-            lathe((*at, 0.0), ((r, 0.0), (r, t - 0.003), (r - 0.003, t)), material, sides=48)
+            revolved((*at, 0.0), ((r, 0.0), (r, t - 0.003), (r - 0.003, t)), material, sides=48)
             for at, r in ((place.switch, design.knob_margin), (place.foot, margin))
         ]
         return (*rounds, bridge, rosette)
@@ -177,7 +178,7 @@ def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
     radius, low = design.knob_radius, top - CAP_HEIGHT
     sides = 8 if design.knob_style == "faceted" else 32
     profile = ((radius, low), (radius, top - 0.004), (radius - 0.003, top))
-    shapes = [lathe((0, 0, 0), profile, design.knob, sides=sides)]
+    shapes = [revolved((0, 0, 0), profile, design.knob, sides=sides)]
     if design.knob_style == "knurled":
         dark = Material((0.05, 0.05, 0.052), 0.6)
         for angle in np.arange(20) * 2 * np.pi / 20:

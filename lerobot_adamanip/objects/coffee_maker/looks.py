@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.rounds import round_cornered, turned, upright
-from lerobot_adamanip.objects.shapes import box, disk, rod
+from lerobot_adamanip.objects.shaping.revolved import revolved
+from lerobot_adamanip.objects.shaping.rounded import round_cornered, upright
+from lerobot_adamanip.objects.shaping.shapes import box, disk, rod
 
 if TYPE_CHECKING:
-    from lerobot_adamanip.objects.coffee_maker import CoffeeMakerDesign
+    from lerobot_adamanip.objects.coffee_maker.generator import CoffeeMakerDesign
 
 BLACK = Material((0.022, 0.022, 0.025), 0.5)
 GLASS = Material((0.01, 0.012, 0.015), 0.12)
@@ -87,14 +88,14 @@ def _group(design: CoffeeMakerDesign) -> list[Shape]:
     if design.body_style == "box":
         reach = design.head_x
         return [
-            turned((x, 0, z), [(r, 0), (r, 0.016), (0.8 * r, 0.024), (0.72 * r, 0.052)], chrome, sides=32),
-            turned((x, 0, z + 0.052), [(0.55 * r, 0), (0.55 * r, 0.010), (0.30 * r, 0.018)], chrome, sides=24),
+            revolved((x, 0, z), [(r, 0), (r, 0.016), (0.8 * r, 0.024), (0.72 * r, 0.052)], chrome, sides=32),
+            revolved((x, 0, z + 0.052), [(0.55 * r, 0), (0.55 * r, 0.010), (0.30 * r, 0.018)], chrome, sides=24),
             rod((x, 0, z + 0.036), (x + reach - 0.004, 0, z + 0.036), 0.022, chrome, round_ends=False),
             disk((x + reach + 0.004, 0, z + 0.036), 0.034, 0.004, chrome),
         ]
     return [
-        turned((x, 0, z), [(r, 0), (r, 0.014), (r - 0.003, 0.017)], chrome, sides=32),
-        turned((x, 0, z + 0.017), [(r - 0.003, 0), (r + 0.002, 0.004), (r + 0.002, 0.028), (r - 0.006, 0.036)],
+        revolved((x, 0, z), [(r, 0), (r, 0.014), (r - 0.003, 0.017)], chrome, sides=32),
+        revolved((x, 0, z + 0.017), [(r - 0.003, 0), (r + 0.002, 0.004), (r + 0.002, 0.028), (r - 0.006, 0.036)],
                design.base if design.base is BLACK else design.body, sides=32),
     ]  # fmt: skip
 
@@ -208,8 +209,8 @@ def _top(design: CoffeeMakerDesign) -> list[Shape]:
     if design.top_style == "hopper":
         smoke, x = Material((0.10, 0.075, 0.06), 0.15), (front + back) / 2 - 0.01
         return [
-            turned((x, 0, z), [(0.046, 0), (0.062, 0.030), (0.066, 0.066)], smoke, sides=32),
-            turned((x, 0, z + 0.066), [(0.069, 0), (0.069, 0.008), (0.055, 0.013)], BLACK, sides=32),
+            revolved((x, 0, z), [(0.046, 0), (0.062, 0.030), (0.066, 0.066)], smoke, sides=32),
+            revolved((x, 0, z + 0.066), [(0.069, 0), (0.069, 0.008), (0.055, 0.013)], BLACK, sides=32),
         ]
     corners = [(front, -w), (front, w), (back, w), (back, -w)]
     shapes = [rod((x, y, z), (x, y, z + 0.026), 0.0032, design.chrome) for x, y in corners]
@@ -226,8 +227,8 @@ def _cup(at: tuple[float, float, float]) -> list[Shape]:
     """An espresso cup, upside down as they are kept warm."""
     x, y, z = at
     return [
-        turned(at, [(0.031, 0), (0.030, 0.012), (0.024, 0.044), (0.017, 0.048)], WHITE, sides=32),
-        turned((x, y, z + 0.046), [(0.016, 0), (0.015, 0.006)], WHITE, sides=24, collides=False),
+        revolved(at, [(0.031, 0), (0.030, 0.012), (0.024, 0.044), (0.017, 0.048)], WHITE, sides=32),
+        revolved((x, y, z + 0.046), [(0.016, 0), (0.015, 0.006)], WHITE, sides=24, collides=False),
         rod((x + 0.028, y, z + 0.012), (x + 0.038, y, z + 0.026), 0.004, WHITE),
         rod((x + 0.038, y, z + 0.026), (x + 0.024, y, z + 0.038), 0.004, WHITE),
     ]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.bottle_recipes import LABEL_INKS, LABEL_PAPERS, Color
-from lerobot_adamanip.objects.lathe import Curves, Ring, decal, oval, patch, ring_at
+from lerobot_adamanip.objects.bottle.recipes import LABEL_INKS, LABEL_PAPERS, Color
+from lerobot_adamanip.objects.shaping.lathe import Curves, Ring, decal, oval, patch, ring_at
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.microwave_looks import (
+from lerobot_adamanip.objects.microwave.looks import (
     BLACK,
     LOOKS,
     Face,
@@ -20,8 +20,8 @@ from lerobot_adamanip.objects.microwave_looks import (
     handle_shapes,
     panel_shapes,
 )  # fmt: skip
-from lerobot_adamanip.objects.rounded import plate
-from lerobot_adamanip.objects.shapes import box, chamfered_box, disk, rod
+from lerobot_adamanip.objects.shaping.rounded import plate
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk, rod
 
 WALL = 0.018
 DOOR_THICKNESS = 0.030
@@ -271,9 +271,4 @@ def _button_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
     return (plate((center, 0, 0), (half, half_y, half_z), radius, material, bevel=0.002), mark)
 
 
-def button_travel(microwave: ArticulatedObject) -> float:
-    """Returns how far the button can be pushed [m]."""
-    return microwave.joint("button").limits[1]
-
-
-__all__ = ["DOOR_UPPER", "MicrowaveDesign", "build_microwave", "button_travel", "draw_design", "make_microwave"]
+__all__ = ["DOOR_UPPER", "MicrowaveDesign", "build_microwave", "draw_design", "make_microwave"]

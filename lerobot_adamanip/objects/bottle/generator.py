@@ -22,11 +22,11 @@ from lerobot_adamanip.objects.base import (
     any_roll,
     from_above,
 )
-from lerobot_adamanip.objects.bottle_caps import Cap, cap_shapes
-from lerobot_adamanip.objects.bottle_labels import Label, draw_label, label_shapes
-from lerobot_adamanip.objects.bottle_recipes import CAP_LOOKS, FINISHES, RECIPES, Finish, Range, Recipe
-from lerobot_adamanip.objects.lathe import Ring, ring_at, turned
-from lerobot_adamanip.objects.shapes import rod
+from lerobot_adamanip.objects.bottle.caps import Cap, cap_shapes
+from lerobot_adamanip.objects.bottle.labels import Label, draw_label, label_shapes
+from lerobot_adamanip.objects.bottle.recipes import CAP_LOOKS, FINISHES, RECIPES, Finish, Range, Recipe
+from lerobot_adamanip.objects.shaping.lathe import Ring, ring_at, turned
+from lerobot_adamanip.objects.shaping.shapes import rod
 
 LIFT_UPPER = 0.05
 """How far a loose cap lifts off [m] (paper code: 0.05)."""
@@ -216,18 +216,12 @@ def _handle_shapes(design: BottleDesign, at: tuple[float, float], wall: Material
     return tuple(rod(first, last, 0.007, wall) for first, last in itertools.pairwise(points))
 
 
-def cap_range(bottle: ArticulatedObject) -> float:
-    """Returns the nominal range of the cap to either side [rad]."""
-    return bottle.joint("cap").limits[1]
-
-
 __all__ = [
     "CAP_RANGE",
     "LIFT_UPPER",
     "BottleDesign",
     "Range",
     "build_bottle",
-    "cap_range",
     "draw_design",
     "make_bottle",
 ]

@@ -20,10 +20,10 @@ from lerobot_adamanip.objects.base import (
     annotate,
     from_above,
 )
-from lerobot_adamanip.objects.lathe import swivelled
-from lerobot_adamanip.objects.pen_parts import Pen, barrel_shapes, cap_shapes, tip_shapes
-from lerobot_adamanip.objects.pen_recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
-from lerobot_adamanip.objects.pen_stands import Stand, draw_stand, stand_shapes
+from lerobot_adamanip.objects.pen.parts import Pen, barrel_shapes, cap_shapes, tip_shapes
+from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
+from lerobot_adamanip.objects.pen.stands import Stand, draw_stand, stand_shapes
+from lerobot_adamanip.objects.shaping.lathe import swivelled
 from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 LIFT_UPPER = 0.05
@@ -132,9 +132,4 @@ def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:
     )
 
 
-def cap_range(pen: ArticulatedObject) -> float:
-    """Returns the nominal range of the cap to either side [rad]."""
-    return pen.joint("cap").limits[1]
-
-
-__all__ = ["CAP_RANGE", "LIFT_UPPER", "PenDesign", "build_pen", "cap_range", "draw_design", "make_pen"]
+__all__ = ["CAP_RANGE", "LIFT_UPPER", "PenDesign", "build_pen", "draw_design", "make_pen"]

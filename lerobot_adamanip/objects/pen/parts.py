@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.bottle_caps import darker
-from lerobot_adamanip.objects.lathe import SIDES, Ring, decal, fluted, grip_solid, patch, turned
-from lerobot_adamanip.objects.shapes import box, chamfered_box, convex_mesh
+from lerobot_adamanip.objects.shaping.lathe import SIDES, Ring, decal, fluted, grip_solid, patch, turned
+from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, convex_mesh
 from lerobot_adamanip.rotations import transform
 
 END = {"dome": 0.0055, "flat": 0.0015, "cone": 0.0035, "finial": 0.0065}
@@ -161,6 +160,6 @@ def tip_shapes(pen: Pen, lip: float, axis: tuple[float, float]) -> tuple[Shape, 
     length, start, end = {"ball": (0.012, 0.62, 0.10), "felt": (0.012, 0.34, 0.20), "brush": (0.018, 0.40, 0.04)}.get(
         pen.tip, (0.010, 0.42, 0.40)
     )
-    ink = Material((0.62, 0.62, 0.63), 0.3, 0.9) if pen.tip == "ball" else darker(pen.cap)
+    ink = Material((0.62, 0.62, 0.63), 0.3, 0.9) if pen.tip == "ball" else pen.cap.darker()
     cone = (Ring(base, start * r), Ring(base + min(length, room - neck), end * r))
     return (*shapes, *turned(cone, ink, axis=axis, sides=SIDES // 2, collides=False))

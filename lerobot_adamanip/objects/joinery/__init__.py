@@ -1,0 +1,1 @@
+"""What doors and windows have in common: frames, leaves, handles."""
