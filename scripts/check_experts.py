@@ -21,8 +21,8 @@ from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.evaluation.metrics import wilson_interval
 from lerobot_adamanip.objects import parse_object_selection
 
-SEED_OFFSET = 5_000_000
-"""Away from the seeds of demonstrations and evaluations."""
+FIRST_SEED = 5_000_000
+"""Away from the seeds of demonstrations and evaluations; experts were tuned on these."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,13 @@ def _drive(env: Any, episode: Episode) -> Episode:
     return replace(episode, success=success, key_frames=count, hidden=hidden, reason=reason)
 
 
-def plan(category: str, kinds: list[str], seeds: int, unseen: int) -> list[Episode]:
+def plan(category: str, kinds: list[str], seeds: int, unseen: int, first_seed: int = FIRST_SEED) -> list[Episode]:
     """Every object, ``seeds`` times for each expert; both experts meet the same episodes."""
     from lerobot_adamanip.objects import seen_objects, unseen_objects
 
     splits = {"seen": seen_objects(category), "unseen": unseen_objects(category, unseen)}
     return [
-        Episode(category, kind, split, name, SEED_OFFSET + 1000 * repeat + number)
+        Episode(category, kind, split, name, first_seed + 1000 * repeat + number)
         for repeat in range(seeds)
         for split, names in splits.items()
         for number, name in enumerate(names, start=0 if split == "seen" else len(splits["seen"]))
@@ -150,6 +150,7 @@ def main() -> int:
     parser.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="which kind of object, or all")
     parser.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of seen and unseen ones")
     parser.add_argument("--seeds", type=int, default=1, help="episodes of each object and expert")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="of the episodes")
     parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
     parser.add_argument("--unseen", type=int, default=20, help="number of unseen objects")
     parser.add_argument("--experts", nargs="+", choices=("adaptive", "static"), default=["adaptive", "static"])
@@ -162,7 +163,9 @@ def main() -> int:
     from tqdm import tqdm
 
     names = CATEGORIES if options.category == ALL else (options.category,)
-    episodes = [e for name in names for e in plan(name, options.experts, options.seeds, options.unseen)]
+    episodes = [
+        e for name in names for e in plan(name, options.experts, options.seeds, options.unseen, options.first_seed)
+    ]
     if options.objects:
         wanted = parse_object_selection(options.category, options.objects)
         episodes = [e for e in episodes if e.object_id in wanted]

@@ -22,6 +22,7 @@ from lerobot_env_adamanip.arm import LEVEL_REST, NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.building import build_object, sapien_pose
 from lerobot_env_adamanip.driver import ArmState, KeyframeDriver, MotionLimits
 from lerobot_env_adamanip.layout import Layout, Reach, draw_layout, randomization
+from lerobot_env_adamanip.rendering import keep_shaders
 from lerobot_env_adamanip.robot import AdaManipPanda
 
 CAMERA = "front"
@@ -132,6 +133,11 @@ class AdaManipTask(BaseEnv):
     def _default_human_render_camera_configs(self) -> CameraConfig:
         pose = sapien_utils.look_at(CAMERA_EYE, CAMERA_TARGET)
         return CameraConfig("render_camera", pose, 512, 512, np.deg2rad(52), 0.01, 10)
+
+    def _setup_scene(self) -> None:
+        super()._setup_scene()
+        if self.scene.can_render():
+            keep_shaders(self._render_device)
 
     def _load_agent(self, options: dict[str, Any], *args: Any, **kwargs: Any) -> None:
         super()._load_agent(options, sapien.Pose())

@@ -1,0 +1,24 @@
+"""What a process keeps of the renderer from one environment to the next."""
+
+from __future__ import annotations
+
+import atexit
+from typing import Any
+
+import sapien
+
+_kept: list[sapien.render.RenderSystem] = []
+atexit.register(_kept.clear)
+
+
+def keep_shaders(device: Any) -> None:
+    """Holds a renderer on ``device`` (a `sapien.Device`) until the process ends.
+
+    SAPIEN drops its compiled shaders with the last renderer, so that every environment after the first would compile
+    them again: 5 s of two cores without a GPU.
+    """
+    if not _kept:
+        _kept.append(sapien.render.RenderSystem(device))
+
+
+__all__ = ["keep_shaders"]
