@@ -30,7 +30,7 @@ class MotionLimits:
         linear_acceleration: [m/s^2] peak; low enough that the arm's own inertia never looks like a stall.
         angular_acceleration: [rad/s^2] peak.
         stall_position: [m] that the tool lags behind its target, for ``stall_ticks``, end a motion: some 30 N.
-        stall_rotation: [rad] likewise: 1.25 N m about the approach, which is what two fingers can hold.
+        stall_rotation: [rad] likewise: 1.1 N m about the approach, which is what two fingers can hold.
         stall_ticks: control ticks.
         settle_ticks: at most waited for the arm to come to rest.
         finger_speed: [m/s] of each finger. Unbounded, they would be inside what they close on within one physics step.
