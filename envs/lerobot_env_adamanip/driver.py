@@ -58,6 +58,11 @@ class MotionLimits:
     reach_upper: tuple[float, float, float] = (0.95, 0.7, 1.1)
 
 
+GENTLE = MotionLimits(angular_speed=0.8, stall_rotation=0.03, stall_ticks=3)
+"""For round parts: at the usual speed a blocked one slips by up to 20 degrees in the fingers before the arm gives up,
+and then it looks as if it had followed."""
+
+
 @dataclass
 class ArmState:
     """What the joints tell. Arrays are (7,) but ``fingers`` (2,): [rad], [rad/s], [m]."""

@@ -28,4 +28,5 @@ def _pull(hand: Hand, handle: PartAnnotation, joint: str) -> Attempt:
         if blocked or hand.felt.gripper < EMPTY_HAND:
             hand.trial += 1
             return False
+    yield from hand.insist(handle, joint, PULL_ANGLES[-1])
     return True

@@ -20,6 +20,8 @@ FOLLOWED = 0.5
 """A part that has covered this share of a commanded motion follows; one that has not is blocked."""
 EMPTY_HAND = 0.05
 """Finger opening below which nothing is between them: the grip was torn off."""
+MAX_PULLS = 3
+"""More pulls at what came along and stalled before it was open."""
 REST: Mapping[str, float] = {}
 
 Frames = Generator[Goal, Feedback, None]
@@ -73,6 +75,13 @@ class Hand:
     ) -> Frames:
         """Moves a held part until ``joint`` stands at ``position`` [rad or m], ``others`` where they are."""
         yield from self.go(part.moved({**others, joint: position}), 0.0, phase)
+
+    def insist(self, part: PartAnnotation, joint: str, position: float, others: Mapping[str, float] = REST) -> Frames:
+        """Repeats a motion that has stalled on its way: from where the hand is now, a stiff joint comes farther."""
+        for _ in range(MAX_PULLS):
+            if not self.felt.failed:
+                return
+            yield from self.move(part, joint, position, Phase.OPEN, others)
 
     def followed(self, part: PartAnnotation, joint: str, others: Mapping[str, float] = REST) -> float:
         """Returns where ``joint`` stands [rad or m], as the hand that holds its part tells."""

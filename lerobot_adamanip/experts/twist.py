@@ -170,6 +170,7 @@ class TwistExpert:
             # Also later on: a grip that slips leaves the final joint behind, and the hand has to go about it anew.
             if hand.felt.failed and followed < FOLLOWED * position:
                 return False
+        yield from hand.insist(self.part, twist.final, twist.opening[-1], key)
         return True
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.arm import HIGH_REST
-from lerobot_env_adamanip.driver import MotionLimits
+from lerobot_env_adamanip.driver import GENTLE, MotionLimits
 from lerobot_env_adamanip.layout import Reach
 from lerobot_env_adamanip.tasks.base import LIFT_REACH, AdaManipTask, turn_then_open
 
@@ -19,8 +19,7 @@ class CappedTask(AdaManipTask):
 
     part_height: ClassVar[float] = 0.57
     plinth_least: ClassVar[float] = 0.07
-    motion: ClassVar[MotionLimits] = MotionLimits(angular_speed=0.8, stall_rotation=0.03, stall_ticks=3)
-    """At the usual speed a blocked cap slips by 20 degrees in the fingers before the arm gives up."""
+    motion: ClassVar[MotionLimits] = GENTLE
     solver_iterations: ClassVar[int] = 40
     """With ManiSkill's 15 the fingers sink 2 mm into a cap, a third of a slim pen's."""
     rest: ClassVar[NDArray[np.float64]] = HIGH_REST

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.arm import DOWN_REST
+from lerobot_env_adamanip.driver import GENTLE, MotionLimits
 from lerobot_env_adamanip.layout import Reach
 from lerobot_env_adamanip.tasks.base import AdaManipTask
 
@@ -28,6 +29,7 @@ class LampTask(AdaManipTask):
     category: ClassVar[str] = "lamp"
     nominal_x: ClassVar[float] = 0.44
     part_height: ClassVar[float] = 0.56
+    motion: ClassVar[MotionLimits] = GENTLE
     rest: ClassVar[NDArray[np.float64]] = DOWN_REST
 
     def reaches(self, obj: ArticulatedObject) -> tuple[Reach, ...]:
