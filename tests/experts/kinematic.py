@@ -64,6 +64,7 @@ class KinematicWorld:
         hidden: hidden values; those left out are drawn with ``draw``.
         layout: seed of where the object stands.
         torn: this many pulls at the joint that opens end with an empty hand that has reached its goal.
+        stride: how far the joint that opens comes at most in one key frame [rad or m]; a stiff one stalls on its way.
         preset: of the mechanism.
     """
 
@@ -75,6 +76,7 @@ class KinematicWorld:
         draw: int = 0,
         layout: int = 0,
         torn: int = 0,
+        stride: float = np.inf,
         preset: str = "paper",
     ) -> None:
         self.obj = cached_object(name)
@@ -85,7 +87,7 @@ class KinematicWorld:
         self.joints = dict.fromkeys(self.mechanism.joints, 0.0)
         self.final, self.key = self.mechanism.joints
         self.held: PartAnnotation | None = None
-        self.torn = torn
+        self.torn, self.stride = torn, stride
         self.feedback = Feedback(transform((0.4, 0.0, 0.6)), 1.0)
         self.moves: list[Move | None] = []
         self.successes: list[bool] = []
@@ -148,7 +150,9 @@ class KinematicWorld:
             self.held = None
             return Feedback(goal.tcp_in_base.copy(), 0.0, Outcome.REACHED)
         wanted = start + motion.followed(part.moved(self.joints), goal.tcp_in_base)
-        self.joints[joint] = float(np.clip(wanted, *self._limits()[joint]))
+        reach = self.stride if joint == self.final else np.inf
+        near = np.clip(wanted, start - reach, start + reach)
+        self.joints[joint] = float(np.clip(near, *self._limits()[joint]))
         self._limits()
         beyond, play = wanted - self.joints[joint], PLAY[motion.kind]
         felt = part.moved({**self.joints, joint: self.joints[joint] + float(np.clip(beyond, -play, play))})

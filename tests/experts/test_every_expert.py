@@ -176,3 +176,14 @@ def test_an_expert_with_the_wrong_knowledge_is_refused(category: str, options: d
 def test_every_category_s_sequence_is_told_in_words() -> None:
     assert set(SEQUENCES) == set(CATEGORIES)
     assert all(len(words) > 20 for words in SEQUENCES.values())
+
+
+@pytest.mark.parametrize("category", ["safe", "microwave", "window", "door"])
+@fast
+@given(seeds, seeds)
+def test_a_leaf_that_comes_along_but_stiffly_is_pulled_until_it_is_open(category: str, draw: int, seed: int) -> None:
+    """Four pulls at 7.4 degrees each end just short of the 30 that count."""
+    for kind in (adaptive, static):
+        world = KinematicWorld(seen_objects(category)[0], draw=draw, stride=np.deg2rad(7.4))
+        episode = run(world, kind(world, seed))
+        assert np.rad2deg(episode.opened) > 30, episode.phases
