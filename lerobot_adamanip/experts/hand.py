@@ -20,6 +20,8 @@ FOLLOWED = 0.5
 """A part that has covered this share of a commanded motion follows; one that has not is blocked."""
 EMPTY_HAND = 0.05
 """Finger opening below which nothing is between them: the grip was torn off."""
+MAX_APPROACHES = 3
+"""Ways to a part that are tried: the arm may get stuck, at its limits or at what stands beside the part."""
 MAX_PULLS = 3
 """More pulls at what came along and stalled before it was open."""
 REST: Mapping[str, float] = {}
@@ -52,8 +54,11 @@ class Hand:
     def hold(self, part: PartAnnotation, positions: Mapping[str, float] = REST) -> Frames:
         """Goes to a part whose joints stand at ``positions``, and closes the fingers."""
         grasp = part.moved(positions)
-        yield from self.go(before(grasp) @ self._jitter(), 1.0, Phase.APPROACH)
-        yield from self.go(grasp, 1.0, Phase.APPROACH)
+        for _ in range(MAX_APPROACHES):
+            yield from self.go(before(grasp) @ self._jitter(), 1.0, Phase.APPROACH)
+            yield from self.go(grasp, 1.0, Phase.APPROACH)
+            if not self.felt.failed:
+                break
         yield from self.go(grasp, 0.0, Phase.GRASP)
 
     def touch(self, part: PartAnnotation) -> Frames:
