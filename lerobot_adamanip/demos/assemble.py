@@ -97,7 +97,8 @@ def _finish(root: Path, options: CollectOptions, records: list[dict[str, Any]], 
             explain("LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json",
                     try_="lerobot 0.6.1")
         )  # fmt: skip
-    write_stats(schema.fix_pose_statistics(stats), root)
+    fixed = schema.fix_pose_statistics(stats)
+    write_stats({key: fixed[key] for key in sorted(fixed)}, root)  # LeRobot's order changes from run to run
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in _JSON_COLUMNS})
     write_atomically(root / "meta" / "cameras.json", _cameras([record["camera"] for record in records]))
