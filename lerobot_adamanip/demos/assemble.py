@@ -97,8 +97,8 @@ def _finish(root: Path, options: CollectOptions, records: list[dict[str, Any]], 
             explain("LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json",
                     try_="lerobot 0.6.1")
         )  # fmt: skip
-    fixed = schema.fix_pose_statistics(stats)
-    write_stats({key: fixed[key] for key in sorted(fixed)}, root)  # LeRobot's order changes from run to run
+    # Sorted, because LeRobot's order changes from run to run.
+    write_stats(dict(sorted(schema.fix_pose_statistics(stats).items())), root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in _JSON_COLUMNS})
     write_atomically(root / "meta" / "cameras.json", _cameras([record["camera"] for record in records]))

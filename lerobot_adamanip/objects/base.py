@@ -268,3 +268,12 @@ def facing(position: ArrayLike, roll: float = 0.0) -> Pose:
     """
     columns = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     return transform(position, rotation_about((1.0, 0.0, 0.0), roll) @ columns)
+
+
+def kind_of(number: int, kinds: Sequence[str], stream: int) -> str:
+    """Returns the kind of object ``number``; ``stream`` tells one category's draw from another's.
+
+    Every kind comes once in each run of numbers, in an order of that run's own: none is missing among the seen ones.
+    """
+    order = np.random.default_rng([number // len(kinds), stream]).permutation(len(kinds))
+    return kinds[int(order[number % len(kinds)])]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -26,13 +25,6 @@ every_environment = pytest.mark.parametrize("env_type", SINGLE)
 
 def config_of(env_type: str, **options: Any) -> Any:
     return EnvConfig.get_choice_class(env_type)(**{**SMALL, **options})
-
-
-@pytest.fixture(scope="module")
-def simulator() -> Iterator[OneSimulator]:
-    one = OneSimulator()
-    yield one
-    one.close()
 
 
 @pytest.fixture

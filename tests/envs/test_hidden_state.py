@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,13 +26,6 @@ HIDDEN: dict[str, list[dict[str, Any]]] = {
 }
 every_category = pytest.mark.parametrize("category", CATEGORIES)
 EPISODES = 24
-
-
-@pytest.fixture(scope="module")
-def simulator() -> Iterator[OneSimulator]:
-    one = OneSimulator()
-    yield one
-    one.close()
 
 
 @pytest.fixture

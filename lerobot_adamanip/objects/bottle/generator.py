@@ -21,6 +21,7 @@ from lerobot_adamanip.objects.base import (
     annotate,
     any_roll,
     from_above,
+    kind_of,
 )
 from lerobot_adamanip.objects.bottle.caps import Cap, cap_shapes
 from lerobot_adamanip.objects.bottle.labels import Label, draw_label, label_shapes
@@ -38,6 +39,7 @@ FINGER_TIP = 0.0125
 """Kept between a grip and what is below the cap [m]: fingers reach 9 mm past the point between their pads."""
 GRIP_BELOW_TOP = 0.02
 """Distance of a grip from the upper edge of a tall cap [m]: all of the pads on the cap, the palm clear of it."""
+_STREAM = 0xB0771E
 
 
 @dataclass(frozen=True)
@@ -135,10 +137,7 @@ def _rise(kind: str, part: float) -> float:
 
 def make_bottle(number: int) -> ArticulatedObject:
     """Builds bottle ``number`` (32 in the paper's set; any number is an object)."""
-    kinds = tuple(RECIPES)
-    # Every kind once in each run of numbers, in an order of that run's own: none is missing among the seen ones.
-    order = np.random.default_rng([number // len(kinds), 0xB0771E]).permutation(len(kinds))
-    design = draw_design(np.random.default_rng([number, 0xB0771E]), kinds[order[number % len(kinds)]])
+    design = draw_design(np.random.default_rng([number, _STREAM]), kind_of(number, tuple(RECIPES), _STREAM))
     return build_bottle(f"bottle_{number:03d}", design)
 
 

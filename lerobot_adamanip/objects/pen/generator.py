@@ -19,6 +19,7 @@ from lerobot_adamanip.objects.base import (
     Shape,
     annotate,
     from_above,
+    kind_of,
 )
 from lerobot_adamanip.objects.pen.parts import Pen, barrel_shapes, cap_shapes, tip_shapes
 from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
@@ -39,6 +40,7 @@ CLIP_TURN, CLIP_SPREAD = np.pi / 4, 0.38
 way."""
 SUNK = 0.7
 """Share of a stand's height that the barrel goes down into it."""
+_STREAM = 0x9E17
 
 
 @dataclass(frozen=True)
@@ -87,10 +89,7 @@ def _stand_materials(rng: np.random.Generator) -> tuple[Material, Material, Mate
 
 def make_pen(number: int) -> ArticulatedObject:
     """Builds pen ``number`` (36 in the paper's set; any number is an object)."""
-    kinds = tuple(RECIPES)
-    # Every kind once in each run of numbers, in an order of that run's own: none is missing among the seen ones.
-    order = np.random.default_rng([number // len(kinds), 0x9E17]).permutation(len(kinds))
-    design = draw_design(np.random.default_rng([number, 0x9E17]), kinds[order[number % len(kinds)]])
+    design = draw_design(np.random.default_rng([number, _STREAM]), kind_of(number, tuple(RECIPES), _STREAM))
     return build_pen(f"pen_{number:03d}", design)
 
 
