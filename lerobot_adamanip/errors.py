@@ -6,7 +6,21 @@ from collections.abc import Iterable
 
 
 class AdaManipError(Exception):
-    """Base of every error this project raises on purpose."""
+    """Base of every error this project raises on purpose. It formats itself.
+
+    Args:
+        what: went wrong, one sentence.
+        got: what was given.
+        allowed: what is allowed instead.
+        hint: what to try.
+
+    Given ``what`` alone, that is the message.
+    """
+
+    def __init__(self, what: str, *, got: object = None, allowed: object = None, hint: object = None) -> None:
+        facts = (("got", got), ("allowed", allowed), ("try", hint))
+        told = [f"  {name + ':':<8} {value}" for name, value in facts] if allowed is not None else []
+        super().__init__("\n".join([what, *told]))
 
 
 class ConfigurationError(AdaManipError, ValueError):
@@ -25,30 +39,21 @@ class UnreachableError(AdaManipError, RuntimeError):
     """No layout or pose within the arm's reach was found."""
 
 
-def explain(what: str, *, got: object, allowed: object, try_: str) -> str:
-    """Formats the four facts that every error message of this project carries."""
-    return f"{what}\n  got:     {got}\n  allowed: {allowed}\n  try:     {try_}"
-
-
-def require_choice(what: str, got: str, choices: Iterable[str], *, try_: str | None = None) -> str:
+def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | None = None) -> str:
     """Returns ``got`` if it is one of ``choices``; raises `ConfigurationError` that lists them if not."""
     names = sorted(choices)
     if got in names:
         return got
     raise ConfigurationError(
-        explain(
-            f"Unknown {what}.", got=repr(got), allowed=", ".join(names), try_=try_ or f"one of the allowed {what} names"
-        )
+        f"Unknown {what}.", got=repr(got), allowed=", ".join(names), hint=hint or f"one of the allowed {what} names"
     )
 
 
 def no_vulkan_device(reason: object) -> SimulatorError:
     """Returns the error for a machine on which SAPIEN finds nothing to render with."""
     return SimulatorError(
-        explain(
-            "SAPIEN found no Vulkan device to render with.",
-            got=reason,
-            allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
-            try_="adamanip doctor",
-        )
+        "SAPIEN found no Vulkan device to render with.",
+        got=reason,
+        allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
+        hint="adamanip doctor",
     )

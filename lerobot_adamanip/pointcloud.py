@@ -8,7 +8,7 @@ import fpsample
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 
 Cloud = NDArray[np.float32]
 
@@ -37,7 +37,7 @@ def check_num_points(num_points: int) -> int:
     if 1 <= num_points <= 16_384:
         return num_points
     raise ConfigurationError(
-        explain("Wrong number of points in the cloud.", got=num_points, allowed="1 ... 16384", try_="--num-points 1024")
+        "Wrong number of points in the cloud.", got=num_points, allowed="1 ... 16384", hint="--num-points 1024"
     )
 
 

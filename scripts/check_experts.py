@@ -17,9 +17,9 @@ from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from typing import Any
 
+from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.evaluation.metrics import wilson_interval
-from lerobot_adamanip.objects import parse_object_selection
 
 FIRST_SEED = 5_000_000
 """Away from the seeds of demonstrations and evaluations; experts were tuned on these."""
@@ -71,9 +71,12 @@ def _drive(env: Any, episode: Episode) -> Episode:
 
     hidden = env.hidden_state()
     expert = make_expert(
-        episode.category, episode.kind, env.layout.annotations, generator=np.random.default_rng(episode.seed),
+        episode.category,
+        episode.kind,
+        env.layout.annotations,
+        generator=np.random.default_rng(episode.seed),
         hidden=hidden if episode.kind == "static" else None,
-    )  # fmt: skip
+    )
     success, count, goal = False, 0, next(expert)
     while not success and count < MAX_KEY_FRAMES:
         felt = env.driver.execute(goal.action())
@@ -88,7 +91,7 @@ def _drive(env: Any, episode: Episode) -> Episode:
 
 def plan(category: str, kinds: list[str], seeds: int, unseen: int, first_seed: int = FIRST_SEED) -> list[Episode]:
     """Every object, ``seeds`` times for each expert; both experts meet the same episodes."""
-    from lerobot_adamanip.objects import seen_objects, unseen_objects
+    from lerobot_adamanip.catalog import seen_objects, unseen_objects
 
     splits = {"seen": seen_objects(category), "unseen": unseen_objects(category, unseen)}
     return [
@@ -126,9 +129,16 @@ def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
         low, high = wilson_interval(len(opened), len(chosen))
         frames = sum(e.key_frames for e in opened) / len(opened) if opened else None
         rows.append(
-            {"category": category, "expert": kind, "split": split, "episodes": len(chosen), "opened": len(opened),
-             "wilson_95": [low, high], "mean_key_frames": frames}
-        )  # fmt: skip
+            {
+                "category": category,
+                "expert": kind,
+                "split": split,
+                "episodes": len(chosen),
+                "opened": len(opened),
+                "wilson_95": [low, high],
+                "mean_key_frames": frames,
+            }
+        )
     return sorted(rows, key=lambda row: (row["category"], row["expert"], row["split"]))
 
 

@@ -7,11 +7,12 @@ import math
 import sys
 from pathlib import Path
 
+from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.experts import SEQUENCES
-from lerobot_adamanip.experts.twist import TWISTS, upstream
+from lerobot_adamanip.experts.turn_to_open import TURN_TO_OPEN, upstream
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
-from lerobot_adamanip.objects import ArticulatedObject, Joint, make_object, object_id
+from lerobot_adamanip.objects import ArticulatedObject, Joint
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "categories.md"
 INTRODUCTION = """# Categories
@@ -82,7 +83,7 @@ def page() -> str:
     )
     lines += ["## What upstream's code does instead\n", "| category | what | paper's text (default) | `upstream` |"]
     lines += ["|---|---|---|---|", *deviations]
-    for name, style in TWISTS.items():
+    for name, style in TURN_TO_OPEN.items():
         theirs = upstream(name)
         first = "first" if style.p_open_first else "after any turn"
         lines.append(

@@ -13,7 +13,7 @@ say() { printf '== %s\n' "$*"; }
 has() { command -v "$1" >/dev/null 2>&1; }
 
 # In a process of its own: a broken driver may segfault instead of raising.
-renders() { timeout 180 .venv/bin/python -m lerobot_adamanip.cli.render_probe; }
+renders() { timeout 180 .venv/bin/python -m lerobot_adamanip.cli.doctor.render_probe; }
 
 can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.experts import SEQUENCES, make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
-from lerobot_adamanip.objects import make_object, object_id
 
 ROOT = Path(__file__).resolve().parents[1]
 

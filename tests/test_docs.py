@@ -149,16 +149,16 @@ def collect_fake_demos(root: Path) -> None:
     from demos_helpers import ATTEMPTS, OPTIONS
 
     from lerobot_adamanip.demos.collect import collect
-    from lerobot_adamanip.demos.options import CollectOptions
+    from lerobot_adamanip.demos.collection import CollectionSpec
 
     root.parent.mkdir()
-    collect(root, CollectOptions(**OPTIONS), max_attempts=ATTEMPTS)
+    collect(root, CollectionSpec(**OPTIONS), max_attempts=ATTEMPTS)
 
 
 def write_foreign_safe(folder: Path) -> None:
     """A small object in AdaManip's layout."""
     sys.path.insert(0, str(ROOT / "tests" / "objects"))
-    from foreign_folders import adamanip_safe
+    from asset_folders import adamanip_safe
 
     adamanip_safe(folder)
 
@@ -211,7 +211,7 @@ def test_labels_in_the_contract_table_are_the_codes() -> None:
 
 @pytest.mark.sim  # the driver's module imports sapien
 def test_motion_limits_are_the_codes() -> None:
-    from lerobot_env_adamanip.driver import MotionLimits
+    from lerobot_adamanip.keyframes import MotionLimits
 
     written = {name: float(value) for name, value, _ in table("limits")}
     actual = {key: value for key, value in dataclasses.asdict(MotionLimits()).items() if not key.startswith("reach_")}
@@ -219,14 +219,14 @@ def test_motion_limits_are_the_codes() -> None:
 
 
 def test_seed_numbers_are_the_codes() -> None:
-    from lerobot_adamanip.demos.options import DEMO_SEED_START
+    from lerobot_adamanip.demos.collection import DEMO_SEED_START
 
     text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
     assert f"{DEMO_SEED_START:,}" in text
 
 
 def test_history_drawings_are_the_presets() -> None:
-    from lerobot_policy_adamanip.configuration_dp3_adaptive import PRESETS
+    from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import PRESETS
 
     text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
     names = ("n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lerobot_adamanip import errors
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, explain, require_choice
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, require_choice
 
 KINDS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, Exception)]
 
@@ -33,11 +33,13 @@ def test_who_does_not_know_the_project_catches_python_s_own_kinds(name: str, bui
 
 
 def test_an_explanation_carries_its_four_facts_in_order() -> None:
-    first, got, allowed, advice = explain("It broke.", got=3, allowed="1 or 2", try_="two").splitlines()
+    first, got, allowed, advice = str(AdaManipError("It broke.", got=3, allowed="1 or 2", hint="two")).splitlines()
     assert first == "It broke."
     assert [line.split() for line in (got, allowed, advice)] == [
-        ["got:", "3"], ["allowed:", "1", "or", "2"], ["try:", "two"],
-    ]  # fmt: skip
+        ["got:", "3"],
+        ["allowed:", "1", "or", "2"],
+        ["try:", "two"],
+    ]
 
 
 @given(st.lists(st.text(min_size=1), min_size=1, unique=True), st.data())
@@ -59,4 +61,4 @@ def test_no_choice_is_refused_with_all_that_are(got: str) -> None:
 
 def test_a_caller_may_know_better_what_to_try() -> None:
     with pytest.raises(ConfigurationError, match=r"try: +--colour red"):
-        require_choice("colour", "blue", ["red"], try_="--colour red")
+        require_choice("colour", "blue", ["red"], hint="--colour red")

@@ -23,8 +23,11 @@ def statistics(dims: dict[str, int], seed: int = 0) -> dict[str, dict[str, np.nd
 def test_widths_are_the_contract_s() -> None:
     features = schema.dataset_features()
     assert {key: features[key]["shape"] for key in (*POSES, schema.EFFORT, schema.POINT_CLOUD)} == {
-        schema.ACTION: (10,), schema.STATE: (24,), schema.EFFORT: (7,), schema.POINT_CLOUD: (1024, 3),
-    }  # fmt: skip
+        schema.ACTION: (10,),
+        schema.STATE: (24,),
+        schema.EFFORT: (7,),
+        schema.POINT_CLOUD: (1024, 3),
+    }
 
 
 def test_every_named_dimension_has_one_name() -> None:

@@ -15,7 +15,7 @@ from lerobot_env_adamanip.config import (
     AdaManipWindowEnvConfig,
 )
 from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
-from lerobot_policy_adamanip.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 if "lerobot.datasets.lerobot_dataset" in sys.modules:
     # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.

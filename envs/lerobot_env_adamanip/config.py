@@ -9,7 +9,7 @@ import gymnasium as gym
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.schema import (
     ACTION,
     ACTION_DIM,
@@ -114,7 +114,7 @@ def make_vector_env(
 
     if n_envs < 1:
         raise ConfigurationError(
-            explain("Wrong number of environments.", got=n_envs, allowed=">= 1", try_="--eval.batch_size=2")
+            "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
         )
     functions = [lambda: KeyframeEnv(category, **kwargs) for _ in range(n_envs)]
     # More than one simulator in a process would render one after the other; a process each uses every core.
@@ -130,7 +130,7 @@ def make_vector_env(
 
 
 @dataclass
-class _TwistEnvConfig(AdaManipEnvConfig):
+class _TurnToOpenEnvConfig(AdaManipEnvConfig):
     """What turns one way only and opens then."""
 
     # Fix the hidden direction for an evaluation: 1, -1, or leave it to the draw.
@@ -139,7 +139,7 @@ class _TwistEnvConfig(AdaManipEnvConfig):
 
 @EnvConfig.register_subclass("adamanip_bottle")
 @dataclass
-class AdaManipBottleEnvConfig(_TwistEnvConfig):
+class AdaManipBottleEnvConfig(_TurnToOpenEnvConfig):
     """Turn a bottle's cap, nobody knows which way and how far, and lift it."""
 
     category: ClassVar[str] = "bottle"
@@ -147,7 +147,7 @@ class AdaManipBottleEnvConfig(_TwistEnvConfig):
 
 @EnvConfig.register_subclass("adamanip_pen")
 @dataclass
-class AdaManipPenEnvConfig(_TwistEnvConfig):
+class AdaManipPenEnvConfig(_TurnToOpenEnvConfig):
     """Turn a pen's cap, nobody knows which way and how far, and lift it."""
 
     category: ClassVar[str] = "pen"
@@ -155,7 +155,7 @@ class AdaManipPenEnvConfig(_TwistEnvConfig):
 
 @EnvConfig.register_subclass("adamanip_pressure_cooker")
 @dataclass
-class AdaManipPressureCookerEnvConfig(_TwistEnvConfig):
+class AdaManipPressureCookerEnvConfig(_TurnToOpenEnvConfig):
     """Turn a pressure cooker's lid by its handle, nobody knows which way and how far, and lift it."""
 
     category: ClassVar[str] = "pressure_cooker"
@@ -163,7 +163,7 @@ class AdaManipPressureCookerEnvConfig(_TwistEnvConfig):
 
 @EnvConfig.register_subclass("adamanip_coffee_maker")
 @dataclass
-class AdaManipCoffeeMakerEnvConfig(_TwistEnvConfig):
+class AdaManipCoffeeMakerEnvConfig(_TurnToOpenEnvConfig):
     """Turn a portafilter by its handle, nobody knows which way and how far, and lower it."""
 
     category: ClassVar[str] = "coffee_maker"
@@ -193,7 +193,7 @@ class AdaManipMicrowaveEnvConfig(AdaManipEnvConfig):
 
 @EnvConfig.register_subclass("adamanip_window")
 @dataclass
-class AdaManipWindowEnvConfig(_TwistEnvConfig):
+class AdaManipWindowEnvConfig(_TurnToOpenEnvConfig):
     """Turn a window's handle, nobody knows which way and how far, and pull the sash open."""
 
     category: ClassVar[str] = "window"
@@ -201,7 +201,7 @@ class AdaManipWindowEnvConfig(_TwistEnvConfig):
 
 @EnvConfig.register_subclass("adamanip_door")
 @dataclass
-class AdaManipDoorEnvConfig(_TwistEnvConfig):
+class AdaManipDoorEnvConfig(_TurnToOpenEnvConfig):
     """Turn a door's lever, nobody knows which way and how far, and pull the leaf open."""
 
     category: ClassVar[str] = "door"

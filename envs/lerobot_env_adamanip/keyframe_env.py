@@ -11,18 +11,19 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import (
     AdaManipError,
     ConfigurationError,
     SimulatorError,
-    explain,
     no_vulkan_device,
     require_choice,
 )
-from lerobot_adamanip.experts.base import Feedback
+from lerobot_adamanip.keyframes import Feedback
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
-from lerobot_adamanip.objects import PartAnnotation, select_objects
+from lerobot_adamanip.objects import PartAnnotation
+from lerobot_adamanip.observation import state_vector, workspace_cloud
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import (
     ACTION_DIM,
@@ -33,8 +34,8 @@ from lerobot_adamanip.schema import (
     NUM_JOINTS,
     STATE_DIM,
 )
-from lerobot_env_adamanip.episode import EpisodeMonitor
-from lerobot_env_adamanip.layout import randomization
+from lerobot_env_adamanip.episode_log import EpisodeMonitor
+from lerobot_env_adamanip.sim.placement import randomization
 
 Observation = dict[str, Any]
 
@@ -89,7 +90,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.category, self.num_points, self.workspace = category, check_num_points(num_points), workspace
         self.task = self.task_description = CATEGORIES[category].instruction
         self.render_mode = "rgb_array"
-        self._max_episode_steps = max_key_frames
+        self._max_episode_steps = self.max_key_frames = max_key_frames
         self._observe_images = observe_images
         self._episode_log = Path(episode_log) if episode_log else None
         self._task_options = {
@@ -204,7 +205,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._sim
 
     def _observe(self) -> Observation:
-        from lerobot_env_adamanip.observation import capture, state_vector, workspace_cloud
+        from lerobot_env_adamanip.sim.camera import capture
 
         sim = self._running()
         self._image, points = capture(sim.scene, sim._sensors["front"])
@@ -230,9 +231,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             os.close(descriptor)
 
 
-def _check_range(what: str, got: int, lowest: int, highest: int, try_: str) -> None:
+def _check_range(what: str, got: int, lowest: int, highest: int, hint: str) -> None:
     if not lowest <= got <= highest:
-        raise ConfigurationError(explain(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", try_=try_))
+        raise ConfigurationError(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", hint=hint)
 
 
 def make_task(category: str, **options: Any) -> Any:
@@ -244,14 +245,14 @@ def make_task(category: str, **options: Any) -> Any:
     try:
         import mani_skill.envs  # noqa: F401  (ManiSkill's own tasks, and its registry)
 
-        import lerobot_env_adamanip.tasks  # noqa: F401  (registers the tasks)
+        import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
     except ImportError as error:
         raise SimulatorError(
-            explain(
-                "The simulator is not installed.", got=error, allowed="mani-skill 3.0.1 and sapien 3.0.3",
-                try_="pip install 'lerobot_env_adamanip[sim]'",
-            )
-        ) from error  # fmt: skip
+            "The simulator is not installed.",
+            got=error,
+            allowed="mani-skill 3.0.1 and sapien 3.0.3",
+            hint="pip install 'lerobot_env_adamanip[sim]'",
+        ) from error
     try:
         return gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
     except RuntimeError as error:

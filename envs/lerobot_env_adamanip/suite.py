@@ -9,7 +9,7 @@ import gymnasium as gym
 from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_env_adamanip.config import AdaManipEnvConfig, make_vector_env
 
 
@@ -38,11 +38,11 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
         names = tuple(name.strip() for name in self.categories.split(",") if name.strip())
         if not names or len(set(names)) != len(names) or not set(names) <= set(CATEGORIES):
             raise ConfigurationError(
-                explain(
-                    "Unknown categories.", got=repr(self.categories), allowed=f"{ALL}, or of {', '.join(CATEGORIES)}",
-                    try_="--env.categories=safe,microwave",
-                )
-            )  # fmt: skip
+                "Unknown categories.",
+                got=repr(self.categories),
+                allowed=f"{ALL}, or of {', '.join(CATEGORIES)}",
+                hint="--env.categories=safe,microwave",
+            )
         return names
 
     def create_envs(

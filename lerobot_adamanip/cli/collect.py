@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Literal
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.demos.collect import Listener, Summary, collect
-from lerobot_adamanip.demos.options import CollectOptions
-from lerobot_adamanip.demos.publish import publish, require_hub_name
-from lerobot_adamanip.objects import select_objects
+from lerobot_adamanip.demos.collect import CollectSummary, Listener, collect
+from lerobot_adamanip.demos.collection import CollectionSpec
+from lerobot_adamanip.hub.publish import publish, require_hub_name
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -92,7 +92,7 @@ class Collect:
         """Collects, and publishes if asked to; 0 when the dataset is complete, 130 after Ctrl-C."""
         if self.push_to_hub:
             require_hub_name(self.repo_id)
-        options = CollectOptions(
+        options = CollectionSpec(
             category=self.category,
             objects=self._objects(),
             expert=self.expert,
@@ -127,7 +127,7 @@ class Collect:
             return select_objects(self.category, self.objects, self.assets)
         return tuple(name for category in CATEGORIES for name in select_objects(category, self.objects, self.assets))
 
-    def _collect(self, options: CollectOptions) -> Summary:
+    def _collect(self, options: CollectionSpec) -> CollectSummary:
         # What libraries print must not get into the JSON.
         with _progress(quiet=self.json) as listener, contextlib.redirect_stdout(sys.stderr):
             return collect(
@@ -140,7 +140,7 @@ class Collect:
                 listener=listener,
             )
 
-    def _print(self, summary: Summary) -> None:
+    def _print(self, summary: CollectSummary) -> None:
         if self.json:
             rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
             print(json.dumps({**dataclasses.asdict(summary), **rate}))
@@ -165,7 +165,7 @@ def _changed(**presets: tuple[str | None, str | None]) -> dict[str, str | None]:
     return {name: value for name, (value, default) in presets.items() if value != default}
 
 
-def _print_categories(summary: Summary) -> None:
+def _print_categories(summary: CollectSummary) -> None:
     print(f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}")
     for name, row in summary.categories.items():
         rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"

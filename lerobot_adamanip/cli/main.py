@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol, cast
 
 import lerobot_adamanip
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, explain
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -25,19 +25,22 @@ class Entry(NamedTuple):
 
 COMMANDS = {
     "doctor": Entry(
-        "lerobot_adamanip.cli.doctor:Doctor", "check what is installed and what can render, and say what to do"
+        "lerobot_adamanip.cli.doctor.command:Doctor", "check what is installed and what can render, and say what to do"
     ),
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
-    "objects": Entry("lerobot_adamanip.cli.objects:Objects", "draw a contact sheet of the objects of a category"),
+    "objects": Entry(
+        "lerobot_adamanip.cli.objects.command:Objects", "draw a contact sheet of the objects of a category"
+    ),
     "annotate": Entry(
-        "lerobot_adamanip.cli.annotate:Annotate", "say in the browser where the parts of somebody's objects are held"
+        "lerobot_adamanip.cli.annotate.command:Annotate",
+        "say in the browser where the parts of somebody's objects are held",
     ),
     "report": Entry(
         "lerobot_adamanip.cli.report:Report", "success rates with intervals, trials and plots of an evaluation"
     ),
     "bench": Entry(
-        "lerobot_adamanip.cli.bench:Bench", "measure collection, simulation, observation, training and action"
+        "lerobot_adamanip.cli.bench.command:Bench", "measure collection, simulation, observation, training and action"
     ),
 }
 
@@ -75,7 +78,7 @@ def load(name: str) -> type[Command]:
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"adamanip {near[0]}" if near else "adamanip --help"
-        raise ConfigurationError(explain("Unknown command.", got=repr(name), allowed=", ".join(COMMANDS), try_=hint))
+        raise ConfigurationError("Unknown command.", got=repr(name), allowed=", ".join(COMMANDS), hint=hint)
     module, _, attribute = COMMANDS[name].target.partition(":")
     try:
         return cast(type[Command], getattr(importlib.import_module(module), attribute))
@@ -89,11 +92,9 @@ def _missing(command: str, package: str) -> AdaManipError:
     what = f"`adamanip {command}` needs a package that is not installed."
     if root in _SIMULATOR_PACKAGES:
         advice = "pip install 'lerobot_env_adamanip[sim]'"
-        return SimulatorError(
-            explain(what, got=f"no module {package}", allowed="the simulator's packages", try_=advice)
-        )
+        return SimulatorError(what, got=f"no module {package}", allowed="the simulator's packages", hint=advice)
     advice = "install the project again; `adamanip doctor` shows what is missing"
-    return ConfigurationError(explain(what, got=f"no module {package}", allowed="a complete installation", try_=advice))
+    return ConfigurationError(what, got=f"no module {package}", allowed="a complete installation", hint=advice)
 
 
 def execute(name: str, options: Sequence[str]) -> int:

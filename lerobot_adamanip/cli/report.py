@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import tyro
 
-from lerobot_adamanip.errors import ConfigurationError, explain
-from lerobot_adamanip.evaluation.episode_log import read_log
-from lerobot_adamanip.evaluation.metrics import Rate, Summary, difference_interval, rate, summarise
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.metrics import EvaluationSummary, Rate, difference_interval, rate, summarise
+from lerobot_adamanip.evaluation.record import read_log
 
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
 _FILE_WIDTH = 200
@@ -45,7 +45,7 @@ class Report:
         labels = self._labels()
         if self.plot is not None and self.plot.suffix.lower() not in _PLOT_FORMATS:
             raise ConfigurationError(
-                explain("Unknown kind of picture.", got=self.plot, allowed=", ".join(_PLOT_FORMATS), try_="curve.png")
+                "Unknown kind of picture.", got=self.plot, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
             )
         evaluations = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
         summaries = {label: summarise(records) for label, records in evaluations.items()}
@@ -64,7 +64,7 @@ class Report:
     def _labels(self) -> list[str]:
         if not self.logs:
             raise ConfigurationError(
-                explain("No episode log given.", got="nothing", allowed="one or more files", try_="adamanip report LOG")
+                "No episode log given.", got="nothing", allowed="one or more files", hint="adamanip report LOG"
             )
         if not self.label:
             stems = [path.stem for path in self.logs]
@@ -72,14 +72,12 @@ class Report:
         if len(self.label) != len(self.logs) or len(set(self.label)) != len(self.label):
             got = f"{len(self.label)} labels ({', '.join(self.label)}) for {len(self.logs)} logs"
             raise ConfigurationError(
-                explain(
-                    "Labels do not fit.", got=got, allowed="one per log, all different", try_="--label adaptive static"
-                )
+                "Labels do not fit.", got=got, allowed="one per log, all different", hint="--label adaptive static"
             )
         return list(self.label)
 
 
-def to_json(logs: dict[str, Path], summaries: dict[str, Summary], plot: Path | None) -> dict[str, Any]:
+def to_json(logs: dict[str, Path], summaries: dict[str, EvaluationSummary], plot: Path | None) -> dict[str, Any]:
     """The machine's version: ``evaluations`` (label, log, summary each), ``differences`` from the first, ``plot``."""
     first, *others = summaries.items()
     return {
@@ -102,7 +100,7 @@ def to_json(logs: dict[str, Path], summaries: dict[str, Summary], plot: Path | N
     }
 
 
-def _difference(first: Summary, second: Summary, group: str) -> tuple[float, float, float]:
+def _difference(first: EvaluationSummary, second: EvaluationSummary, group: str) -> tuple[float, float, float]:
     return difference_interval(getattr(first, group), getattr(second, group))
 
 
@@ -112,7 +110,7 @@ def _percent(value: Rate) -> str:
     return f"{100 * value.rate:.1f} %  [{100 * value.low:.1f}, {100 * value.high:.1f}]  {value.count}/{value.episodes}"
 
 
-def print_tables(summaries: dict[str, Summary]) -> None:
+def print_tables(summaries: dict[str, EvaluationSummary]) -> None:
     """The human's version: a column per log, then differences, then the objects that failed."""
     from rich.console import Console
     from rich.markup import escape
@@ -144,7 +142,7 @@ def print_tables(summaries: dict[str, Summary]) -> None:
         console.print(f"Failures by object, {label}: {text}", markup=False, highlight=False)
 
 
-def _rows(summaries: list[Summary]) -> list[tuple[str, list[str]]]:
+def _rows(summaries: list[EvaluationSummary]) -> list[tuple[str, list[str]]]:
     groups = ("overall", "locked", "unlocked", "seen", "unseen")
     names = {"overall": "all", "seen": "seen objects", "unseen": "unseen objects"}
     rows = [("episodes", [str(summary.episodes) for summary in summaries])]

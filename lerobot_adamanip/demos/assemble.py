@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.demos.card import dataset_card
-from lerobot_adamanip.demos.options import CollectOptions, Folders, write_manifest
-from lerobot_adamanip.demos.shards import Episode, read_shard, sync_folder, write_atomically
-from lerobot_adamanip.errors import DatasetError, explain
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, write_manifest
+from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard, sync_folder, write_atomically
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hub.cards import dataset_card
 
 _VIDEO_FILE_MB = 25
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
@@ -25,8 +25,8 @@ _JSON_COLUMNS = ("hidden_state", "camera", "versions", "failures", "episode_reco
 
 
 def assemble(
-    folders: Folders,
-    options: CollectOptions,
+    folders: CollectionPaths,
+    options: CollectionSpec,
     shards: list[Path],
     repo_id: str,
     progress: Callable[[int, int], None],
@@ -38,7 +38,7 @@ def assemble(
     """
     if not shards:
         raise DatasetError(
-            explain("No episode was recorded.", got="0 episodes", allowed="1 or more", try_="a larger --max-attempts")
+            "No episode was recorded.", got="0 episodes", allowed="1 or more", hint="a larger --max-attempts"
         )
     shutil.rmtree(folders.assembling, ignore_errors=True)
     first = read_shard(shards[0])
@@ -55,7 +55,7 @@ def assemble(
     sync_folder(folders.root.parent)
 
 
-def _create(root: Path, options: CollectOptions, first: Episode, repo_id: str) -> Any:
+def _create(root: Path, options: CollectionSpec, first: RecordedEpisode, repo_id: str) -> Any:
     import av
     import datasets
     from lerobot.configs.video import RGBEncoderConfig
@@ -81,22 +81,21 @@ def _create(root: Path, options: CollectOptions, first: Episode, repo_id: str) -
     )
 
 
-def _append(dataset: Any, episode: Episode) -> None:
+def _append(dataset: Any, episode: RecordedEpisode) -> None:
     for row in range(len(episode)):
         frame = {key: column[row] for key, column in episode.columns.items()}
         dataset.add_frame({**frame, "task": episode.record["task"]})
     dataset.save_episode()
 
 
-def _finish(root: Path, options: CollectOptions, records: list[dict[str, Any]], repo_id: str) -> None:
+def _finish(root: Path, options: CollectionSpec, records: list[dict[str, Any]], repo_id: str) -> None:
     from lerobot.datasets.io_utils import load_stats, write_stats
 
     stats = load_stats(root)
     if stats is None:
         raise DatasetError(
-            explain("LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json",
-                    try_="lerobot 0.6.1")
-        )  # fmt: skip
+            "LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json", hint="lerobot 0.6.1"
+        )
     # Sorted, because LeRobot's order changes from run to run.
     write_stats(dict(sorted(schema.fix_pose_statistics(stats).items())), root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.demos.assemble import assemble
-from lerobot_adamanip.demos.options import (
-    CollectOptions,
-    Folders,
-    Item,
+from lerobot_adamanip.demos.collection import (
+    CollectionPaths,
+    CollectionSpec,
+    EpisodeSpec,
     read_manifest,
     require_same,
     write_manifest,
@@ -23,7 +23,7 @@ from lerobot_adamanip.demos.options import (
 from lerobot_adamanip.demos.pool import WorkerPool
 from lerobot_adamanip.demos.shards import read_record
 from lerobot_adamanip.demos.worker import Report
-from lerobot_adamanip.errors import ConfigurationError, DatasetError, explain
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
 Listener = Callable[[str, int, int], None]
 """Told of progress: stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, in all."""
@@ -54,7 +54,7 @@ class CategorySummary:
 
 
 @dataclass(frozen=True)
-class Summary:
+class CollectSummary:
     """What a run of `collect` did.
 
     Attributes:
@@ -89,14 +89,14 @@ class Summary:
 
 def collect(
     root: Path,
-    options: CollectOptions,
+    options: CollectionSpec,
     *,
     workers: int = 1,
     repo_id: str | None = None,
     max_attempts: int = 5,
     allow_missing: bool = False,
     listener: Listener | None = None,
-) -> Summary:
+) -> CollectSummary:
     """Records the episodes that ``root`` still lacks and makes a LeRobotDataset of them all.
 
     Neither ``workers`` nor interruptions change the data. A complete dataset is left as it is.
@@ -116,11 +116,13 @@ def collect(
     """
     if workers < 1 or max_attempts < 1:
         raise ConfigurationError(
-            explain("Too small.", got=f"workers = {workers}, max_attempts = {max_attempts}", allowed="1 or more",
-                    try_="--workers 2 --max-attempts 5")
-        )  # fmt: skip
+            "Too small.",
+            got=f"workers = {workers}, max_attempts = {max_attempts}",
+            allowed="1 or more",
+            hint="--workers 2 --max-attempts 5",
+        )
     begin = time.monotonic()
-    folders = Folders(root.absolute())
+    folders = CollectionPaths(root.absolute())
     tell = listener or (lambda stage, done, total: None)
     if _is_complete(folders, options):
         folders.clean()
@@ -131,10 +133,11 @@ def collect(
         failures = tuple(_describe(report) for report in reports if not report.recorded)
         if failures and not allow_missing:
             raise DatasetError(
-                explain(f"{len(failures)} episodes could not be recorded.", got="\n           ".join(failures),
-                        allowed=f"a success within {max_attempts} attempts each",
-                        try_="the same command with a larger --max-attempts, or --allow-missing to do without")
-            )  # fmt: skip
+                f"{len(failures)} episodes could not be recorded.",
+                got="\n           ".join(failures),
+                allowed=f"a success within {max_attempts} attempts each",
+                hint="the same command with a larger --max-attempts, or --allow-missing to do without",
+            )
         shards = [path for item in options.items() if (path := folders.episodes / item.file_name).exists()]
         assemble(folders, options, shards, repo_id or f"local/{root.name}", lambda i, n: tell("assemble", i, n))
         summary = _summary(folders.root, options, reports, begin=begin, recording=recording, failures=failures)
@@ -142,21 +145,22 @@ def collect(
     return summary
 
 
-def _is_complete(folders: Folders, options: CollectOptions) -> bool:
+def _is_complete(folders: CollectionPaths, options: CollectionSpec) -> bool:
     if folders.manifest.exists():
         require_same(read_manifest(folders.manifest), options, folders.root)
         return True
     if folders.root.is_file() or (folders.root.is_dir() and any(folders.root.iterdir())):
         raise DatasetError(
-            explain("There is something else at the root of the dataset.", got=folders.root,
-                    allowed="a folder that does not exist, is empty, or was made by `adamanip collect`",
-                    try_="another --root")
-        )  # fmt: skip
+            "There is something else at the root of the dataset.",
+            got=folders.root,
+            allowed="a folder that does not exist, is empty, or was made by `adamanip collect`",
+            hint="another --root",
+        )
     return False
 
 
 @contextlib.contextmanager
-def _prepared(folders: Folders, options: CollectOptions) -> Iterator[None]:
+def _prepared(folders: CollectionPaths, options: CollectionSpec) -> Iterator[None]:
     """Makes the partial folder, or checks the one there, and keeps other collections out of it meanwhile."""
     folders.episodes.mkdir(parents=True, exist_ok=True)
     with open(folders.partial / "lock", "w") as lock:
@@ -164,9 +168,11 @@ def _prepared(folders: Folders, options: CollectOptions) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise DatasetError(
-                explain("Another collection is at work here.", got=folders.partial, allowed="one at a time",
-                        try_="--workers 2 for more speed, or another --root")
-            ) from error  # fmt: skip
+                "Another collection is at work here.",
+                got=folders.partial,
+                allowed="one at a time",
+                hint="--workers 2 for more speed, or another --root",
+            ) from error
         if any(folders.episodes.glob("*.safetensors")) and folders.partial_manifest.exists():
             require_same(read_manifest(folders.partial_manifest), options, folders.partial)
         else:
@@ -175,7 +181,11 @@ def _prepared(folders: Folders, options: CollectOptions) -> Iterator[None]:
 
 
 def _record(
-    folders: Folders, options: CollectOptions, workers: int, max_attempts: int, tell: Callable[[str, int, int], None]
+    folders: CollectionPaths,
+    options: CollectionSpec,
+    workers: int,
+    max_attempts: int,
+    tell: Callable[[str, int, int], None],
 ) -> list[Report]:
     items = options.items()
     missing = [item for item in items if not _is_recorded(folders, item)]
@@ -198,7 +208,7 @@ def _record(
     return reports
 
 
-def _is_recorded(folders: Folders, item: Item) -> bool:
+def _is_recorded(folders: CollectionPaths, item: EpisodeSpec) -> bool:
     path = folders.episodes / item.file_name
     return path.exists() and read_record(path) is not None
 
@@ -211,18 +221,18 @@ def _describe(report: Report) -> str:
 
 def _summary(
     root: Path,
-    options: CollectOptions,
+    options: CollectionSpec,
     reports: list[Report],
     *,
     begin: float,
     recording: float = 0.0,
     failures: tuple[str, ...] = (),
-) -> Summary:
+) -> CollectSummary:
     from lerobot_adamanip.demos.loading import episode_table
 
     rows = episode_table(root).select(["object_id", "attempts", "length"]).to_pylist()
     tried = [int(row["attempts"]) for row in rows]
-    return Summary(
+    return CollectSummary(
         root=str(root),
         episodes=len(tried),
         recorded=sum(report.recorded for report in reports),
@@ -237,7 +247,7 @@ def _summary(
 
 
 def _by_category(
-    options: CollectOptions, rows: list[dict[str, Any]], reports: list[Report]
+    options: CollectionSpec, rows: list[dict[str, Any]], reports: list[Report]
 ) -> dict[str, CategorySummary]:
     summaries = {}
     for category in dict.fromkeys(options.category_of(name) for name in options.objects):

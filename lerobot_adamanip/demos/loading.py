@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.demos.options import Folders
-from lerobot_adamanip.errors import DatasetError, explain
+from lerobot_adamanip.demos.collection import CollectionPaths
+from lerobot_adamanip.errors import DatasetError
 
 
 def load_check(root: str | Path, *, num_points: int | None = None) -> dict[str, Any]:
@@ -52,24 +52,30 @@ def episode_table(root: str | Path) -> pa.Table:
 
 
 def _missing(folder: Path) -> DatasetError:
-    partial = Folders(folder)
+    partial = CollectionPaths(folder)
     if partial.partial.is_dir():
         done = len(list(partial.episodes.glob("*.safetensors")))
         return DatasetError(
-            explain("This dataset is not finished.", got=f"{done} episodes in {partial.partial}",
-                    allowed=f"a complete dataset at {folder}", try_="the same `adamanip collect` command; it resumes")
-        )  # fmt: skip
+            "This dataset is not finished.",
+            got=f"{done} episodes in {partial.partial}",
+            allowed=f"a complete dataset at {folder}",
+            hint="the same `adamanip collect` command; it resumes",
+        )
     return DatasetError(
-        explain("There is no dataset.", got=folder, allowed="a folder that `adamanip collect` wrote",
-                try_=f"adamanip collect --category safe --root {folder.name}")
-    )  # fmt: skip
+        "There is no dataset.",
+        got=folder,
+        allowed="a folder that `adamanip collect` wrote",
+        hint=f"adamanip collect --category safe --root {folder.name}",
+    )
 
 
 def _half_written(what: object) -> DatasetError:
     return DatasetError(
-        explain("This dataset is half written or damaged.", got=what, allowed="complete Parquet, JSON and video files",
-                try_="collect it again: delete the folder and run `adamanip collect`")
-    )  # fmt: skip
+        "This dataset is half written or damaged.",
+        got=what,
+        allowed="complete Parquet, JSON and video files",
+        hint="collect it again: delete the folder and run `adamanip collect`",
+    )
 
 
 def _info(folder: Path) -> dict[str, Any]:
@@ -107,6 +113,8 @@ def _check_features(folder: Path, info: dict[str, Any], num_points: int | None) 
         wanted = tuple(expected[key]["shape"])
         if found.get(key) != wanted:
             raise DatasetError(
-                explain(f"Column {key} does not fit.", got=f"shape {found.get(key, 'missing')} in {folder}",
-                        allowed=f"shape {wanted}", try_=f"adamanip collect --num-points {points}, or another dataset")
-            )  # fmt: skip
+                f"Column {key} does not fit.",
+                got=f"shape {found.get(key, 'missing')} in {folder}",
+                allowed=f"shape {wanted}",
+                hint=f"adamanip collect --num-points {points}, or another dataset",
+            )

@@ -14,7 +14,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.demos.options import CollectOptions, Item
+from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec
 from lerobot_adamanip.demos.worker import Report, worker_main
 from lerobot_adamanip.errors import AdaManipError
 
@@ -32,17 +32,17 @@ class WorkerError(AdaManipError, RuntimeError):
 class _Worker:
     process: SpawnProcess
     pipe: Connection
-    item: Item
+    item: EpisodeSpec
 
 
 class WorkerPool:
     """Runs items on up to ``count`` spawned processes. Use as a context manager: leaving it ends them."""
 
-    def __init__(self, count: int, options: CollectOptions, folder: Path, max_attempts: int) -> None:
+    def __init__(self, count: int, options: CollectionSpec, folder: Path, max_attempts: int) -> None:
         self._count = count
         self._arguments = (options.to_json(), str(folder), max_attempts)
         self._workers: list[_Worker] = []
-        self._crashes: dict[Item, int] = {}
+        self._crashes: dict[EpisodeSpec, int] = {}
         self._crashes_in_a_row = 0
 
     def __enter__(self) -> WorkerPool:
@@ -59,7 +59,7 @@ class WorkerPool:
                 worker.process.join()
         self._workers.clear()
 
-    def run(self, items: Iterable[Item]) -> Iterator[Report]:
+    def run(self, items: Iterable[EpisodeSpec]) -> Iterator[Report]:
         """Yields a report per item, in the order they finish; raises `WorkerError`."""
         queue = deque(items)
         while queue or self._workers:
@@ -78,7 +78,7 @@ class WorkerPool:
                 if report is not None:
                     yield report
 
-    def _start(self, item: Item) -> _Worker:
+    def _start(self, item: EpisodeSpec) -> _Worker:
         context = mp.get_context("spawn")
         here, there = context.Pipe()
         process = context.Process(target=worker_main, args=(there, *self._arguments), daemon=True)
@@ -90,7 +90,7 @@ class WorkerPool:
         return worker
 
     @staticmethod
-    def _assign(worker: _Worker, item: Item) -> None:
+    def _assign(worker: _Worker, item: EpisodeSpec) -> None:
         worker.item = item
         with contextlib.suppress(OSError):  # a dead worker is noticed when its answer is read
             worker.pipe.send(asdict(item))
@@ -112,7 +112,7 @@ class WorkerPool:
         self._crashes_in_a_row = 0
         return Report(**{**content, "item": worker.item})
 
-    def _crashed(self, worker: _Worker, queue: deque[Item]) -> Report | None:
+    def _crashed(self, worker: _Worker, queue: deque[EpisodeSpec]) -> Report | None:
         worker.pipe.close()
         worker.process.join(_STOP_SECONDS)
         cause = _cause(worker.process.exitcode)

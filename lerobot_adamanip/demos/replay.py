@@ -10,18 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.demos.collection import read_manifest
 from lerobot_adamanip.demos.loading import episode_table, open_dataset
-from lerobot_adamanip.demos.options import read_manifest
-from lerobot_adamanip.demos.recorder import KeyframeEnv, observation_columns
 from lerobot_adamanip.demos.video import write_video
 from lerobot_adamanip.demos.worker import make_env
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.observation import observation_columns
+from lerobot_adamanip.rollout import KeyframeEnvironment
 
 _COMPARED = (schema.STATE, schema.POINT_CLOUD, schema.EFFORT)
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayResult:
     """How a replay compares with its recording.
 
     Attributes:
@@ -56,7 +57,7 @@ class _Recording:
     row: dict[str, Any]
 
 
-def replay(root: str | Path, episode: int, *, video: str | Path | None = None) -> Replay:
+def replay(root: str | Path, episode: int, *, video: str | Path | None = None) -> ReplayResult:
     """Runs an episode's recorded actions from its recorded seed and compares what is seen.
 
     Args:
@@ -84,7 +85,7 @@ def replay(root: str | Path, episode: int, *, video: str | Path | None = None) -
         pairs = [np.concatenate([recorded[t], seen[t][schema.FRONT_IMAGE]], axis=1) for t in range(count)]
         write_video(video, pairs, schema.FPS)
     row = recording.row
-    return Replay(
+    return ReplayResult(
         episode=episode,
         object_id=row["object_id"],
         seed=row["seed"],
@@ -100,7 +101,7 @@ def _read(root: Path, episode: int) -> _Recording:
     dataset = open_dataset(root, video_backend="pyav")
     if not 0 <= episode < dataset.num_episodes:
         raise ConfigurationError(
-            explain("No such episode.", got=episode, allowed=f"0 to {dataset.num_episodes - 1}", try_="--episode 0")
+            "No such episode.", got=episode, allowed=f"0 to {dataset.num_episodes - 1}", hint="--episode 0"
         )
     row = episode_table(root).slice(episode, 1).to_pylist()[0]
     frames = [dataset[index] for index in range(row["dataset_from_index"], row["dataset_to_index"])]
@@ -110,7 +111,7 @@ def _read(root: Path, episode: int) -> _Recording:
     return _Recording(columns, row)
 
 
-def _run(env: KeyframeEnv, recording: _Recording) -> tuple[list[dict[str, NDArray[Any]]], bool]:
+def _run(env: KeyframeEnvironment, recording: _Recording) -> tuple[list[dict[str, NDArray[Any]]], bool]:
     """Returns what was seen before each action, until the recording or the replayed episode ends, and success."""
     observation, _ = env.reset(seed=recording.row["seed"], options={"object_id": recording.row["object_id"]})
     seen, success = [], False

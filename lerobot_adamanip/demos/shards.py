@@ -16,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.errors import DatasetError, explain
+from lerobot_adamanip.errors import DatasetError
 
 _PNG = f"{schema.FRONT_IMAGE}.png"
 _PNG_ENDS = f"{schema.FRONT_IMAGE}.png_ends"
@@ -24,7 +24,7 @@ _RECORD = "record"
 
 
 @dataclass(frozen=True)
-class Episode:
+class RecordedEpisode:
     """A recorded episode.
 
     Attributes:
@@ -59,7 +59,7 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def write_shard(path: Path, episode: Episode) -> None:
+def write_shard(path: Path, episode: RecordedEpisode) -> None:
     """Writes an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
     tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
     images = [_png(image) for image in tensors.pop(schema.FRONT_IMAGE)]
@@ -69,7 +69,7 @@ def write_shard(path: Path, episode: Episode) -> None:
     write_atomically(path, save(tensors, metadata=header))
 
 
-def read_shard(path: Path) -> Episode:
+def read_shard(path: Path) -> RecordedEpisode:
     """Reads an episode back; raises `DatasetError` if the file is missing or damaged."""
     try:
         with safe_open(path, framework="numpy") as file:
@@ -80,10 +80,12 @@ def read_shard(path: Path) -> Episode:
         images = [_unpng(png[start:end]) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
     except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
         raise DatasetError(
-            explain("Cannot read a recorded episode.", got=f"{path}: {error}", allowed="an intact episode file",
-                    try_="delete this file and run the same `adamanip collect` command again")
-        ) from error  # fmt: skip
-    return Episode({**columns, schema.FRONT_IMAGE: np.stack(images)}, record)
+            "Cannot read a recorded episode.",
+            got=f"{path}: {error}",
+            allowed="an intact episode file",
+            hint="delete this file and run the same `adamanip collect` command again",
+        ) from error
+    return RecordedEpisode({**columns, schema.FRONT_IMAGE: np.stack(images)}, record)
 
 
 def read_record(path: Path) -> dict[str, Any] | None:

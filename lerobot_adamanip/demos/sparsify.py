@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d
 
 _LEVER = 0.1
@@ -37,9 +37,11 @@ class DenseTrajectory:
         wanted = ((count, schema.ACTION_DIM), (count,), (count, schema.ACTION_DIM))
         if shapes != wanted:
             raise ConfigurationError(
-                explain("A trajectory's arrays do not fit together.", got=f"pose, speed, command: {shapes}",
-                        allowed=f"{wanted}", try_="DenseTrajectory.from_samples(pose, rate)")
-            )  # fmt: skip
+                "A trajectory's arrays do not fit together.",
+                got=f"pose, speed, command: {shapes}",
+                allowed=f"{wanted}",
+                hint="DenseTrajectory.from_samples(pose, rate)",
+            )
 
     @classmethod
     def from_samples(

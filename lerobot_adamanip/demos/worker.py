@@ -19,10 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.demos.options import CollectOptions, Item, episode_seed
-from lerobot_adamanip.demos.recorder import EpisodeRecorder, EpisodeResult, KeyframeEnv, run_episode
-from lerobot_adamanip.demos.shards import Episode, write_shard
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, UnreachableError, explain
+from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.demos.recorder import EpisodeRecorder
+from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, UnreachableError
+from lerobot_adamanip.rollout import KeyframeEnvironment, RolloutResult, rollout
 
 _VERSIONED = ("lerobot_env_adamanip", "lerobot", "mani_skill", "sapien", "numpy", "torch")
 _EXPERT_STREAM = 1
@@ -43,7 +44,7 @@ class Report:
         error: text of an error that no other episode would survive.
     """
 
-    item: Item | None
+    item: EpisodeSpec | None
     recorded: bool = False
     attempts: int = 0
     key_frames: int = 0
@@ -59,16 +60,20 @@ def resolve(path: str) -> Callable[..., Any]:
         function: Callable[..., Any] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigurationError(
-            explain(f"Cannot import a factory: {error}.", got=path, allowed="module:function",
-                    try_="adamanip doctor, which shows what is not installed")
-        ) from error  # fmt: skip
+            f"Cannot import a factory: {error}.",
+            got=path,
+            allowed="module:function",
+            hint="adamanip doctor, which shows what is not installed",
+        ) from error
     return function
 
 
-def make_env(options: CollectOptions, object_id: str) -> KeyframeEnv:
+def make_env(options: CollectionSpec, object_id: str) -> KeyframeEnvironment:
     """Builds the environment of a collection in which an object can be worked on."""
     factory, category = resolve(options.env_factory), options.category_of(object_id)
-    env: KeyframeEnv = factory(category, options.num_points, image_size=options.image_size, **options.env_options)
+    env: KeyframeEnvironment = factory(
+        category, options.num_points, image_size=options.image_size, **options.env_options
+    )
     return env
 
 
@@ -84,8 +89,8 @@ def versions() -> dict[str, str]:
 
 
 def attempt_episode(
-    env: KeyframeEnv, options: CollectOptions, object_id: str, seed: int
-) -> tuple[EpisodeResult, Episode]:
+    env: KeyframeEnvironment, options: CollectionSpec, object_id: str, seed: int
+) -> tuple[RolloutResult, RecordedEpisode]:
     """Records one episode, successful or not."""
     observation, _ = env.reset(seed=seed, options={"object_id": object_id})
     hidden, camera = env.hidden_state(), env.camera_parameters()
@@ -99,23 +104,25 @@ def attempt_episode(
         **options.expert_options,
     )
     recorder = EpisodeRecorder()
-    result = run_episode(env, observation, expert, recorder)
+    result = rollout(env, observation, expert, recorder.record)
     record = {
         "object_id": object_id,
         "seed": seed,
         "hidden_state": hidden,
         "expert": options.expert,
-        "trials": result.trials,
+        "trials": recorder.trials,
         "success": result.success,
         "camera": camera,
         "task": env.task_description,
         "episode_record": env.episode_record(),
         "versions": versions(),
     }
-    return result, Episode(recorder.columns(), record)
+    return result, RecordedEpisode(recorder.columns(), record)
 
 
-def record_item(env: KeyframeEnv, options: CollectOptions, item: Item, folder: Path, max_attempts: int) -> Report:
+def record_item(
+    env: KeyframeEnvironment, options: CollectionSpec, item: EpisodeSpec, folder: Path, max_attempts: int
+) -> Report:
     """Tries seeds until the expert succeeds, and writes that episode."""
     failures: list[dict[str, Any]] = []
     for attempt in range(max_attempts):
@@ -130,7 +137,7 @@ def record_item(env: KeyframeEnv, options: CollectOptions, item: Item, folder: P
             failures.append({"seed": seed, "reason": result.reason})
             continue
         record = {**episode.record, "slot": item.slot, "attempts": attempt + 1, "failures": failures}
-        write_shard(folder / item.file_name, Episode(episode.columns, record))
+        write_shard(folder / item.file_name, RecordedEpisode(episode.columns, record))
         return Report(item, True, attempt + 1, len(episode), tuple(failures))
     return Report(item, False, max_attempts, 0, tuple(failures))
 
@@ -139,13 +146,13 @@ def worker_main(pipe: Connection, options: dict[str, Any], folder: str, max_atte
     """Serves items from ``pipe`` until it closes; builds its simulator with the first one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides what it means
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    wanted = CollectOptions.from_json(options)
-    env: KeyframeEnv | None = None
-    item: Item | None = None
+    wanted = CollectionSpec.from_json(options)
+    env: KeyframeEnvironment | None = None
+    item: EpisodeSpec | None = None
     category = ""
     try:
         while True:
-            item = Item(**pipe.recv())
+            item = EpisodeSpec(**pipe.recv())
             begin = time.monotonic()
             if env is None or category != wanted.category_of(item.object_id):
                 if env is not None:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
+from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 Z95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
@@ -52,7 +52,7 @@ class ObjectResult:
 
 
 @dataclass(frozen=True)
-class Summary:
+class EvaluationSummary:
     """What an evaluation amounts to.
 
     Attributes:
@@ -154,7 +154,7 @@ def count_tries(records: Sequence[EpisodeRecord]) -> Tries:
     return Tries(made / number, best / number, (made - best) / number)
 
 
-def summarise(records: Sequence[EpisodeRecord]) -> Summary:
+def summarise(records: Sequence[EpisodeRecord]) -> EvaluationSummary:
     """Summarises the records of an evaluation, each episode counted once."""
     kept = without_repeats(records)
 
@@ -164,7 +164,7 @@ def summarise(records: Sequence[EpisodeRecord]) -> Summary:
 
     locked = [record for record in kept if record.locked is True]
     lengths = [record.key_frames for record in kept if record.success]
-    return Summary(
+    return EvaluationSummary(
         episodes=len(kept),
         repeats=len(records) - len(kept),
         overall=success(lambda _: True),

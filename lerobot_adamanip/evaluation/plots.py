@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
 from lerobot_adamanip.evaluation.metrics import Rate, rate, summarise, without_repeats
+from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 _GROUPS = ("overall", "unlocked", "locked", "seen", "unseen")
 

@@ -7,31 +7,31 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from lerobot_adamanip.errors import ConfigurationError, explain, require_choice
-from lerobot_adamanip.experts import lamp, microwave, safe, twist
-from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Outcome, Phase
+from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.experts import lamp, microwave, safe, turn_to_open
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 EXPERT_KINDS = ("adaptive", "static")
 EXPERT_PRESETS = ("paper", "upstream")
-_TWISTED = twist.TWISTS
+_TURN_TO_OPEN = turn_to_open.TURN_TO_OPEN
 _ADAPTIVE: dict[str, Callable[..., KeyFrames]] = {
     "safe": safe.adaptive,
     "microwave": microwave.adaptive,
     "lamp": lamp.adaptive,
-    **{name: functools.partial(twist.adaptive, style) for name, style in _TWISTED.items()},
+    **{name: functools.partial(turn_to_open.adaptive, style) for name, style in _TURN_TO_OPEN.items()},
 }
 _STATIC: dict[str, Callable[..., KeyFrames]] = {
     "safe": safe.static,
     "microwave": microwave.static,
     "lamp": lamp.static,
-    **{name: functools.partial(twist.static, style) for name, style in _TWISTED.items()},
+    **{name: functools.partial(turn_to_open.static, style) for name, style in _TURN_TO_OPEN.items()},
 }
 SEQUENCES = {
     "safe": safe.SEQUENCE,
     "microwave": microwave.SEQUENCE,
     "lamp": lamp.SEQUENCE,
-    **{name: style.sequence for name, style in _TWISTED.items()},
+    **{name: style.sequence for name, style in _TURN_TO_OPEN.items()},
 }
 """What the adaptive expert of a category does, in words."""
 
@@ -61,21 +61,16 @@ def make_expert(
     if require_choice("expert", kind, EXPERT_KINDS) == "static":
         if hidden is None:
             raise ConfigurationError(
-                explain(
-                    "The static expert needs the hidden state.",
-                    got=None,
-                    allowed="a mapping",
-                    try_="env.hidden_state()",
-                )
+                "The static expert needs the hidden state.", got=None, allowed="a mapping", hint="env.hidden_state()"
             )
         return _STATIC[category](annotations, generator, hidden=hidden)
     if hidden is not None or trials < 1:
         got = "a hidden state" if hidden is not None else f"trials={trials}"
         raise ConfigurationError(
-            explain("Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", try_="kind='static'")
+            "Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", hint="kind='static'"
         )
-    if require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and category in _TWISTED:
-        return twist.adaptive(twist.upstream(category), annotations, generator, trials=trials)
+    if require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and category in _TURN_TO_OPEN:
+        return turn_to_open.adaptive(turn_to_open.upstream(category), annotations, generator, trials=trials)
     return _ADAPTIVE[category](annotations, generator, trials=trials)
 
 

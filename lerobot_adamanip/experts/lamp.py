@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.experts.base import KeyFrames, Phase
-from lerobot_adamanip.experts.hand import FOLLOWED, Attempt, Hand
+from lerobot_adamanip.experts.primitives import FOLLOWED, Attempt, Hand
+from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.018
@@ -29,7 +29,7 @@ Parts = Mapping[str, PartAnnotation]
 def adaptive(parts: Parts, rng: np.random.Generator, *, trials: int = 1) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
     hand = Hand(rng, trials)
-    yield from hand.hold(parts["knob"])
+    yield from hand.grasp(parts["knob"])
     for mode in rng.permutation(len(MOTIONS)):
         for _ in range(trials):
             if (yield from _attempt(hand, parts["knob"], int(mode))):
@@ -40,7 +40,7 @@ def adaptive(parts: Parts, rng: np.random.Generator, *, trials: int = 1) -> KeyF
 def static(parts: Parts, rng: np.random.Generator, *, hidden: Mapping[str, Any]) -> KeyFrames:
     """Optimal under full observation; ``hidden`` holds ``mode``."""
     hand = Hand(rng)
-    yield from hand.hold(parts["knob"])
+    yield from hand.grasp(parts["knob"])
     yield from _attempt(hand, parts["knob"], int(hidden["mode"]))
 
 
@@ -51,6 +51,6 @@ def _attempt(hand: Hand, knob: PartAnnotation, mode: int) -> Attempt:
     for number in range(1, count + 1):
         phase = Phase.TRY if number == 1 else Phase.OPEN
         yield from hand.move(knob, joint, direction * number * step, phase)
-        if hand.felt.failed:
+        if hand.feedback.failed:
             return number > 1 or direction * hand.followed(knob, joint) > FOLLOWED * step
     return True

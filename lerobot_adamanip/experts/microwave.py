@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.experts.base import KeyFrames, Phase
 from lerobot_adamanip.experts.doors import pull_door
-from lerobot_adamanip.experts.hand import Frames, Hand
+from lerobot_adamanip.experts.primitives import Frames, Hand
+from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.03
@@ -31,7 +31,7 @@ def adaptive(parts: Parts, rng: np.random.Generator, *, trials: int = 1) -> KeyF
     for _ in range(MAX_ROUNDS):
         if opened:
             return
-        yield from hand.let_go()
+        yield from hand.release()
         yield from push_button(hand, parts["button"])
         opened = yield from pull_door(hand, parts["handle"], "door", trials=1)
 
@@ -46,6 +46,6 @@ def static(parts: Parts, rng: np.random.Generator, *, hidden: Mapping[str, Any])
 
 def push_button(hand: Hand, button: PartAnnotation) -> Frames:
     """Pushes with the closed hand until the button stops it, and backs off."""
-    yield from hand.touch(button)
+    yield from hand.press(button)
     yield from hand.move(button, "button", PUSH, Phase.UNLOCK)
     yield from hand.back_off(0.0)

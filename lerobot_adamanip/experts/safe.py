@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.experts.base import KeyFrames, Phase
 from lerobot_adamanip.experts.doors import pull_door
-from lerobot_adamanip.experts.hand import FOLLOWED, Frames, Hand
+from lerobot_adamanip.experts.primitives import FOLLOWED, Frames, Hand
+from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 TURN_STEP = np.deg2rad(40.0)
@@ -34,10 +34,10 @@ def adaptive(parts: Parts, rng: np.random.Generator, *, trials: int = 1) -> KeyF
     for _ in range(MAX_ROUNDS):
         if opened:
             return
-        yield from hand.let_go()
+        yield from hand.release()
         first = int(rng.choice([-1, 1]))
         knob_angle = yield from unlock(hand, parts["knob"], knob_angle, (first, -first))
-        yield from hand.let_go()
+        yield from hand.release()
         opened = yield from pull_door(hand, parts["handle"], "door", trials=1)
 
 
@@ -46,13 +46,13 @@ def static(parts: Parts, rng: np.random.Generator, *, hidden: Mapping[str, Any])
     hand = Hand(rng)
     if hidden["locked"]:
         yield from unlock(hand, parts["knob"], 0.0, (int(hidden["direction"]),))
-        yield from hand.let_go()
+        yield from hand.release()
     yield from pull_door(hand, parts["handle"], "door")
 
 
 def unlock(hand: Hand, knob: PartAnnotation, start: float, directions: tuple[int, ...]) -> Any:
     """Turns the knob until it stops, in the first direction that it follows. Returns its angle [rad]."""
-    yield from hand.hold(knob, {"knob": start})
+    yield from hand.grasp(knob, {"knob": start})
     for direction in directions:
         yield from _turn_until_it_stops(hand, knob, start, direction)
         angle = hand.followed(knob, "knob")
@@ -66,5 +66,5 @@ def unlock(hand: Hand, knob: PartAnnotation, start: float, directions: tuple[int
 def _turn_until_it_stops(hand: Hand, knob: PartAnnotation, start: float, direction: int) -> Frames:
     for turn in range(1, MAX_TURNS + 1):
         yield from hand.move(knob, "knob", start + direction * turn * TURN_STEP, Phase.UNLOCK)
-        if hand.felt.failed:
+        if hand.feedback.failed:
             return

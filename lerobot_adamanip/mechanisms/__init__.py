@@ -20,7 +20,7 @@ from lerobot_adamanip.mechanisms.rotate_slide import RotateSlideState, RotateThe
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
 from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig, SafeState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
-from lerobot_adamanip.mechanisms.twist import TwistMechanism, TwistMechanismConfig
+from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
 from lerobot_adamanip.objects.base import ArticulatedObject
 
 MECHANISM_PRESETS = ("paper", "upstream")
@@ -28,11 +28,13 @@ LIFTED = 0.025
 """A cap, lid or portafilter is off beyond this [m] (paper code)."""
 
 
-def _twist(key: str, final: str, success: float, **upstream: float) -> Callable[[ArticulatedObject, str], Any]:
-    def make(obj: ArticulatedObject, preset: str) -> TwistMechanism:
-        config = TwistMechanismConfig(**(upstream if preset == "upstream" else {}))  # type: ignore[arg-type]
+def _turn_to_open(key: str, final: str, success: float, **upstream: float) -> Callable[[ArticulatedObject, str], Any]:
+    def make(obj: ArticulatedObject, preset: str) -> TurnToOpenMechanism:
+        config = TurnToOpenMechanismConfig(**(upstream if preset == "upstream" else {}))  # type: ignore[arg-type]
         key_range, final_upper = obj.joint(key).limits[1], obj.joint(final).limits[1]
-        return TwistMechanism(key, final, key_range=key_range, final_upper=final_upper, success=success, config=config)
+        return TurnToOpenMechanism(
+            key, final, key_range=key_range, final_upper=final_upper, success=success, config=config
+        )
 
     return make
 
@@ -51,14 +53,14 @@ def _lamp(obj: ArticulatedObject, preset: str) -> LampMechanism:
 
 
 _MECHANISMS: dict[str, Callable[[ArticulatedObject, str], Mechanism[Any]]] = {
-    "bottle": _twist("cap", "lift", LIFTED),
-    "pen": _twist("cap", "lift", LIFTED),
-    "pressure_cooker": _twist("lid", "lift", LIFTED, p_positive=1.0),
-    "coffee_maker": _twist("portafilter", "drop", LIFTED, p_positive=0.0),
+    "bottle": _turn_to_open("cap", "lift", LIFTED),
+    "pen": _turn_to_open("cap", "lift", LIFTED),
+    "pressure_cooker": _turn_to_open("lid", "lift", LIFTED, p_positive=1.0),
+    "coffee_maker": _turn_to_open("portafilter", "drop", LIFTED, p_positive=0.0),
     "safe": _safe,
     "microwave": _microwave,
-    "window": _twist("handle", "sash", math.pi / 6),
-    "door": _twist("lever", "leaf", math.pi / 7),
+    "window": _turn_to_open("handle", "sash", math.pi / 6),
+    "door": _turn_to_open("lever", "leaf", math.pi / 7),
     "lamp": _lamp,
 }
 
@@ -72,6 +74,6 @@ __all__ = [
     "LIFTED", "MECHANISM_PRESETS", "Command", "JointLimits", "LampMechanism", "Lock", "LockState", "Mechanism",
     "MicrowaveMechanism", "MicrowaveMechanismConfig", "Overrides", "PushOrRotate", "PushRotateState",
     "RandomRotationDirection", "Reading", "RotateSlideState", "RotateThenSlide", "RotationState", "SafeMechanism",
-    "SafeMechanismConfig", "SafeState", "SwitchContact", "TwistMechanism", "TwistMechanismConfig", "make_mechanism",
-    "replace_rows",
+    "SafeMechanismConfig", "SafeState", "SwitchContact", "TurnToOpenMechanism", "TurnToOpenMechanismConfig",
+    "make_mechanism", "replace_rows",
 ]  # fmt: skip

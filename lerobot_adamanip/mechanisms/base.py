@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 
 Reading = Mapping[str, Tensor]
 """Joint name -> position (B,) [rad or m]."""
@@ -83,7 +83,7 @@ def overridden(drawn: Tensor, overrides: Overrides | None, name: str, choices: C
     positive = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
     if not (value in choices if choices else positive):
         allowed = " or ".join(map(str, choices)) or "a number above 0"
-        raise ConfigurationError(explain(f"Impossible {name}.", got=repr(value), allowed=allowed, try_="leave it out"))
+        raise ConfigurationError(f"Impossible {name}.", got=repr(value), allowed=allowed, hint="leave it out")
     return torch.full_like(drawn, value)
 
 
@@ -99,16 +99,14 @@ def check_names(overrides: Overrides | None, names: Collection[str]) -> None:
     unknown = set(overrides or ()) - set(names)
     if unknown:
         got, allowed = ", ".join(sorted(unknown)), ", ".join(names)
-        raise ConfigurationError(explain("Unknown hidden value.", got=got, allowed=allowed, try_="leave it out"))
+        raise ConfigurationError("Unknown hidden value.", got=got, allowed=allowed, hint="leave it out")
 
 
 def check_positive(name: str, value: float) -> float:
     """Returns ``value`` if it is above 0 and finite; raises `ConfigurationError` if not."""
     if 0 < value < math.inf:
         return value
-    raise ConfigurationError(
-        explain(f"{name} has to be positive.", got=value, allowed="above 0", try_="the object's own")
-    )
+    raise ConfigurationError(f"{name} has to be positive.", got=value, allowed="above 0", hint="the object's own")
 
 
 def replace_rows[StateT](state: StateT, fresh: StateT, mask: Tensor) -> StateT:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, opening, overridden, uniform
 
 
@@ -16,7 +16,7 @@ def check_fraction(name: str, value: float, *, zero: bool = True) -> float:
     if 0.0 <= value <= 1.0 and (zero or value > 0.0):
         return value
     raise ConfigurationError(
-        explain(f"{name} is a fraction.", got=value, allowed="0 ... 1" if zero else "above 0, at most 1", try_="0.5")
+        f"{name} is a fraction.", got=value, allowed="0 ... 1" if zero else "above 0, at most 1", hint="0.5"
     )
 
 

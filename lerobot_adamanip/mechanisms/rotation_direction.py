@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError, explain
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
 from lerobot_adamanip.mechanisms.lock import check_fraction
 
@@ -43,8 +43,9 @@ class RandomRotationDirection:
         check_positive("nominal_range", self.nominal_range)
         if low > high:
             allowed = "fractions in rising order"
-            message = explain("Empty rotation range.", got=self.range_fraction, allowed=allowed, try_="(0.5, 1.0)")
-            raise ConfigurationError(message)
+            raise ConfigurationError(
+                "Empty rotation range.", got=self.range_fraction, allowed=allowed, hint="(0.5, 1.0)"
+            )
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> RotationState:
         """Draws direction and range; overrides ``direction`` (+1 or -1) and the range's name [rad]."""

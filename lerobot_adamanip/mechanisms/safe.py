@@ -12,7 +12,7 @@ from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Read
 from lerobot_adamanip.mechanisms.lock import LockState
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
-from lerobot_adamanip.mechanisms.twist import direction_words, range_words
+from lerobot_adamanip.mechanisms.turn_to_open import direction_words, range_words
 
 
 @dataclass(frozen=True)

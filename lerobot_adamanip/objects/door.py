@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.joinery.framing import FINISHES, GAP, Surround, knuckles
-from lerobot_adamanip.objects.joinery.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
-from lerobot_adamanip.objects.joinery.leaves import LeafPlan, leaf_shapes
-from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk
+from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
+from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
+from lerobot_adamanip.objects.fittings.leaves import LeafPlan, leaf_shapes
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk
 
 DOOR_UPPER = 1.57
 """Opening limit of the leaf [rad] (paper code: 1.57)."""
@@ -83,9 +83,14 @@ def draw_design(rng: np.random.Generator) -> DoorDesign:
     trim = Material(_WHITE, 0.6) if rng.random() < 0.55 else Material(tuple(np.clip(0.8 * color, 0.02, 0.8)), 0.6)
     style, height = str(rng.choice(STYLES)), rng.uniform(0.84, 1.08)
     plan = LeafPlan(
-        width=rng.uniform(0.36, 0.43), height=height, thickness=THICKNESS, style=style, stile=rng.uniform(0.075, 0.088),
-        paint=Material(tuple(np.clip(color, 0.02, 0.85)), rng.uniform(0.4, 0.7)), seed=int(rng.integers(1 << 16)),
-    )  # fmt: skip
+        width=rng.uniform(0.36, 0.43),
+        height=height,
+        thickness=THICKNESS,
+        style=style,
+        stile=rng.uniform(0.075, 0.088),
+        paint=Material(tuple(np.clip(color, 0.02, 0.85)), rng.uniform(0.4, 0.7)),
+        seed=int(rng.integers(1 << 16)),
+    )
     # A lever at rest points to the hinges, as levers do, or hangs down, as on a cabin or a container.
     rest = -hinge_side * np.pi / 2 * (-1 if rng.random() < 0.8 else 0)
     return DoorDesign(
@@ -119,11 +124,18 @@ def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
     half = plan.width / 2 + GAP
     surround = Surround(
         width=2 * (half + design.casing + design.wall_side + design.shift),
-        height=FLOOR_GAP + plan.height + GAP + design.casing + design.wall_above, depth=design.depth,
-        left=side * design.shift - half, right=side * design.shift + half, bottom=0.0,
-        top=FLOOR_GAP + plan.height + GAP, casing=design.casing, proud=0.011, finish=design.finish,
-        wall=design.wall, trim=design.trim,
-    )  # fmt: skip
+        height=FLOOR_GAP + plan.height + GAP + design.casing + design.wall_above,
+        depth=design.depth,
+        left=side * design.shift - half,
+        right=side * design.shift + half,
+        bottom=0.0,
+        top=FLOOR_GAP + plan.height + GAP,
+        casing=design.casing,
+        proud=0.011,
+        finish=design.finish,
+        wall=design.wall,
+        trim=design.trim,
+    )
     hinge = np.array([0.0, side * (design.shift + half), FLOOR_GAP])
     pivot = np.array([0.0, *design.pivot])
     links = (

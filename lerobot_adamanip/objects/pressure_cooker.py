@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
-from lerobot_adamanip.objects.shaping.revolved import SMOOTH, revolved
-from lerobot_adamanip.objects.shaping.rounded import bar, upright
-from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, rod
+from lerobot_adamanip.objects.geometry.revolved import SMOOTH, revolved
+from lerobot_adamanip.objects.geometry.rounded import bar, upright
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
 from lerobot_adamanip.rotations import transform
 
 LID_RANGE = 0.824
@@ -139,10 +139,13 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
     grip = (design.axis_x + design.grip_radius, 0.0, design.handle_z + 0.002)
     depth = 2 * design.radius + (_LOOP_DEPTH if design.helper_loop else 0.0)
     return ArticulatedObject(
-        object_id, "pressure_cooker", links, (annotate(links, "lid", "handle", from_above(grip)),),
+        object_id,
+        "pressure_cooker",
+        links,
+        (annotate(links, "lid", "handle", from_above(grip)),),
         (2 * design.radius, depth, design.height + design.lid_rise + 0.035),
         f"{design.body_style} pot, {design.lid_style} lid, {design.valve_style} valve, {design.handle_style} handle",
-    )  # fmt: skip
+    )
 
 
 def _pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
@@ -244,9 +247,11 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
         shapes += [
             revolved((0, 0, top - 0.002), [(0.026, 0), (0.024, 0.007), (0.018, 0.009)], black),
             upright((0, 0, top + 0.014), 0.0075, 0.008, design.accent),
-            *(upright((0, 0, top + z), 0.0078, 0.0009, Material((0.9, 0.9, 0.9), 0.5), collides=False)
-              for z in (0.012, 0.017)),
-        ]  # fmt: skip
+            *(
+                upright((0, 0, top + z), 0.0078, 0.0009, Material((0.9, 0.9, 0.9), 0.5), collides=False)
+                for z in (0.012, 0.017)
+            ),
+        ]
     else:
         shapes += [
             revolved((0, 0, top - 0.002), [(0.030, 0), (0.030, 0.008), (0.027, 0.011)], steel),
@@ -270,8 +275,7 @@ def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) ->
     return shapes
 
 
-def _eyelet(design: PressureCookerDesign, end: float, z: float) -> Shape:
-    """The rivet of the ring that a cooker hangs by."""
+def _eyelet(design: PressureCookerDesign, end: float, z: float) -> Shape:  # the rivet of the ring a cooker hangs by
     return Shape("capsule", (0.0025, 0.004), transform((end, 0, z)), design.steel, False)
 
 
@@ -293,7 +297,3 @@ def _grip_shapes(
     hump = [(start, z, w + 0.004, h), (start + 0.018, z, w + 0.005, h), (start + 0.030, z, w, 0.9 * h)]
     bulb = [(tail, z, w, 0.85 * h), (end - 0.006, low, w + 0.003, h), (end + 0.002, low, 0.8 * w, 0.75 * h)]
     return [bar(each, plastic, squareness=0.7) for each in (grip, hump, bulb)]
-
-
-__all__ = ["LID_RANGE", "LIFT_UPPER", "PressureCookerDesign", "build_pressure_cooker", "draw_design",
-           "make_pressure_cooker"]  # fmt: skip

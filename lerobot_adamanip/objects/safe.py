@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk, prism, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
 
 WALL = 0.028
 DOOR_THICKNESS = 0.035
@@ -163,9 +163,13 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
     )
     side = "left" if design.hinge_side < 0 else "right"
     return ArticulatedObject(
-        object_id, "safe", links, parts, (design.width, design.depth, design.height + foot),
+        object_id,
+        "safe",
+        links,
+        parts,
+        (design.width, design.depth, design.height + foot),
         f"{design.handle_style}, {design.knob_style}, hinge {side}",
-    )  # fmt: skip
+    )
 
 
 def _body_shapes(design: SafeDesign, foot: float) -> tuple[Shape, ...]:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.joinery.framing import FINISHES, GAP, Surround, knuckles
-from lerobot_adamanip.objects.joinery.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
-from lerobot_adamanip.objects.joinery.leaves import Field, at_field, glazing
-from lerobot_adamanip.objects.shaping.shapes import chamfered_box
+from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
+from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
+from lerobot_adamanip.objects.fittings.leaves import Field, at_field, glazing
+from lerobot_adamanip.objects.geometry.shapes import chamfered_box
 
 SASH_UPPER = 1.57
 """Opening limit of the sash [rad] (paper code: 1.57)."""
@@ -172,10 +172,19 @@ def _surround(design: WindowDesign) -> Surround:
     left, right, top = design.opening()
     edge = max(-left, right) + design.casing + design.wall_side
     return Surround(
-        width=2 * edge, height=top + design.casing + design.wall_above, depth=design.depth, left=left, right=right,
-        bottom=design.bottom, top=top, casing=design.casing, proud=0.010, finish=design.finish, wall=design.wall,
+        width=2 * edge,
+        height=top + design.casing + design.wall_above,
+        depth=design.depth,
+        left=left,
+        right=right,
+        bottom=design.bottom,
+        top=top,
+        casing=design.casing,
+        proud=0.010,
+        finish=design.finish,
+        wall=design.wall,
         trim=design.frame,
-    )  # fmt: skip
+    )
 
 
 def _frame_shapes(design: WindowDesign, surround: Surround, hinge_y: float) -> tuple[Shape, ...]:

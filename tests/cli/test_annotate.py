@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lerobot_adamanip.assets import load_object
+from lerobot_adamanip.assets.annotation.session import DRAFT_NAME, Draft
+from lerobot_adamanip.assets.roles import ROLES
+from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.cli import main as cli
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.objects import make_object, seen_objects
-from lerobot_adamanip.objects.foreign import load_object
-from lerobot_adamanip.objects.foreign.draft import DRAFT_NAME, Draft
-from lerobot_adamanip.objects.foreign.roles import ROLES
 from lerobot_adamanip.rotations import rotation_about, transform
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "objects"))
-from foreign_folders import adamanip_bottle, adamanip_safe, partnet_safe
+from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe
 
 DOOR, KNOB = ROLES["safe"].joints
 
@@ -131,7 +131,7 @@ def test_mistakes_are_one_message(
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from lerobot_adamanip.cli.annotate import start_server
+    from lerobot_adamanip.cli.annotate.command import start_server
 
     made = start_server("127.0.0.1", 18080)
     yield made
@@ -139,7 +139,7 @@ def server() -> Iterator[Any]:
 
 
 def test_a_dragged_gripper_moves_the_grasp_wherever_the_joints_stand(tmp_path: Path, server: Any) -> None:
-    from lerobot_adamanip.cli.annotate_app import AnnotationApp
+    from lerobot_adamanip.cli.annotate.app import AnnotationApp
 
     app = AnnotationApp(server, [partnet_safe(tmp_path / "101564")], "safe")
     draft, before = app._draft, np.array(app._gizmo.position)
@@ -159,8 +159,8 @@ def test_a_dragged_gripper_moves_the_grasp_wherever_the_joints_stand(tmp_path: P
 
 
 def test_a_generated_object_can_be_looked_at(server: Any) -> None:
-    from lerobot_adamanip.cli.annotate_app import show
-    from lerobot_adamanip.cli.annotate_view import triangles
+    from lerobot_adamanip.cli.annotate.app import show
+    from lerobot_adamanip.cli.annotate.view import triangles
 
     safe = make_object(seen_objects("safe")[3])
     show(server, safe)

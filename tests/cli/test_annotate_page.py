@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_adamanip.objects.foreign import load_object
-from lerobot_adamanip.objects.foreign.draft import DRAFT_NAME
+from lerobot_adamanip.assets import load_object
+from lerobot_adamanip.assets.annotation.session import DRAFT_NAME
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "objects"))
-from foreign_folders import partnet_safe
+from asset_folders import partnet_safe
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 WITHOUT_A_GPU = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from lerobot_adamanip.cli import bench
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.cli.bench_timing import Stopwatch, judge, median_ms, per_second, ratio, repeat_ms
+from lerobot_adamanip.cli.bench import command as bench
+from lerobot_adamanip.cli.bench.timing import Stopwatch, judge, median_ms, per_second, ratio, repeat_ms
 
 RESULTS: dict[str, Any] = {
     "machine": {"cores": 2},
@@ -48,8 +48,10 @@ def test_the_report_is_json_and_judged() -> None:
     report = bench.finish(RESULTS)
     assert json.loads(json.dumps(report)) == report
     assert {name: verdict["ok"] for name, verdict in report["limits"].items()} == {
-        "episodes_per_minute": True, "observation_ms": True, "action_ms": False,
-    }  # fmt: skip
+        "episodes_per_minute": True,
+        "observation_ms": True,
+        "action_ms": False,
+    }
 
 
 def test_a_missed_limit_is_reported_not_an_error(

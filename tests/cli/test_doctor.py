@@ -11,9 +11,9 @@ from importlib import metadata
 
 import pytest
 
-from lerobot_adamanip.cli import checks
-from lerobot_adamanip.cli.checks import Check
-from lerobot_adamanip.cli.doctor import Doctor
+from lerobot_adamanip.cli.doctor import checks
+from lerobot_adamanip.cli.doctor.checks import Check
+from lerobot_adamanip.cli.doctor.command import Doctor
 
 NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.cli.contact_sheet import Portrait, compose_sheet
-from lerobot_adamanip.objects import make_object
+from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet
 
 
 def test_the_list_needs_no_simulator(capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,7 +42,7 @@ def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: py
 def test_every_portrait_is_on_the_sheet_once(count: int, columns: int, tmp_path: Path) -> None:
     shades = [30 + 25 * number for number in range(count)]
     portraits = [
-        Portrait(np.full((80, 80, 3), (shade, 0, 255 - shade), np.uint8), f"safe_{n:03d}", "arch, pointer, hinge left")
+        Thumbnail(np.full((80, 80, 3), (shade, 0, 255 - shade), np.uint8), f"safe_{n:03d}", "arch, pointer, hinge left")
         for n, shade in enumerate(shades)
     ]
     compose_sheet(portraits, columns=columns, path=tmp_path / "deep" / "sheet.png")
@@ -53,12 +53,12 @@ def test_every_portrait_is_on_the_sheet_once(count: int, columns: int, tmp_path:
 
 @pytest.mark.sim
 def test_a_portrait_shows_the_object_and_its_door() -> None:
-    from lerobot_env_adamanip.gallery import photograph
+    from lerobot_env_adamanip.sim.thumbnails import render_thumbnail
 
     safe = make_object("safe_014")
-    shut, ajar = (photograph(safe, size=96, open_fraction=fraction).astype(int) for fraction in (0.0, 0.4))
+    shut, ajar = (render_thumbnail(safe, size=96, open_fraction=fraction).astype(int) for fraction in (0.0, 0.4))
     assert shut.shape == (96, 96, 3)
     middle, corner = shut[36:60, 36:60], shut[:10, :10]
     assert np.abs(middle.mean((0, 1)) - corner.mean((0, 1))).max() > 25
     assert (np.abs(shut - ajar).max(-1) > 20).mean() > 0.05
-    assert np.array_equal(shut, photograph(safe, size=96).astype(int))
+    assert np.array_equal(shut, render_thumbnail(safe, size=96).astype(int))

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from demos_helpers import ATTEMPTS, OPTIONS
 
 from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.options import CollectOptions
+from lerobot_adamanip.demos.collection import CollectionSpec
 from lerobot_adamanip.errors import AdaManipError
 
-HERE = str(Path(__file__).parent)
-if HERE not in sys.path:
-    sys.path.insert(0, HERE)
-
-from demos_helpers import ATTEMPTS, OPTIONS  # noqa: E402 (importable only now)
-
 
 @pytest.fixture(scope="session")
-def options() -> Callable[..., CollectOptions]:
+def options() -> Callable[..., CollectionSpec]:
     """Builds options of a small fake collection, with changes."""
-    return lambda **changes: CollectOptions(**{**OPTIONS, **changes})
+    return lambda **changes: CollectionSpec(**{**OPTIONS, **changes})
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory, options: Callable[..., CollectOptions]) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory, options: Callable[..., CollectionSpec]) -> Path:
     """A complete dataset, recorded by one worker without interruption. Not to be written to."""
     root = tmp_path_factory.mktemp("finished") / "dataset"
     collect(root, options(), max_attempts=ATTEMPTS)

@@ -13,7 +13,7 @@ import numpy as np
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import UnreachableError
-from lerobot_adamanip.experts.base import Feedback, Goal, KeyFrames, Outcome, Phase
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
 from lerobot_adamanip.rotations import transform
 
 ENV_FACTORY = "demos_fake_env:make_env"
@@ -25,7 +25,7 @@ EXPERT_FAILS_SHARE = 0.3
 class FakeEnv:
     """Opens when the goal's x exceeds 0.5; while locked, a try stalls. Its state depends on nothing but the seed."""
 
-    _max_episode_steps = 12
+    max_key_frames = 12
     task_description = "open the fake"
 
     def __init__(
@@ -59,7 +59,7 @@ class FakeEnv:
             self.pose = transform(action[:3])
         self.feedback = Feedback(self.pose, float(action[-1]), Outcome.STALLED if stalled else Outcome.REACHED)
         success = not self.locked and self.pose[0, 3] > 0.5
-        return self._observation(), 0.0, success, self.steps >= self._max_episode_steps, {"is_success": success}
+        return self._observation(), 0.0, success, self.steps >= self.max_key_frames, {"is_success": success}
 
     def hidden_state(self) -> dict[str, Any]:
         return {"locked": self.locked}

@@ -17,8 +17,8 @@ from demos_helpers import ATTEMPTS, HERE, OPTIONS
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec
 from lerobot_adamanip.demos.loading import episode_table
-from lerobot_adamanip.demos.options import CollectOptions, Folders
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
 FACTORIES = {key: OPTIONS[key] for key in ("env_factory", "expert_factory", "image_size")}
@@ -32,14 +32,14 @@ from lerobot_adamanip.cli.main import main
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.path.insert(0, sys.argv.pop(1))
-    command.CollectOptions = functools.partial(command.CollectOptions, **json.loads(sys.argv.pop(1)))
+    command.CollectionSpec = functools.partial(command.CollectionSpec, **json.loads(sys.argv.pop(1)))
     sys.exit(main())
 """
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "CollectOptions", functools.partial(CollectOptions, **FACTORIES))
+    monkeypatch.setattr(command, "CollectionSpec", functools.partial(CollectionSpec, **FACTORIES))
 
 
 @pytest.mark.usefixtures("fake")
@@ -74,7 +74,7 @@ def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
     line = [sys.executable, str(script), HERE, extra, "collect", "--root", str(root), *SMALL, "--workers", "2"]
     process = subprocess.Popen(line, start_new_session=True, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 60
-    while not list(Folders(root).episodes.glob("*.safetensors")):
+    while not list(CollectionPaths(root).episodes.glob("*.safetensors")):
         assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(0.01)
@@ -83,7 +83,7 @@ def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
     assert process.returncode == 130
     assert f"adamanip collect --root {root}" in message
     assert "Traceback" not in message
-    kept = len(list(Folders(root).episodes.glob("*.safetensors")))
+    kept = len(list(CollectionPaths(root).episodes.glob("*.safetensors")))
     result = subprocess.run([*line, "--json"], check=True, capture_output=True, text=True)
     assert json.loads(result.stdout)["recorded"] == 4 - kept < 4
 
@@ -106,13 +106,13 @@ def test_impossible_requests_fail_before_anything_is_recorded(
 
 def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     published: list[tuple[Path, str, bool]] = []
-    monkeypatch.setattr(command, "CollectOptions", functools.partial(CollectOptions, **FACTORIES))
+    monkeypatch.setattr(command, "CollectionSpec", functools.partial(CollectionSpec, **FACTORIES))
     monkeypatch.setattr(command, "publish", lambda root, name, private: published.append((root, name, private)))
     call = tyro.cli(Collect, args=["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
     assert call.run() == 0
     assert published == [(tmp_path / "d", "me/safes", False)]
-    hopeless = functools.partial(CollectOptions, **FACTORIES, env_options={"hopeless": "safe_001"})
-    monkeypatch.setattr(command, "CollectOptions", hopeless)
+    hopeless = functools.partial(CollectionSpec, **FACTORIES, env_options={"hopeless": "safe_001"})
+    monkeypatch.setattr(command, "CollectionSpec", hopeless)
     call.root = tmp_path / "e"
     with pytest.raises(DatasetError):
         call.run()
@@ -127,9 +127,9 @@ def test_the_name_for_the_hub_is_checked_first(tmp_path: Path) -> None:
 def test_every_option_that_decides_the_data_reaches_the_collection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[CollectOptions] = []
+    asked: list[CollectionSpec] = []
 
-    def stop(root: Path, options: CollectOptions, **_: object) -> None:
+    def stop(root: Path, options: CollectionSpec, **_: object) -> None:
         asked.append(options)
         raise KeyboardInterrupt
 

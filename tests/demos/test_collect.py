@@ -15,12 +15,12 @@ from demos_helpers import ATTEMPTS, HERE, OPTIONS, same_content
 
 from lerobot_adamanip.demos import collect as collecting
 from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec
 from lerobot_adamanip.demos.loading import episode_table
-from lerobot_adamanip.demos.options import CollectOptions, Folders
 from lerobot_adamanip.demos.pool import WorkerError
 from lerobot_adamanip.errors import DatasetError
 
-Options = Callable[..., CollectOptions]
+Options = Callable[..., CollectionSpec]
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 SCRIPT = """
@@ -28,14 +28,14 @@ import json, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.options import CollectOptions
+from lerobot_adamanip.demos.collection import CollectionSpec
 if __name__ == "__main__":
-    options = CollectOptions.from_json(json.loads(sys.argv[3]))
+    options = CollectionSpec.from_json(json.loads(sys.argv[3]))
     collect(Path(sys.argv[2]), options, workers=int(sys.argv[4]), max_attempts=int(sys.argv[5]))
 """
 
 
-def start(tmp_path: Path, root: Path, options: CollectOptions, workers: int) -> subprocess.Popen[bytes]:
+def start(tmp_path: Path, root: Path, options: CollectionSpec, workers: int) -> subprocess.Popen[bytes]:
     script = tmp_path / "collect_script.py"
     script.write_text(SCRIPT)
     arguments = [HERE, str(root), json.dumps(options.to_json()), str(workers), str(ATTEMPTS)]
@@ -43,7 +43,7 @@ def start(tmp_path: Path, root: Path, options: CollectOptions, workers: int) -> 
 
 
 def shards(root: Path) -> set[str]:
-    return {path.name for path in Folders(root).episodes.glob("*.safetensors")}
+    return {path.name for path in CollectionPaths(root).episodes.glob("*.safetensors")}
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
@@ -75,12 +75,12 @@ def test_kill_9_loses_at_most_the_episode_in_progress(
     assert before <= shards(root)
     assert not root.exists()
 
-    times = {name: (Folders(root).episodes / name).stat().st_mtime_ns for name in before}
+    times = {name: (CollectionPaths(root).episodes / name).stat().st_mtime_ns for name in before}
     unchanged = []
 
     def listener(stage: str, done: int, total: int) -> None:
         if stage == "assemble" and done == 1:
-            now = {name: (Folders(root).episodes / name).stat().st_mtime_ns for name in before}
+            now = {name: (CollectionPaths(root).episodes / name).stat().st_mtime_ns for name in before}
             unchanged.append(now == times)
 
     summary = collect(root, slow, max_attempts=ATTEMPTS, listener=listener)
@@ -88,7 +88,7 @@ def test_kill_9_loses_at_most_the_episode_in_progress(
     assert summary.recorded <= 6 - len(before)
     (root / "meta" / "collection.json").write_text((finished / "meta" / "collection.json").read_text())
     same_content(finished, root)
-    assert not Folders(root).partial.exists()
+    assert not CollectionPaths(root).partial.exists()
 
 
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path, options: Options) -> None:
@@ -145,7 +145,7 @@ def test_a_damaged_episode_file_is_recorded_again(tmp_path: Path, options: Optio
 
     with pytest.raises(KeyboardInterrupt):
         collect(root, options(), max_attempts=ATTEMPTS, listener=interrupt)
-    victim = Folders(root).episodes / options().items()[2].file_name
+    victim = CollectionPaths(root).episodes / options().items()[2].file_name
     victim.write_bytes(victim.read_bytes()[:-100])
     assert collect(root, options(), max_attempts=ATTEMPTS).recorded == 1
     same_content(finished, root)
@@ -189,7 +189,7 @@ def test_only_one_collection_at_a_time(tmp_path: Path, options: Options, refuses
     root = tmp_path / "dataset"
     process = start(tmp_path, root, options(env_options={"delay": 0.3}, episodes_per_object=50), workers=1)
     try:
-        wait_for(Folders(root).partial_manifest.exists)
+        wait_for(CollectionPaths(root).partial_manifest.exists)
         message = refuses(DatasetError, lambda: collect(root, options()))
         assert "Another collection" in message
     finally:
@@ -257,14 +257,18 @@ def test_all_categories_make_one_dataset_of_what_each_gives_alone(tmp_path: Path
     everything = options(category="all", objects=names, episodes_per_object=2)
     assert [everything.category_of(name) for name in names] == ["fake", "fake", "mock"]
     summary = collect(
-        tmp_path / "all", everything, workers=2, max_attempts=ATTEMPTS,
+        tmp_path / "all",
+        everything,
+        workers=2,
+        max_attempts=ATTEMPTS,
         listener=lambda stage, done, total: told.setdefault(stage, []).append(done),
-    )  # fmt: skip
+    )
     assert {name: row.episodes for name, row in summary.categories.items()} == {"fake": 4, "mock": 2}
     assert told["record fake"] == sorted(told["record fake"])
     assert (told["record fake"][-1], told["record mock"][-1], told["record"][-1]) == (4, 2, 6)
-    alone = collect(tmp_path / "mock", options(category="mock", objects=("mock_000",), episodes_per_object=2),
-                    max_attempts=ATTEMPTS)  # fmt: skip
+    alone = collect(
+        tmp_path / "mock", options(category="mock", objects=("mock_000",), episodes_per_object=2), max_attempts=ATTEMPTS
+    )
     assert alone.categories["mock"].attempts == summary.categories["mock"].attempts
     rows = [row for row in episode_table(tmp_path / "all").to_pylist() if row["object_id"] == "mock_000"]
     for row, other in zip(rows, episode_table(tmp_path / "mock").to_pylist(), strict=True):

@@ -12,16 +12,16 @@ import pytest
 import yaml
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.demos import card
 from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.demos.collection import CollectionSpec
 from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
-from lerobot_adamanip.demos.options import CollectOptions
-from lerobot_adamanip.demos.publish import publish
 from lerobot_adamanip.demos.shards import write_shard
 from lerobot_adamanip.demos.worker import attempt_episode, make_env
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hub import cards as card
+from lerobot_adamanip.hub.publish import publish
 
-Options = Callable[..., CollectOptions]
+Options = Callable[..., CollectionSpec]
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.demos.recorder import EpisodeRecorder, observation_columns, run_episode
+from lerobot_adamanip.demos.recorder import EpisodeRecorder
 from lerobot_adamanip.errors import UnreachableError
-from lerobot_adamanip.experts.base import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.keyframes import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.observation import observation_columns
+from lerobot_adamanip.rollout import KeyFrame, rollout
 from lerobot_adamanip.rotations import transform
 
 PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY, 0)
@@ -36,11 +38,11 @@ def play(*goals: Goal) -> Iterator[Goal]:
 def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
     env, first = ready(locked=True)
     recorder = EpisodeRecorder()
-    result = run_episode(env, first, play(PULL, UNLOCK, PULL), recorder)
+    result = rollout(env, first, play(PULL, UNLOCK, PULL), recorder.record)
     columns = recorder.columns()
     assert result.success
     assert result.key_frames == 3
-    assert result.trials == 2
+    assert recorder.trials == 2
     np.testing.assert_array_equal(columns[schema.STATE][0], first["agent_pos"])
     np.testing.assert_array_equal(columns[schema.ACTION][1], UNLOCK.action())
     assert columns[schema.OUTCOME][:, 0].tolist() == [Outcome.STALLED, Outcome.REACHED, Outcome.REACHED]
@@ -54,7 +56,7 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
 def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
     env, first = ready(locked=False)
     recorder = EpisodeRecorder()
-    run_episode(env, first, play(UNLOCK, PULL), recorder)
+    rollout(env, first, play(UNLOCK, PULL), recorder.record)
     columns = recorder.columns()
     features = schema.dataset_features(8, 64)
     assert set(columns) == set(features)
@@ -67,7 +69,7 @@ def test_recording_does_not_change_the_episode() -> None:
     results = []
     for recorder in (None, EpisodeRecorder()):
         env, first = ready(locked=True)
-        results.append(run_episode(env, first, play(PULL, UNLOCK, PULL), recorder))
+        results.append(rollout(env, first, play(PULL, UNLOCK, PULL), None if recorder is None else recorder.record))
     assert results[0] == results[1]
 
 
@@ -83,15 +85,15 @@ def test_an_expert_hears_of_every_key_frame_and_is_closed() -> None:
         finally:
             closed.append(True)
 
-    result = run_episode(env, first, expert())
-    assert result.key_frames == env._max_episode_steps
+    result = rollout(env, first, expert())
+    assert result.key_frames == env.max_key_frames
     assert (result.success, result.reason, closed) == (False, "time limit", [True])
     assert all(feedback.outcome is Outcome.STALLED for feedback in heard)
 
 
 def test_an_expert_that_runs_out_of_ideas_has_failed() -> None:
     env, first = ready(locked=True)
-    result = run_episode(env, first, play(PULL))
+    result = rollout(env, first, play(PULL))
     assert not result.success
     assert "without success" in result.reason
 
@@ -111,4 +113,4 @@ def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_bu
 def test_feedback_from_before_the_first_key_frame_is_no_outcome() -> None:
     env, observation = ready(locked=False)
     with pytest.raises(ValueError, match="outcome"):
-        EpisodeRecorder().record(observation, PULL, env.feedback)
+        EpisodeRecorder().record(KeyFrame(observation, PULL, env.feedback, observation, False))

@@ -7,14 +7,14 @@ import pytest
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos import shards
-from lerobot_adamanip.demos.shards import Episode, read_record, read_shard, write_shard
+from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, read_shard, write_shard
 from lerobot_adamanip.errors import DatasetError
 
 
 @pytest.fixture
-def episode() -> Episode:
+def episode() -> RecordedEpisode:
     generator = np.random.default_rng(0)
-    return Episode(
+    return RecordedEpisode(
         {
             schema.STATE: generator.normal(size=(5, 24)).astype(np.float32),
             schema.ACTION: generator.normal(size=(5, 10)).astype(np.float32),
@@ -25,7 +25,7 @@ def episode() -> Episode:
     )
 
 
-def test_an_episode_comes_back_bit_for_bit(tmp_path: Path, episode: Episode) -> None:
+def test_an_episode_comes_back_bit_for_bit(tmp_path: Path, episode: RecordedEpisode) -> None:
     write_shard(tmp_path / "a", episode)
     back = read_shard(tmp_path / "a")
     assert back.record == episode.record == read_record(tmp_path / "a")
@@ -35,13 +35,13 @@ def test_an_episode_comes_back_bit_for_bit(tmp_path: Path, episode: Episode) -> 
         np.testing.assert_array_equal(back.columns[key], value)
 
 
-def test_equal_episodes_are_equal_files(tmp_path: Path, episode: Episode) -> None:
+def test_equal_episodes_are_equal_files(tmp_path: Path, episode: RecordedEpisode) -> None:
     for name in "ab":
         write_shard(tmp_path / name, episode)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_a_file_cut_anywhere_is_not_an_episode(tmp_path: Path, episode: Episode) -> None:
+def test_a_file_cut_anywhere_is_not_an_episode(tmp_path: Path, episode: RecordedEpisode) -> None:
     write_shard(tmp_path / "a", episode)
     content = (tmp_path / "a").read_bytes()
     for size in (0, 4, 200, len(content) // 2, len(content) - 1):
@@ -52,7 +52,7 @@ def test_a_file_cut_anywhere_is_not_an_episode(tmp_path: Path, episode: Episode)
 
 
 def test_dying_before_the_rename_leaves_no_file_and_spoils_no_older_one(
-    tmp_path: Path, episode: Episode, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, episode: RecordedEpisode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def die(*_: object) -> None:
         raise KeyboardInterrupt
@@ -62,6 +62,6 @@ def test_dying_before_the_rename_leaves_no_file_and_spoils_no_older_one(
     monkeypatch.setattr(shards.os, "replace", die)
     for name in ("old", "new"):
         with pytest.raises(KeyboardInterrupt):
-            write_shard(tmp_path / name, Episode(episode.columns, {"other": True}))
+            write_shard(tmp_path / name, RecordedEpisode(episode.columns, {"other": True}))
     assert (tmp_path / "old").read_bytes() == before
     assert not (tmp_path / "new").exists()

@@ -1,18 +1,11 @@
-"""Helpers are importable by name, here and in processes that tests start."""
+"""One simulator per module of tests."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-HERE = str(Path(__file__).parent)
-if HERE not in sys.path:
-    sys.path.insert(0, HERE)
-
-from envs_helpers import OneSimulator  # noqa: E402  (found by the path above)
+from envs_helpers import OneSimulator
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ from hypothesis.extra import numpy as st_numpy
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.experts.base import Outcome
+from lerobot_adamanip.keyframes import MotionLimits, Outcome
 from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_6d, pose_vector, rotation_about, transform
-from lerobot_env_adamanip.arm import ArmKinematics, IKResult, pose_error
-from lerobot_env_adamanip.driver import FINGER_OPEN, ArmState, KeyframeDriver, MotionLimits
+from lerobot_env_adamanip.sim.keyframe_driver import FINGER_OPEN, ArmState, KeyframeDriver
+from lerobot_env_adamanip.sim.kinematics import ArmKinematics, IKResult, pose_error
 
 START = np.array([0.5, 0.0, 0.7, 0.0, 0.0, 0.0, 0.0])
 STIFFNESS = np.full(7, 500.0)
@@ -49,9 +49,13 @@ class Gantry:
 
     def driver(self, **limits: Any) -> KeyframeDriver:
         return KeyframeDriver(
-            cast(ArmKinematics, self), self.read, self.tick, control_dt=0.02, stiffness=STIFFNESS,
+            cast(ArmKinematics, self),
+            self.read,
+            self.tick,
+            control_dt=0.02,
+            stiffness=STIFFNESS,
             limits=MotionLimits(**limits),
-        )  # fmt: skip
+        )
 
 
 def goal(x: float = 0.5, y: float = 0.0, z: float = 0.7, turn: float = 0.0, gripper: float = 1.0) -> Any:

@@ -11,7 +11,7 @@ import pytest
 from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.episode_log import read_log
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.experts import Outcome, Phase
 from lerobot_adamanip.rotations import pose_from_vector
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv

@@ -12,7 +12,7 @@ import torch
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.experts import Outcome, Phase, make_expert
-from lerobot_adamanip.experts.base import Goal
+from lerobot_adamanip.keyframes import Goal
 from lerobot_adamanip.objects.safe import DOOR_UPPER
 from lerobot_adamanip.rotations import transform
 
@@ -23,7 +23,7 @@ OPENED = np.pi / 7
 
 @pytest.fixture(scope="module")
 def env() -> Iterator[Any]:
-    import lerobot_env_adamanip.tasks  # noqa: F401  (registers the tasks)
+    import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
 
     made: Any = gym.make(SAFE, obs_mode="none", reward_mode="none").unwrapped
     yield made
@@ -37,9 +37,7 @@ def reset(env: Any, seed: int, *, object_id: str | None = None, **hidden: Any) -
 def play(env: Any, kind: str) -> list[tuple[Goal, Outcome, float]]:
     """Runs an expert until the safe is open: goal, outcome and joint speed of each key frame."""
     hidden = env.hidden_state() if kind == "static" else None
-    expert = make_expert(
-        "safe", kind, env.layout.annotations, generator=np.random.default_rng(0), hidden=hidden
-    )  # fmt: skip
+    expert = make_expert("safe", kind, env.layout.annotations, generator=np.random.default_rng(0), hidden=hidden)
     done, goal = [], next(expert)
     while len(done) < 45:
         felt = env.driver.execute(goal.action())

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from lerobot_adamanip.evaluation.episode_log import EpisodeRecord
 from lerobot_adamanip.evaluation.metrics import (
     best_tries,
     count_tries,
@@ -22,6 +21,7 @@ from lerobot_adamanip.evaluation.metrics import (
     without_repeats,
 )
 from lerobot_adamanip.evaluation.plots import cumulative_rates
+from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 SHARES = st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
 
@@ -175,8 +175,10 @@ def test_each_category_has_a_rate_of_its_own() -> None:
     names = ("safe_000", "safe_001", "lamp_003", "pressure_cooker_002")
     summary = summarise([record(object_id=name, success=name != "safe_001") for name in names])
     assert {name: (r.count, r.episodes) for name, r in summary.categories.items()} == {
-        "safe": (1, 2), "lamp": (1, 1), "pressure_cooker": (1, 1),
-    }  # fmt: skip
+        "safe": (1, 2),
+        "lamp": (1, 1),
+        "pressure_cooker": (1, 1),
+    }
     assert sum(r.count for r in summary.categories.values()) == summary.overall.count
 
 

@@ -49,8 +49,13 @@ def test_the_button_is_pushed_with_a_closed_hand_until_it_stops(name: str, seed:
     assert move.end == world.obj.joint("button").limits[1]
     assert [goal.gripper for goal in episode.goals[push - 2 : push + 2]] == [0.0] * 4
     assert episode.phases[push - 4 : push + 2] == [
-        Phase.RELEASE, Phase.RELEASE, Phase.APPROACH, Phase.APPROACH, Phase.UNLOCK, Phase.RELEASE,
-    ]  # fmt: skip
+        Phase.RELEASE,
+        Phase.RELEASE,
+        Phase.APPROACH,
+        Phase.APPROACH,
+        Phase.UNLOCK,
+        Phase.RELEASE,
+    ]
     assert world.joints["button"] == 0.0, "it comes back"
     # Its fingers are shut while they push, and it backs off before it goes anywhere else.
     away = np.linalg.norm(episode.felt[push + 1].tcp_in_base[:3, 3] - episode.felt[push].tcp_in_base[:3, 3])

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, placed_parts, run, static
 
+from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.experts import Feedback, Goal, Outcome, Phase, make_expert
 from lerobot_adamanip.experts.doors import PULL_ANGLES
-from lerobot_adamanip.objects import make_object, object_id
 from lerobot_adamanip.rotations import pose_from_vector, rotation_about, transform
 
 fast = settings(max_examples=25, deadline=None)

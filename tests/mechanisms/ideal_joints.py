@@ -16,12 +16,12 @@ from lerobot_adamanip.mechanisms import (
     MicrowaveMechanism,
     SafeMechanism,
     SafeMechanismConfig,
-    TwistMechanism,
+    TurnToOpenMechanism,
 )
 
 DOOR_UPPER, NOMINAL = 1.578, 1.5
-CAP = TwistMechanism("cap", "lift", key_range=2.35, final_upper=0.05, success=0.025)
-LEVER = TwistMechanism("lever", "leaf", key_range=1.05, final_upper=1.57, success=math.pi / 7)
+CAP = TurnToOpenMechanism("cap", "lift", key_range=2.35, final_upper=0.05, success=0.025)
+LEVER = TurnToOpenMechanism("lever", "leaf", key_range=1.05, final_upper=1.57, success=math.pi / 7)
 MICROWAVE = MicrowaveMechanism(DOOR_UPPER, 0.013, math.pi / 7)
 LAMP = LampMechanism(0.022, 1.4)
 SAFE = SafeMechanism(DOOR_UPPER, NOMINAL)

@@ -93,9 +93,7 @@ def test_how_often_it_is_locked_is_configured_and_told() -> None:
 
 
 FREE = {0: ("button", (0.0, 0.022)), 1: ("knob", (0.0, 1.4)), 2: ("knob", (-1.4, 0.0))}
-lamp_wishes = st.lists(
-    st.fixed_dictionaries({"button": st.floats(-0.1, 0.1), "knob": st.floats(-3, 3)}), max_size=10
-)  # fmt: skip
+lamp_wishes = st.lists(st.fixed_dictionaries({"button": st.floats(-0.1, 0.1), "knob": st.floats(-3, 3)}), max_size=10)
 modes = st.sampled_from([0, 1, 2])
 
 

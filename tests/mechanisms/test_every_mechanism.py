@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ideal_joints import MECHANISMS, generator, leaves, random_reading, reading, rest, same, take
 
+from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism, replace_rows
-from lerobot_adamanip.objects import make_object, seen_objects
 
 every_mechanism = pytest.mark.parametrize("mechanism", MECHANISMS.values(), ids=MECHANISMS)
 some = settings(max_examples=20, deadline=None)

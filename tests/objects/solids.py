@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.objects import ArticulatedObject, Link, Shape, make_object
+from lerobot_adamanip.catalog import make_object
+from lerobot_adamanip.objects import ArticulatedObject, Link, Shape
 
 
 def face_planes(shape: Shape) -> tuple[np.ndarray, np.ndarray]:

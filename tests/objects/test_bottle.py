@@ -7,7 +7,8 @@ import pytest
 from caps import check_cap_and_joints, check_grip, check_shapes, check_size, check_turning_and_lifting
 from solids import fingerprint
 
-from lerobot_adamanip.objects import ArticulatedObject, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.bottle import CAP_RANGE, make_bottle
 from lerobot_adamanip.objects.bottle.recipes import RECIPES
 

@@ -7,7 +7,8 @@ import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 from test_pressure_cooker import HALF_OPENING, fingers, palm
 
-from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.coffee_maker import DROP_UPPER, PORTAFILTER_RANGE, make_coffee_maker
 from lerobot_adamanip.rotations import rotation_about
 

@@ -9,9 +9,10 @@ import pytest
 import swinging
 from solids import fingerprint
 
-from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.door import DOOR_UPPER, LEVER_RANGE, build_door, draw_design, make_door
-from lerobot_adamanip.objects.joinery.handles import KNOBS
+from lerobot_adamanip.objects.fittings.handles import KNOBS
 
 SEEN, UNSEEN = seen_objects("door"), unseen_objects("door", 12)
 DOORS = {name: make_door(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
-from lerobot_adamanip.objects import ArticulatedObject, Link, make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.objects import ArticulatedObject, Link
 from lerobot_adamanip.objects.lamp import GRIP_DEPTH, build_lamp, draw_design, make_lamp
 from lerobot_adamanip.objects.lamp.heads import HEADS
 

@@ -7,7 +7,7 @@ import pytest
 from solids import contains, face_planes
 
 from lerobot_adamanip.objects.base import Material
-from lerobot_adamanip.objects.shaping.lathe import PROUD, Ring, decal, fluted, oval, patch, ring_at, swivelled, turned
+from lerobot_adamanip.objects.geometry.lathe import PROUD, Ring, decal, fluted, oval, patch, ring_at, swivelled, turned
 
 PLAIN = Material((0.5, 0.5, 0.5))
 PROFILE = (Ring(0.0, 0.03), Ring(0.05, 0.04), Ring(0.05, 0.04), Ring(0.08, 0.01))

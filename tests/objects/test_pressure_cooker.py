@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
-from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.pressure_cooker import LID_RANGE, LIFT_UPPER, make_pressure_cooker
 from lerobot_adamanip.rotations import rotation_about
 

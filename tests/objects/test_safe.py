@@ -13,16 +13,9 @@ import pytest
 import torch
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
+from lerobot_adamanip.catalog import make_object, object_id, parse_object_id, seen_objects, unseen_objects
 from lerobot_adamanip.mechanisms import SafeMechanism
-from lerobot_adamanip.objects import (
-    ArticulatedObject,
-    PartAnnotation,
-    make_object,
-    object_id,
-    parse_object_id,
-    seen_objects,
-    unseen_objects,
-)
+from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.objects.safe import DOOR_UPPER, GRASP_REACH, build_safe, draw_design, make_safe
 from lerobot_adamanip.rotations import rotation_about, transform
 

@@ -9,8 +9,9 @@ import pytest
 import swinging
 from solids import fingerprint
 
-from lerobot_adamanip.objects import ArticulatedObject, make_object, parse_object_id, seen_objects, unseen_objects
-from lerobot_adamanip.objects.joinery.handles import KNOBS
+from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.objects import ArticulatedObject
+from lerobot_adamanip.objects.fittings.handles import KNOBS
 from lerobot_adamanip.objects.window import HANDLE_RANGE, SASH_UPPER, build_window, draw_design, make_window
 
 SEEN, UNSEEN = seen_objects("window"), unseen_objects("window", 12)

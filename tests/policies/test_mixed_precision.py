@@ -16,7 +16,7 @@ SIZES = {"num_points": 16, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dim
 
 @pytest.fixture
 def policy() -> Any:
-    from lerobot_policy_adamanip.modeling_dp3_adaptive import DP3AdaptivePolicy
+    from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 
     config = DP3AdaptiveConfig(device="cpu", push_to_hub=False, **SIZES)
     config.input_features = {

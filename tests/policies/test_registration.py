@@ -7,7 +7,7 @@ import sys
 def test_loading_the_policy_registers_the_steps_its_checkpoints_name() -> None:
     # In a process of its own, as lerobot-eval is: there nothing but the policy has been imported.
     code = (
-        "import lerobot_policy_adamanip.modeling_dp3_adaptive\n"
+        "import lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive\n"
         "from lerobot.processor import ProcessorStepRegistry as registry\n"
         "assert {'adamanip_rigid_augmentation', 'adamanip_orthonormalise'} <= set(registry.list())\n"
     )

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shaping.lathe import Ring, fluted, grip_solid, turned
-from lerobot_adamanip.objects.shaping.shapes import chamfered_box
+from lerobot_adamanip.objects.geometry.lathe import Ring, fluted, grip_solid, turned
+from lerobot_adamanip.objects.geometry.shapes import chamfered_box
 
 _EXTRA = {"nozzle": 0.020, "spout": 0.018, "bulb": 0.024, "dome": 0.006}
 """What stands on top of the part to hold [m]."""

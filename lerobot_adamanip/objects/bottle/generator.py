@@ -26,8 +26,8 @@ from lerobot_adamanip.objects.base import (
 from lerobot_adamanip.objects.bottle.caps import Cap, cap_shapes
 from lerobot_adamanip.objects.bottle.labels import Label, draw_label, label_shapes
 from lerobot_adamanip.objects.bottle.recipes import CAP_LOOKS, FINISHES, RECIPES, Finish, Range, Recipe
-from lerobot_adamanip.objects.shaping.lathe import Ring, ring_at, turned
-from lerobot_adamanip.objects.shaping.shapes import rod
+from lerobot_adamanip.objects.geometry.lathe import Ring, ring_at, turned
+from lerobot_adamanip.objects.geometry.shapes import rod
 
 LIFT_UPPER = 0.05
 """How far a loose cap lifts off [m] (paper code: 0.05)."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.bottle.recipes import LABEL_INKS, LABEL_PAPERS, Color
-from lerobot_adamanip.objects.shaping.lathe import Curves, Ring, decal, oval, patch, ring_at
+from lerobot_adamanip.objects.geometry.lathe import Curves, Ring, decal, oval, patch, ring_at
 
 
 @dataclass(frozen=True)

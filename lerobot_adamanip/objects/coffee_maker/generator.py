@@ -13,9 +13,9 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
 from lerobot_adamanip.objects.coffee_maker import looks
-from lerobot_adamanip.objects.shaping.revolved import revolved
-from lerobot_adamanip.objects.shaping.rounded import bar, upright
-from lerobot_adamanip.objects.shaping.shapes import box, disk, rod
+from lerobot_adamanip.objects.geometry.revolved import revolved
+from lerobot_adamanip.objects.geometry.rounded import bar, upright
+from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
 
 PORTAFILTER_RANGE = 0.80
 """Nominal turn to either side [rad] (paper code)."""
@@ -149,10 +149,13 @@ def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> Articulated
     grip = (design.axis_x + design.grip_radius, 0.0, design.group_z + HANDLE_Z + 0.002)
     top = {"cups": 0.062, "rail": 0.03, "hopper": 0.085, "plain": 0.0}[design.top_style]
     return ArticulatedObject(
-        object_id, "coffee_maker", links, (annotate(links, "portafilter", "handle", from_above(grip)),),
+        object_id,
+        "coffee_maker",
+        links,
+        (annotate(links, "portafilter", "handle", from_above(grip)),),
         (design.width, design.depth, design.height + top),
         f"{design.body_style} body, {design.panel_style} panel, {design.top_style} top, {design.spout_style} spout",
-    )  # fmt: skip
+    )
 
 
 HANDLE_Z = -0.017

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shaping.revolved import revolved
-from lerobot_adamanip.objects.shaping.rounded import round_cornered, upright
-from lerobot_adamanip.objects.shaping.shapes import box, disk, rod
+from lerobot_adamanip.objects.geometry.revolved import revolved
+from lerobot_adamanip.objects.geometry.rounded import round_cornered, upright
+from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
 
 if TYPE_CHECKING:
     from lerobot_adamanip.objects.coffee_maker.generator import CoffeeMakerDesign
@@ -60,15 +60,21 @@ def _housing(design: CoffeeMakerDesign) -> list[Shape]:
     column, head = design.axis_x + design.column_x, design.head_face
     if design.body_style == "box":
         panel = round_cornered(
-            (head, 0, (t + top) / 2), (0.002, design.width / 2 - 0.012, (top - t) / 2 - 0.010), 0.0018,
-            design.chrome, bevel=0.001, collides=False,
-        )  # fmt: skip
+            (head, 0, (t + top) / 2),
+            (0.002, design.width / 2 - 0.012, (top - t) / 2 - 0.010),
+            0.0018,
+            design.chrome,
+            bevel=0.001,
+            collides=False,
+        )
         return [_slab(design, head, t - 0.002, top, design.body), panel]
     low = design.group_z + 0.010
     splash = box(
-        (column + 0.0005, 0, (t + low) / 2), (0.001, design.width / 2 - 0.05, (low - t) / 2 - 0.012),
-        design.chrome, collides=False,
-    )  # fmt: skip
+        (column + 0.0005, 0, (t + low) / 2),
+        (0.001, design.width / 2 - 0.05, (low - t) / 2 - 0.012),
+        design.chrome,
+        collides=False,
+    )
     shapes = [
         _slab(design, column, t - 0.002, low + 0.002, design.body, inset=0.004),
         _slab(design, head, low, top, design.body),
@@ -95,9 +101,13 @@ def _group(design: CoffeeMakerDesign) -> list[Shape]:
         ]
     return [
         revolved((x, 0, z), [(r, 0), (r, 0.014), (r - 0.003, 0.017)], chrome, sides=32),
-        revolved((x, 0, z + 0.017), [(r - 0.003, 0), (r + 0.002, 0.004), (r + 0.002, 0.028), (r - 0.006, 0.036)],
-               design.base if design.base is BLACK else design.body, sides=32),
-    ]  # fmt: skip
+        revolved(
+            (x, 0, z + 0.017),
+            [(r - 0.003, 0), (r + 0.002, 0.004), (r + 0.002, 0.028), (r - 0.006, 0.036)],
+            design.base if design.base is BLACK else design.body,
+            sides=32,
+        ),
+    ]
 
 
 def _panel(design: CoffeeMakerDesign) -> list[Shape]:
@@ -108,8 +118,9 @@ def _panel(design: CoffeeMakerDesign) -> list[Shape]:
     away = -design.wand_side * side
     builders = {"gauge": _gauge_panel, "buttons": _button_panel, "dial": _dial_panel, "display": _display_panel}
     plate_z = design.group_z + 0.052 if design.body_style != "box" else design.height - 0.020
-    plate = box((face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome,
-                collides=False)  # fmt: skip
+    plate = box(
+        (face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome, collides=False
+    )
     return [*builders[design.panel_style](design, face, z, away), plate]
 
 
@@ -118,13 +129,18 @@ def _gauge(face: float, y: float, z: float, radius: float, chrome: Material) -> 
         disk((face + 0.003, y, z), radius, 0.003, chrome, collides=False),
         disk((face + 0.006, y, z), 0.84 * radius, 0.0008, WHITE, collides=False),
         *(
-            disk((face + 0.0068, y + 0.66 * radius * np.cos(a), z + 0.66 * radius * np.sin(a)), 0.0013, 0.0004, BLACK,
-                 collides=False)
+            disk(
+                (face + 0.0068, y + 0.66 * radius * np.cos(a), z + 0.66 * radius * np.sin(a)),
+                0.0013,
+                0.0004,
+                BLACK,
+                collides=False,
+            )
             for a in np.linspace(-0.6, np.pi + 0.6, 9)
         ),
         rod((face + 0.007, y, z), (face + 0.007, y - 0.45 * radius, z + 0.5 * radius), 0.0009, RED),
         disk((face + 0.007, y, z), 0.003, 0.001, BLACK, collides=False),
-    ]  # fmt: skip
+    ]
 
 
 def _gauge_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
@@ -183,10 +199,13 @@ def _wand(design: CoffeeMakerDesign) -> list[Shape]:
     tip = knee + np.array([0.010, s * 0.006, -0.040])
     sleeve = start + 0.45 * (knee - start)
     return [
-        *hinge, rod(start, knee, 0.0045, chrome), rod(knee, tip, 0.0045, chrome),
-        rod(sleeve, start + 0.8 * (knee - start), 0.0075, BLACK), rod(tip, tip - (0, 0, 0.006), 0.0058, chrome),
+        *hinge,
+        rod(start, knee, 0.0045, chrome),
+        rod(knee, tip, 0.0045, chrome),
+        rod(sleeve, start + 0.8 * (knee - start), 0.0075, BLACK),
+        rod(tip, tip - (0, 0, 0.006), 0.0058, chrome),
         *_side_knob(design),
-    ]  # fmt: skip
+    ]
 
 
 def _side_knob(design: CoffeeMakerDesign) -> list[Shape]:

@@ -21,10 +21,10 @@ from lerobot_adamanip.objects.base import (
     any_roll,
     from_above,
 )
+from lerobot_adamanip.objects.geometry.revolved import revolved
+from lerobot_adamanip.objects.geometry.rounded import slab
+from lerobot_adamanip.objects.geometry.shapes import box, rod
 from lerobot_adamanip.objects.lamp.heads import BRASS, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
-from lerobot_adamanip.objects.shaping.revolved import revolved
-from lerobot_adamanip.objects.shaping.rounded import slab
-from lerobot_adamanip.objects.shaping.shapes import box, rod
 
 HAND_CLEARANCE = 0.135
 """Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
@@ -119,9 +119,16 @@ def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:
     switch = (float(place.switch[0]), float(place.switch[1]), design.thickness)
     top = design.travel + 0.006 + CAP_HEIGHT
     push = Joint(
-        "button", "prismatic", (0.0, 0.0, -1.0), switch, (0.0, design.travel), friction=0.02, damping=4.0,
-        stiffness=SPRING, rest=SPRING_REST,
-    )  # fmt: skip
+        "button",
+        "prismatic",
+        (0.0, 0.0, -1.0),
+        switch,
+        (0.0, design.travel),
+        friction=0.02,
+        damping=4.0,
+        stiffness=SPRING,
+        rest=SPRING_REST,
+    )
     turn = Joint("knob", "revolute", limits=(-design.turn_range, design.turn_range), friction=0.03, damping=0.01)
     links = (
         Link("base", body, mass=2.5),
@@ -142,9 +149,11 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
     center = (-half_x, 0.0, t / 2)
     rubber = Material((0.02, 0.02, 0.022), 0.9)
     rosette = revolved(
-        (*place.switch, t - 0.0005), ((design.knob_radius + 0.006, 0.0), (design.knob_radius + 0.005, 0.0015)),
-        design.knob, collides=False,
-    )  # fmt: skip
+        (*place.switch, t - 0.0005),
+        ((design.knob_radius + 0.006, 0.0), (design.knob_radius + 0.005, 0.0015)),
+        design.knob,
+        collides=False,
+    )
     if design.base_style == "discs":
         margin = design.head.foot_margin
         angle = np.arctan2(place.away[1], place.away[0])
@@ -168,8 +177,13 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
 def _plunger_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
     """The shaft under the cap, which sinks into the base; looks only, the cap is what is held."""
     shaft = rod((0, 0, 0.0), (0, 0, top - CAP_HEIGHT), 0.62 * design.knob_radius, METALS[0], round_ends=False)
-    collar = rod((0, 0, top - CAP_HEIGHT - 0.004), (0, 0, top - CAP_HEIGHT), 0.85 * design.knob_radius, METALS[1],
-                 round_ends=False)  # fmt: skip
+    collar = rod(
+        (0, 0, top - CAP_HEIGHT - 0.004),
+        (0, 0, top - CAP_HEIGHT),
+        0.85 * design.knob_radius,
+        METALS[1],
+        round_ends=False,
+    )
     return tuple(Shape(s.kind, s.size, s.pose_in_link, s.material, collides=False) for s in (shaft, collar))
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shaping.revolved import revolved, shell
-from lerobot_adamanip.objects.shaping.shapes import convex_mesh, rod
+from lerobot_adamanip.objects.geometry.revolved import revolved, shell
+from lerobot_adamanip.objects.geometry.shapes import convex_mesh, rod
 from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 BRASS = Material((0.72, 0.53, 0.20), 0.3, 0.9)
@@ -207,8 +207,10 @@ def _bar(head: Head, place: Place) -> tuple[Shape, ...]:
     ends = [place.at(0, head.side * b, up) for b in reach]
     glow = [place.at(0, head.side * b, up - 0.009) for b in (reach[0] + 0.01, reach[1] - 0.01)]
     return (
-        *_stem(head, place, up), rod(ends[0], ends[1], head.radius, head.shade), rod(glow[0], glow[1], 0.006, _OPAL)
-    )  # fmt: skip
+        *_stem(head, place, up),
+        rod(ends[0], ends[1], head.radius, head.shade),
+        rod(glow[0], glow[1], 0.006, _OPAL),
+    )
 
 
 def _ring(head: Head, place: Place) -> tuple[Shape, ...]:
@@ -229,9 +231,7 @@ def _cone(head: Head, tip: NDArray[np.float64], points_to: ArrayLike, radius: fl
     profile = ((0.016, -0.012), (0.022, 0.004), (0.55 * radius + 0.012, 0.028), (radius, 0.085))
     bulb = ((0.86 * radius, 0.080), (0.86 * radius, 0.087))
     made = [revolved((0, 0, 0), profile, head.shade, sides=32), revolved((0, 0, 0), bulb, _BULB)]
-    return tuple(
-        Shape(s.kind, s.size, transform(tip, turn), s.material, s.collides, s.vertices, s.faces) for s in made
-    )  # fmt: skip
+    return tuple(Shape(s.kind, s.size, transform(tip, turn), s.material, s.collides, s.vertices, s.faces) for s in made)
 
 
 def _architect(head: Head, place: Place) -> tuple[Shape, ...]:
@@ -270,4 +270,4 @@ _RADII = {
 }  # fmt: skip
 _LEANING = ("drum", "empire", "globe", "banker")
 WIDE = ("banker", "bar", "ring")
-"""Reach out to both sides of the stem: they stand behind the switch, not beside it."""
+"""ReachRequirement out to both sides of the stem: they stand behind the switch, not beside it."""

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.geometry.rounded import plate
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, rod
 from lerobot_adamanip.objects.microwave.looks import (
     BLACK,
     LOOKS,
@@ -19,9 +21,7 @@ from lerobot_adamanip.objects.microwave.looks import (
     door_front,
     handle_shapes,
     panel_shapes,
-)  # fmt: skip
-from lerobot_adamanip.objects.shaping.rounded import plate
-from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk, rod
+)
 
 WALL = 0.018
 DOOR_THICKNESS = 0.030
@@ -159,10 +159,17 @@ def _leaf(design: MicrowaveDesign) -> Link:
 def _button(design: MicrowaveDesign) -> Link:
     origin = (0.0, design.panel_y, design.foot + design.button_z)
     joint = Joint(
-        "button", "prismatic", (-1.0, 0.0, 0.0), origin, (0.0, design.button_travel), friction=0.02, damping=4.0,
+        "button",
+        "prismatic",
+        (-1.0, 0.0, 0.0),
+        origin,
+        (0.0, design.button_travel),
+        friction=0.02,
+        damping=4.0,
         # The spring brings it back, and holds it out while nobody pushes.
-        stiffness=SPRING, rest=SPRING_REST,
-    )  # fmt: skip
+        stiffness=SPRING,
+        rest=SPRING_REST,
+    )
     return Link("button", _button_shapes(design), 0.05, "body", joint)
 
 

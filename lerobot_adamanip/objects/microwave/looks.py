@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shaping.rounded import plate
-from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box, disk, rod
+from lerobot_adamanip.objects.geometry.rounded import plate
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, rod
 
 BLACK = Material((0.012, 0.012, 0.014), 0.35)
 GLASS = Material((0.010, 0.011, 0.013), 0.12)
@@ -17,8 +17,11 @@ CHROME = Material((0.80, 0.80, 0.81), 0.18, 0.95)
 _CREAM, _WHITE, _GRAPHITE = (0.80, 0.74, 0.60), (0.80, 0.80, 0.79), (0.07, 0.072, 0.076)
 _INKS = {"green": (0.10, 0.85, 0.35), "blue": (0.20, 0.62, 0.95), "amber": (0.95, 0.55, 0.08), "white": (0.9, 0.9, 0.9)}
 _SEGMENTS = {"0": "abcdef", "1": "bc", "2": "abged", "3": "abgcd", "4": "fgbc", "5": "afgcd"} | {
-    "6": "afgedc", "7": "abc", "8": "abcdefg", "9": "abcdfg",
-}  # fmt: skip
+    "6": "afgedc",
+    "7": "abc",
+    "8": "abcdefg",
+    "9": "abcdfg",
+}
 
 
 def _paint(color: tuple[float, float, float], roughness: float = 0.45) -> Material:
@@ -125,8 +128,13 @@ def panel_shapes(look: Look, face: Face) -> tuple[Shape, ...]:
         radius = min(0.030, 0.42 * (top - face.low), half_w - 0.006)
         return (*shapes, *_dial(look, face.y, (top + face.low) / 2, radius, pale))
     if look.controls == "touch":
-        glass = plate((0.0, face.y, (face.low + face.high) / 2), (0.0009, half_w + 0.008, (face.high - face.low) / 2
-                      - 0.004), 0.004, GLASS, collides=False)  # fmt: skip
+        glass = plate(
+            (0.0, face.y, (face.low + face.high) / 2),
+            (0.0009, half_w + 0.008, (face.high - face.low) / 2 - 0.004),
+            0.004,
+            GLASS,
+            collides=False,
+        )
         return (glass, *shapes, *_keys(face, top, _paint((0.50, 0.52, 0.54)), 0.0016, 0.45))
     key = _paint((0.30, 0.31, 0.32)) if pale else _paint((0.52, 0.53, 0.54))
     return (*shapes, *_keys(face, top, key, 0.0028, 1.0))

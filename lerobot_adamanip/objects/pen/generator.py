@@ -21,10 +21,10 @@ from lerobot_adamanip.objects.base import (
     from_above,
     kind_of,
 )
+from lerobot_adamanip.objects.geometry.lathe import swivelled
 from lerobot_adamanip.objects.pen.parts import Pen, barrel_shapes, cap_shapes, tip_shapes
 from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
 from lerobot_adamanip.objects.pen.stands import Stand, draw_stand, stand_shapes
-from lerobot_adamanip.objects.shaping.lathe import swivelled
 from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 LIFT_UPPER = 0.05

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.shaping.lathe import Ring, turned
-from lerobot_adamanip.objects.shaping.shapes import box, chamfered_box
+from lerobot_adamanip.objects.geometry.lathe import Ring, turned
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box
 
 SOCKET_ROOM = 0.0012
 """Between a barrel and its socket [m]."""

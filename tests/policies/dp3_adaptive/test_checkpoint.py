@@ -15,7 +15,7 @@ from lerobot.policies.factory import make_policy, make_pre_post_processors
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.modeling_dp3_adaptive import DP3AdaptivePolicy
+from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 

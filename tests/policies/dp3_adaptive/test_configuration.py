@@ -11,7 +11,7 @@ from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
-from lerobot_policy_adamanip.configuration_dp3_adaptive import PRESETS
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import PRESETS
 
 PAPER = {
     "num_points": 4096, "encoder": "pointnet2", "n_action_history_steps": 4, "horizon": 4, "n_action_steps": 2,
@@ -59,9 +59,18 @@ def test_both_presets_set_the_same_options() -> None:
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
     config = DP3AdaptiveConfig(
-        preset=preset, horizon=8, num_points=77, encoder_dims=(8, 16), use_effort=True, device="cpu",
-        history_noise_std=0.0, optimizer_betas=(0.8, 0.9), tags=["a"], push_to_hub=False, n_obs_steps=3,
-    )  # fmt: skip
+        preset=preset,
+        horizon=8,
+        num_points=77,
+        encoder_dims=(8, 16),
+        use_effort=True,
+        device="cpu",
+        history_noise_std=0.0,
+        optimizer_betas=(0.8, 0.9),
+        tags=["a"],
+        push_to_hub=False,
+        n_obs_steps=3,
+    )
     config.input_features, config.output_features = (
         _features((77, 3)),
         {schema.ACTION: PolicyFeature(FeatureType.ACTION, (10,))},

@@ -43,8 +43,11 @@ def _train(*options: str) -> str:
     """Runs lerobot-train; returns what it logged."""
     done = subprocess.run(
         [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options],
-        capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout + done.stderr
 
@@ -87,8 +90,11 @@ def test_too_few_recorded_points_end_a_training_with_one_clear_error(
     options = (*DP3, *_dataset(dataset_root), "--steps=1", wrong, f"--output_dir={tmp_path / 'run'}")
     done = subprocess.run(
         [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options],
-        capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
     assert done.returncode != 0
     assert "ConfigurationError" in done.stderr
     assert "(64, 3)" in done.stderr

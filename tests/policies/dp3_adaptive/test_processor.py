@@ -21,7 +21,7 @@ from lerobot.processor.converters import (
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.rotations import matrix_from_rotation_6d
-from lerobot_policy_adamanip.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
@@ -148,8 +148,9 @@ def test_tool_frames_are_inverse_to_each_other(make_tiny: MakeTiny, batch_of: An
     state, actions = batch[schema.STATE][:, -1], batch[schema.ACTION]
     relative = policy.frames.to_relative(actions, state)
     torch.testing.assert_close(policy.frames.to_absolute(relative, state), actions, rtol=0, atol=1e-5)
-    torch.testing.assert_close(policy.frames.to_relative(policy.frames.to_absolute(actions, state), state), actions,
-                               rtol=0, atol=1e-5)  # fmt: skip
+    torch.testing.assert_close(
+        policy.frames.to_relative(policy.frames.to_absolute(actions, state), state), actions, rtol=0, atol=1e-5
+    )
     torch.testing.assert_close(relative[..., 3:], actions[..., 3:])
 
 
@@ -157,7 +158,7 @@ def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
     """What the policy calls relative is the difference of goal and tool in metres, as recorded."""
     changes = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0}
     policy, before, _, dataset = make_tiny(**changes)
-    from lerobot_policy_adamanip.modeling_dp3_adaptive import RELATIVE_SCALE
+    from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import RELATIVE_SCALE
 
     item = dataset[13]
     batch = batch_of(dataset, before, 13)
@@ -186,9 +187,11 @@ def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, tmp_path: Pat
     for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
         torch.testing.assert_close(found[key], expected[key], rtol=0, atol=0)
     restored = PolicyProcessorPipeline.from_pretrained(
-        tmp_path, config_filename=f"{after.name}.json",
-        to_transition=policy_action_to_transition, to_output=transition_to_policy_action,
-    )  # fmt: skip
+        tmp_path,
+        config_filename=f"{after.name}.json",
+        to_transition=policy_action_to_transition,
+        to_output=transition_to_policy_action,
+    )
     assert any(isinstance(step, OrthonormaliseStep) for step in restored.steps)
     action = torch.randn(2, 10)
     torch.testing.assert_close(restored(action), after(action), rtol=0, atol=0)

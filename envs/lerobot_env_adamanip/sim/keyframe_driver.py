@@ -1,0 +1,188 @@
+"""One key frame: drive the arm to a commanded pose until it is there, stalls against something, or time is up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, MotionLimits, Outcome
+from lerobot_adamanip.rotations import angle_between, interpolate, pose_from_vector
+from lerobot_adamanip.schema import ACTION_DIM
+from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, pose_error
+
+Array = NDArray[np.float64]
+
+FINGER_OPEN, FINGER_CLOSED = 0.04, -0.01
+"""Finger targets [m]. Closed lies past contact, so that the fingers press on what is thin."""
+
+
+@dataclass
+class ArmState:
+    """What the joints tell. Arrays are (7,) but ``fingers`` (2,): [rad], [rad/s], [m]."""
+
+    qpos: Array
+    qvel: Array
+    fingers: Array
+
+
+class KeyframeDriver:
+    """Turns one (10,) action into control ticks.
+
+    Args:
+        kinematics: of the arm.
+        read: returns the present `ArmState`.
+        tick: advances the simulation by one control step with joint targets (7,), joint velocity targets (7,) and a
+            finger target [m].
+        control_dt: duration of a tick [s].
+        stiffness: of the joint drives (7,) [N m/rad].
+        limits: see `MotionLimits`.
+    """
+
+    def __init__(
+        self,
+        kinematics: ArmKinematics,
+        read: Callable[[], ArmState],
+        tick: Callable[[Array, Array, float], None],
+        *,
+        control_dt: float,
+        stiffness: Array,
+        limits: MotionLimits = DEFAULT_MOTION,
+    ) -> None:
+        self.kinematics, self.limits = kinematics, limits
+        self._read, self._tick_simulation = read, tick
+        self._dt, self._stiffness = control_dt, stiffness
+        self._target: Array = read().qpos.copy()
+        self._finger = self._finger_target = FINGER_OPEN
+        self._ticks = self._strained = 0
+        self.closing = False  # whether this key frame only closes the fingers: see `AdaManipTask`, detent
+        self.effort: Array = np.zeros(NUM_ARM_JOINTS)
+        self.feedback = self._feedback(None)
+        self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
+
+    def execute(self, action: NDArray[np.float32]) -> Feedback:
+        """Runs one key frame and returns what was felt. The arm's targets end where the arm is.
+
+        Raises:
+            ConfigurationError: the action has the wrong shape, or is not finite.
+        """
+        goal, gripper = self.goal = self._checked(action)
+        self._ticks = self._strained = 0
+        finger_goal = self._finger_goal(gripper)
+        gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
+        self.closing = finger_goal < self._finger_target - 5e-3 and self._stays(goal)
+        self._finger_target = finger_goal
+        outcome = self._follow(goal)
+        if outcome is Outcome.REACHED:
+            outcome = self._settle(goal, self.limits.grip_ticks if gripper_moves else 0)
+        self.effort = self._torque(self._read())
+        self._relax(outcome)
+        self.feedback = self._feedback(outcome)
+        self.closing = False
+        return self.feedback
+
+    def _stays(self, goal: Array) -> bool:
+        here, limits = self.kinematics.tcp_in_base(self._target), self.limits
+        near = np.linalg.norm(goal[:3, 3] - here[:3, 3]) < limits.reached_position
+        return bool(near and angle_between(goal[:3, :3], here[:3, :3]) < limits.reached_rotation)
+
+    def _checked(self, action: NDArray[np.float32]) -> tuple[Array, float]:
+        array = np.asarray(action, dtype=np.float64)
+        if array.shape != (ACTION_DIM,) or not np.isfinite(array).all():
+            got = f"shape {array.shape}" if array.shape != (ACTION_DIM,) else f"non-finite values {array.tolist()}"
+            allowed = f"({ACTION_DIM},) finite numbers: position [m], rotation 6D, gripper"
+            raise ConfigurationError(
+                "Malformed action.", got=got, allowed=allowed, hint="lerobot_adamanip.rotations.pose_vector"
+            )
+        goal, gripper = pose_from_vector(array)
+        goal[:3, 3] = np.clip(goal[:3, 3], self.limits.reach_lower, self.limits.reach_upper)
+        return goal, float(np.clip(gripper, 0.0, 1.0))
+
+    @staticmethod
+    def _finger_goal(gripper: float) -> float:
+        return FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
+
+    def _follow(self, goal: Array) -> Outcome:
+        """Straight line and slerp with a smooth speed profile, from where the arm is."""
+        start = self.kinematics.tcp_in_base(self._target)
+        distance = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
+        angle = angle_between(start[:3, :3], goal[:3, :3])
+        limits = self.limits
+        seconds = max(
+            _quintic_seconds(distance, limits.linear_speed, limits.linear_acceleration),
+            _quintic_seconds(angle, limits.angular_speed, limits.angular_acceleration),
+        )
+        ticks = max(1, int(np.ceil(seconds / self._dt)))
+        for k in range(1, ticks + 1):
+            waypoint = interpolate(start, goal, _quintic(k / ticks))
+            solution = self.kinematics.solve(waypoint, self._target, iterations=15)
+            if not solution.within(5e-3, 0.03):
+                solution = self.kinematics.solve(waypoint, self._target, iterations=80)
+                if not solution.within(0.01, 0.06):
+                    return Outcome.UNREACHABLE
+            if self._advance(solution.qpos):
+                return Outcome.STALLED
+            if self._ticks >= self.limits.max_ticks:
+                return Outcome.TIMEOUT
+        return Outcome.REACHED
+
+    def _settle(self, goal: Array, wait: int) -> Outcome:
+        state = self._read()
+        for k in range(self.limits.settle_ticks + wait):
+            if self._advance(self._target):
+                return Outcome.STALLED
+            state = self._read()
+            if k + 1 >= wait and np.abs(state.qvel).max() < 0.03:
+                break
+        actual = self.kinematics.tcp_in_base(state.qpos)
+        far = np.linalg.norm(actual[:3, 3] - goal[:3, 3]) > self.limits.reached_position
+        turned = angle_between(actual[:3, :3], goal[:3, :3]) > self.limits.reached_rotation
+        return Outcome.STALLED if far or turned else Outcome.REACHED
+
+    def _advance(self, target: Array) -> bool:
+        """One control tick towards ``target``; True once the arm has strained for long enough to give up."""
+        velocity = (target - self._target) / self._dt
+        self._target = target
+        self._tick(target, velocity)
+        lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), self.kinematics.tcp_in_base(target))
+        limits = self.limits
+        strained = np.linalg.norm(lag[:3]) > limits.stall_position or np.linalg.norm(lag[3:]) > limits.stall_rotation
+        self._strained = self._strained + 1 if strained else 0
+        return self._strained >= self.limits.stall_ticks
+
+    def _relax(self, outcome: Outcome) -> None:
+        """Gives up what could not be reached: the next key frame starts from where the arm is, without strain."""
+        if outcome is not Outcome.REACHED:
+            for _ in range(8):
+                self._target = self._read().qpos.copy()
+                self._tick(self._target, np.zeros(NUM_ARM_JOINTS))
+
+    def _tick(self, target: Array, velocity: Array) -> None:
+        """One control tick; the fingers' target moves no faster than fingers do."""
+        step = self.limits.finger_speed * self._dt
+        self._finger += float(np.clip(self._finger_target - self._finger, -step, step))
+        self._tick_simulation(target, velocity, self._finger)
+        self._ticks += 1
+
+    def _torque(self, state: ArmState) -> Array:
+        """External joint torque (7,) [N m], as the drives' springs feel it: exact at rest, gravity being balanced.
+
+        The drives' damping is left out on purpose: it answers to the arm's own inertia, and would look like contact.
+        """
+        return self._stiffness * (self._target - state.qpos)
+
+    def _feedback(self, outcome: Outcome | None) -> Feedback:
+        state = self._read()
+        return Feedback(self.kinematics.tcp_in_base(state.qpos), float(state.fingers.mean() / FINGER_OPEN), outcome)
+
+
+def _quintic_seconds(distance: float, speed: float, acceleration: float) -> float:
+    """Duration in which a quintic covers ``distance`` within both peaks: 15/8 d/T and 10/sqrt(3) d/T^2."""
+    return float(max(1.875 * distance / speed, np.sqrt(10 / np.sqrt(3) * distance / acceleration)))
+
+
+def _quintic(t: float) -> float:
+    return t * t * t * (10 - 15 * t + 6 * t * t)

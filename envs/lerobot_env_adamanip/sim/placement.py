@@ -1,0 +1,166 @@
+"""Where object, robot and camera stand: randomisation, and the check that the arm reaches what it has to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import UnreachableError, require_choice
+from lerobot_adamanip.keyframes import PRE_GRASP
+from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
+from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_env_adamanip.sim.kinematics import ArmKinematics
+
+Array = NDArray[np.float64]
+
+PATH_STEPS = 6
+"""Poses checked on each leg of a path."""
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Half widths of uniform draws around the nominal layout.
+
+    Attributes:
+        object_x, object_y: [m].
+        object_yaw: [rad].
+        joint: standard deviation of the start posture [rad].
+        camera_position: [m] along each axis, camera and its target alike.
+    """
+
+    object_x: float = 0.04
+    object_y: float = 0.06
+    object_yaw: float = 0.15
+    joint: float = 0.02
+    camera_position: float = 0.03
+
+
+RANDOMIZATIONS = {
+    "default": Randomization(),
+    "paper": Randomization(0.0, 0.0, 0.0, 0.0, 0.0),
+}
+"""``paper``: upstream's code moves neither object, robot nor camera."""
+
+
+def randomization(preset: str) -> Randomization:
+    """Returns a preset by name; raises `ConfigurationError` that lists them for another name."""
+    return RANDOMIZATIONS[require_choice("pose preset", preset, RANDOMIZATIONS)]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """An episode's poses: the object's root (4, 4) and the arm's start (7,) [rad]; annotations in the base frame."""
+
+    object_in_base: Array
+    start_qpos: Array
+    annotations: dict[str, PartAnnotation]
+
+
+Path = tuple[Mapping[str, float], ...]
+"""Joint positions [rad or m] to visit one after the other, from rest."""
+
+
+@dataclass(frozen=True)
+class ReachRequirement:
+    """What the arm must reach at a part: hold it, and take it along every one of ``paths``.
+
+    >>> ReachRequirement("knob", ({"knob": -1.2},), ({"knob": 1.2},))  # both ways from rest
+    >>> ReachRequirement("cap", ({"cap": 2.0}, {"cap": 2.0, "lift": 0.05}))  # turn, then lift
+    """
+
+    part: str
+    paths: tuple[Path, ...]
+
+    def __init__(self, part: str, *paths: Path) -> None:
+        object.__setattr__(self, "part", part)
+        object.__setattr__(self, "paths", paths)
+
+
+def draw_placement(
+    rng: np.random.Generator,
+    obj: ArticulatedObject,
+    kinematics: ArmKinematics,
+    reaches: tuple[ReachRequirement, ...],
+    spread: Randomization,
+    *,
+    nominal_x: float,
+    floor_z: float,
+    tries: int = 30,
+) -> Placement:
+    """Draws poses until the arm reaches every part, held and turned; one draw decides everything.
+
+    Args:
+        rng: generator of this episode's layout.
+        obj: the object.
+        kinematics: of the arm.
+        reaches: part motions to check.
+        spread: half widths.
+        nominal_x: distance of the object's front from the robot's base [m].
+        floor_z: height of the surface it stands on [m].
+        tries: draws at most.
+
+    Raises:
+        UnreachableError: none of the draws could be reached.
+    """
+    for _ in range(tries):
+        x, y = nominal_x + rng.uniform(-1, 1) * spread.object_x, rng.uniform(-1, 1) * spread.object_y
+        yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
+        pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
+        start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
+        annotations = _reachable(obj, pose, kinematics, reaches)
+        if annotations is not None:
+            return Placement(pose, start, annotations)
+    raise UnreachableError(
+        f"{obj.object_id} cannot be placed where the arm reaches its parts.",
+        got=f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m",
+        allowed="every part within reach, held and turned",
+        hint="--env.pose_preset=paper, or another object",
+    )
+
+
+def _reachable(
+    obj: ArticulatedObject, pose: Array, kinematics: ArmKinematics, reaches: tuple[ReachRequirement, ...]
+) -> dict[str, PartAnnotation] | None:
+    found = {}
+    for reach in reaches:
+        part = obj.part(reach.part).in_frame(pose)
+        candidates = [part.rolled(angle) if angle else part for angle in part.rolls]
+        costs = [_cost(each, reach, kinematics) for each in candidates]
+        scored = [(cost, k) for k, cost in enumerate(costs) if cost is not None]
+        if not scored:
+            return None
+        found[reach.part] = candidates[min(scored)[1]]
+    return found
+
+
+def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinematics) -> float | None:
+    """Returns how far the wrist strays from rest while holding and moving the part; None if out of reach."""
+    before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
+    grasped = kinematics.solve(before, kinematics.rest, iterations=120, posture_steps=60)
+    if not grasped.within(2e-3, 0.01):
+        return None
+    first = kinematics.solve(part.grasp, grasped.qpos, iterations=60)
+    strayed = 0.0
+    for path in reach.paths:
+        qpos = first.qpos
+        for positions in _along(path):
+            solution = kinematics.solve(part.moved(positions), qpos, iterations=40)
+            if not solution.within(2e-3, 0.01):
+                return None
+            qpos = solution.qpos
+            strayed = max(strayed, float(np.abs(qpos[6] - kinematics.rest[6])))
+    return strayed
+
+
+def _along(path: Path) -> Iterator[dict[str, float]]:
+    """Joint positions on the way: the first is rest."""
+    here: dict[str, float] = dict.fromkeys(path[0], 0.0)
+    yield here
+    for leg in path:
+        for fraction in np.arange(1, PATH_STEPS + 1) / PATH_STEPS:
+            start = {name: here.get(name, 0.0) for name in leg}
+            yield {name: start[name] + float(fraction) * (goal - start[name]) for name, goal in leg.items()}
+        here = dict(leg)

@@ -1,0 +1,163 @@
+"""What is known about a foreign object beside its URDF, and ``adamanip.json``, the annotation tool's file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lerobot_adamanip.assets.roles import ROLES
+from lerobot_adamanip.assets.urdf import HUGE, broken
+from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
+from lerobot_adamanip.rotations import transform
+
+FORMAT, VERSION = "adamanip-annotation", 1
+
+
+@dataclass(frozen=True)
+class JointChoice:
+    """Which joint plays a role: it rests at ``rest`` and goes towards ``open`` (the URDF's units; sign included)."""
+
+    joint: str
+    rest: float
+    open: float
+
+
+@dataclass(frozen=True)
+class PartChoice:
+    """Where a part is held: ``grasp`` (4, 4) [m] in the frame of its link, or in the object frame with all joints at
+    rest.
+    """
+
+    link: str
+    grasp: Pose
+    frame: Literal["link", "object"] = "object"
+    rolls: tuple[float, ...] = TWO_FINGERS
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """All that turns a URDF into an object.
+
+    Attributes:
+        category: of the object.
+        joints: per role of the category.
+        parts: per part of the category.
+        scale: metres per unit of length of the URDF.
+        object_in_urdf: (4, 4) the object frame in the URDF's root frame, in metres; None: front along -x, up along z,
+            the origin from the bounding box (AdaManip, PartNet-Mobility).
+    """
+
+    category: str
+    joints: Mapping[str, JointChoice]
+    parts: Mapping[str, PartChoice] = field(default_factory=dict)
+    scale: float = 1.0
+    object_in_urdf: Pose | None = None
+
+
+def read_annotation(path: Path, category: str) -> Annotation:
+    """Reads ``adamanip.json``; `ConfigurationError` if it is of another category or anything in it is wrong."""
+
+    def wrong(what: str, got: object, allowed: str) -> Exception:
+        return broken(path, what, got=got, allowed=allowed, hint=f"adamanip annotate {path.parent.name}")
+
+    try:
+        found: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise wrong("cannot be read.", error, "JSON, as `adamanip annotate` saves it") from error
+    if not isinstance(found, dict) or found.get("format") != FORMAT or found.get("version") != VERSION:
+        raise wrong("not an annotation.", str(found)[:80], f"format {FORMAT!r}, version {VERSION}")
+    if found.get("category") != category:
+        raise wrong("of another category.", found.get("category"), category)
+    roles = ROLES[require_choice("category", category, ROLES)]
+    joints: Any = found.get("joints")
+    parts: Any = found.get("parts")
+    missing = [r.name for r in roles.joints if not isinstance(joints, dict) or r.name not in joints]
+    missing += [r.name for r in roles.parts if not isinstance(parts, dict) or r.name not in parts]
+    if missing:
+        raise wrong("incomplete.", f"without {', '.join(missing)}", "a joint for each role, and each part")
+    try:
+        return Annotation(
+            category,
+            {r.name: _joint_from_json(joints[r.name]) for r in roles.joints},
+            {r.name: _part_from_json(parts[r.name]) for r in roles.parts},
+            _scale(found["scale"]),
+            pose_from_json(found["object_in_urdf"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise wrong(
+            "has a value that cannot be.",
+            f"{type(error).__name__}: {error}",
+            "finite numbers, (4, 4) rigid transforms, names",
+        ) from error
+
+
+def save_annotation(path: Path, annotation: Annotation) -> None:
+    """Writes ``adamanip.json``, all or nothing: a crash leaves the old file as it was."""
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "category": annotation.category,
+        "scale": annotation.scale,
+        "object_in_urdf": None if annotation.object_in_urdf is None else annotation.object_in_urdf.tolist(),
+        "joints": {k: {"joint": j.joint, "rest": j.rest, "open": j.open} for k, j in annotation.joints.items()},
+        "parts": {
+            k: {"link": p.link, "grasp": p.grasp.tolist(), "rolls": list(p.rolls)} for k, p in annotation.parts.items()
+        },
+    }
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".json.part", delete=False) as stream:
+        try:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+            Path(stream.name).chmod(0o644)  # temporary files are private; this one is data
+            Path(stream.name).replace(path)
+        except BaseException:
+            Path(stream.name).unlink(missing_ok=True)
+            raise
+
+
+def pose_from_json(value: Any) -> Pose:
+    """Returns a (4, 4) rigid transform out of nested lists; ValueError if it is none."""
+    pose = np.array(value, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > HUGE:
+        raise ValueError(f"not a finite (4, 4) transform: {value}")
+    turn = pose[:3, :3]
+    if (
+        not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
+        or np.linalg.det(turn) < 0
+        or not np.allclose(pose[3], (0, 0, 0, 1))
+    ):
+        raise ValueError(f"not a rotation and a translation: {value}")
+    u, _, v = np.linalg.svd(turn)
+    return transform(pose[:3, 3], u @ v)
+
+
+def _joint_from_json(value: Any) -> JointChoice:
+    choice = JointChoice(str(value["joint"]), float(value["rest"]), float(value["open"]))
+    if not (math.isfinite(choice.rest) and math.isfinite(choice.open)) or choice.rest == choice.open:
+        raise ValueError(f"joint {choice.joint}: rest {choice.rest}, open {choice.open}")
+    return choice
+
+
+def _part_from_json(value: Any) -> PartChoice:
+    rolls = tuple(float(roll) for roll in value["rolls"])
+    if not rolls or not all(map(math.isfinite, rolls)) or len(rolls) > 64:
+        raise ValueError(f"rolls {rolls}")
+    return PartChoice(str(value["link"]), pose_from_json(value["grasp"]), "object", rolls)
+
+
+def _scale(value: Any) -> float:
+    scale = float(value)
+    if not (math.isfinite(scale) and 1e-4 < scale < 1e4):
+        raise ValueError(f"scale {scale}")
+    return scale

@@ -1,0 +1,173 @@
+"""An annotation while somebody works on it: loaded from the best there is, changed step by step, never lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lerobot_adamanip.assets.annotation.file import (
+    Annotation,
+    JointChoice,
+    PartChoice,
+    read_annotation,
+    save_annotation,
+)
+from lerobot_adamanip.assets.annotation.proposal import propose, propose_part
+from lerobot_adamanip.assets.convert import assemble
+from lerobot_adamanip.assets.kinematics import Posed, object_frame, posed
+from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
+from lerobot_adamanip.assets.source import ANNOTATION_NAME
+from lerobot_adamanip.assets.upstream import default_choice, upstream_annotation
+from lerobot_adamanip.assets.urdf import Urdf, read_urdf
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.objects.base import TWO_FINGERS, ArticulatedObject, Pose, any_roll
+
+DRAFT_NAME = "adamanip.draft.json"
+"""Changes that have not been saved yet; removed by saving."""
+
+
+class Draft:
+    """The annotation of one folder. Grasps are in the object frame, joints at rest.
+
+    Attributes:
+        folder: of the object.
+        annotation: as it stands.
+        origin: where it came from, in words.
+        changed: whether there are changes that no file holds yet.
+    """
+
+    def __init__(self, folder: Path, category: str) -> None:
+        """Reads the folder.
+
+        Raises:
+            ConfigurationError: the URDF, a mesh, or an annotation that is there cannot be read. Nothing is overwritten.
+        """
+        self.folder, self.category = folder, category
+        self.urdf: Urdf = read_urdf(folder / "mobility.urdf")
+        self.annotation, self.origin = self._found()
+        self.changed = False
+        self._place()
+
+    def _found(self) -> tuple[Annotation, str]:
+        for name, origin in ((DRAFT_NAME, "changes that were not saved"), (ANNOTATION_NAME, "saved annotation")):
+            if (self.folder / name).is_file():
+                return read_annotation(self.folder / name, self.category), origin
+        try:
+            return upstream_annotation(self.urdf, self.category), "AdaManip's annotated points"
+        except ConfigurationError:
+            return propose(self.urdf, self.category), "proposed from bounding boxes"
+
+    def _place(self) -> None:
+        """Poses the URDF, and expresses what is given in links' frames in the object frame."""
+        self.posed: Posed = posed(self.urdf, self.annotation)
+        frame = object_frame(self.posed, self.annotation)
+        parts = {}
+        for name, part in self.annotation.parts.items():
+            if part.frame == "link":
+                grasp = np.linalg.inv(frame) @ self.posed.poses[part.link] @ part.grasp
+                part = PartChoice(part.link, grasp, "object", part.rolls)  # noqa: PLW2901
+            parts[name] = part
+        self.annotation = replace(self.annotation, parts=parts, object_in_urdf=frame)
+
+    # What is shown -----------------------------------------------------------------------------------------------
+
+    def object(self) -> ArticulatedObject:
+        """Returns the object as it would be, without collision shapes; `ConfigurationError` if the joints clash."""
+        return assemble(self.urdf, self.annotation, self.posed, solid=False, checked=False)
+
+    def problem(self) -> str:
+        """Returns what keeps the annotation from being used; an empty text if nothing does."""
+        try:
+            assemble(self.urdf, self.annotation, self.posed, solid=False)
+        except ConfigurationError as error:
+            return str(error)
+        return ""
+
+    # Changes -----------------------------------------------------------------------------------------------------
+
+    def set_joint(self, role: JointRole, joint: str) -> None:
+        """Chooses the joint of a role, with the limits the URDF gives it."""
+        chosen = next(each for each in self.urdf.moving if each.name == joint)
+        self._set_choice(role.name, default_choice(role, chosen))
+
+    def set_range(self, role: str, rest: float, opened: float) -> None:
+        """Sets where a joint rests and goes to, in the URDF's units."""
+        self._set_choice(role, JointChoice(self.annotation.joints[role].joint, rest, opened))
+
+    def _set_choice(self, role: str, choice: JointChoice) -> None:
+        before = self.annotation
+        self.annotation = replace(before, joints={**before.joints, role: choice})
+        try:
+            self._place()
+            self.object()
+        except ConfigurationError:
+            self.annotation = before
+            self._place()
+            raise
+        self.changed = True
+
+    def set_grasp(self, part: str, grasp: Pose) -> None:
+        """Moves the grasp (4, 4) of a part, object frame, joints at rest."""
+        self._set_part(part, replace(self.annotation.parts[part], grasp=grasp))
+
+    def set_link(self, part: PartRole, link: str) -> None:
+        """Chooses the link a part belongs to, and proposes a grasp on it."""
+        assert self.annotation.object_in_urdf is not None
+        frame = self.annotation.object_in_urdf
+        self._set_part(part.name, propose_part(self.posed, self.annotation, part, frame, link))
+
+    def set_round(self, part: str, any_side: bool) -> None:
+        """Says whether a part may be held from every side of the approach."""
+        self._set_part(part, replace(self.annotation.parts[part], rolls=any_roll() if any_side else TWO_FINGERS))
+
+    def _set_part(self, name: str, part: PartChoice) -> None:
+        self.annotation = replace(self.annotation, parts={**self.annotation.parts, name: part})
+        self.changed = True
+
+    def set_scale(self, scale: float) -> None:
+        """Sets the metres per unit of the URDF; everything grows with it."""
+        ratio = scale / self.annotation.scale
+
+        def scaled(pose: Pose) -> Pose:
+            grown = pose.copy()
+            grown[:3, 3] *= ratio
+            return grown
+
+        parts = {k: replace(part, grasp=scaled(part.grasp)) for k, part in self.annotation.parts.items()}
+        assert self.annotation.object_in_urdf is not None
+        frame = scaled(self.annotation.object_in_urdf)
+        self.annotation = replace(self.annotation, parts=parts, scale=scale, object_in_urdf=frame)
+        self._place()
+        self.changed = True
+
+    # Files -------------------------------------------------------------------------------------------------------
+
+    def autosave(self) -> None:
+        """Keeps changes in a file beside the annotation, until they are saved."""
+        if self.changed:
+            save_annotation(self.folder / DRAFT_NAME, self.annotation)
+            self.changed = False
+
+    def save(self) -> Path:
+        """Writes ``adamanip.json`` and removes the draft; returns its path.
+
+        Raises:
+            ConfigurationError: the object could not be used with it; the changes are kept as a draft.
+        """
+        try:
+            assemble(self.urdf, self.annotation, self.posed, solid=False)
+        except ConfigurationError:
+            self.autosave()
+            raise
+        path = self.folder / ANNOTATION_NAME
+        save_annotation(path, self.annotation)
+        (self.folder / DRAFT_NAME).unlink(missing_ok=True)
+        self.changed, self.origin = False, "saved annotation"
+        return path
+
+
+def roles_of(category: str) -> tuple[tuple[JointRole, JointRole], tuple[PartRole, ...]]:
+    """Returns the joints and parts a category needs."""
+    return ROLES[category].joints, ROLES[category].parts

@@ -1,0 +1,238 @@
+"""From a URDF and its annotation to an object of ours: other frame, other names, convex collisions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice
+from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame, posed
+from lerobot_adamanip.assets.meshes import Surface, convex_parts
+from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
+from lerobot_adamanip.assets.upstream import check_kind, find_annotation
+from lerobot_adamanip.assets.urdf import Urdf, broken, read_urdf
+from lerobot_adamanip.objects.base import (
+    ArticulatedObject,
+    Joint,
+    Link,
+    Material,
+    PartAnnotation,
+    Pose,
+    Shape,
+    annotate,
+)
+from lerobot_adamanip.rotations import transform
+
+Array = NDArray[np.float64]
+
+SMALLEST, LARGEST = 0.02, 3.0
+"""Longest side of an object that is plausible in metres."""
+NEAR = 0.15
+"""A grasp further than this outside of the object holds nothing [m]."""
+ROOT_MASS, FINAL_MASS, KEY_MASS = 10.0, 2.0, 0.1
+"""Where the URDF states none [kg]."""
+MASSES = (0.005, 200.0)
+
+
+def convert_asset(folder: Path, category: str) -> ArticulatedObject:
+    """Reads a folder and builds its object; see `load_object`."""
+    urdf = read_urdf(folder / "mobility.urdf")
+    annotation = find_annotation(urdf, category)
+    return assemble(urdf, annotation, posed(urdf, annotation))
+
+
+def assemble(
+    urdf: Urdf, annotation: Annotation, found: Posed, *, solid: bool = True, checked: bool = True
+) -> ArticulatedObject:
+    """Returns the object.
+
+    Args:
+        urdf: its description.
+        annotation: of the URDF.
+        found: the URDF at rest.
+        solid: with collision shapes; to look at it, they are not needed.
+        checked: whether size and parts have to be plausible; while somebody still annotates, they may not be.
+
+    Raises:
+        ConfigurationError: its joints, or, if checked, its parts or size cannot be what the category needs.
+    """
+    check_joints(urdf, annotation)
+    to_object: Pose = np.linalg.inv(object_frame(found, annotation)).astype(np.float64)
+    leaders = groups(urdf, annotation.joints)
+    origins = {name: (to_object @ pose)[:3, 3] for name, pose in found.poses.items()} | {urdf.root: np.zeros(3)}
+    return _Assembly(urdf, annotation, found, to_object, leaders, origins, solid, checked).build()
+
+
+def check_joints(urdf: Urdf, annotation: Annotation) -> None:
+    """Raises `ConfigurationError` unless each role has a joint of its own, of the right kind."""
+    roles, by_name = ROLES[annotation.category], {joint.name: joint for joint in urdf.moving}
+    chosen = [annotation.joints[role.name].joint for role in roles.joints]
+    if len(set(chosen)) != len(chosen) or not set(chosen) <= set(by_name):
+        raise broken(
+            urdf.path,
+            "the annotation's joints are not two of its own.",
+            got=chosen,
+            allowed=list(by_name),
+            hint=f"adamanip annotate {urdf.path.parent.name}",
+        )
+    for role in roles.joints:
+        check_kind(urdf, role, by_name[annotation.joints[role.name].joint])
+
+
+@dataclass(frozen=True)
+class _Assembly:
+    """What is known while an object is put together.
+
+    Attributes:
+        to_object: (4, 4) from the URDF's root frame to the object frame.
+        leaders: per link, the link it is rigidly part of.
+        origins: (3,) of each link at rest, object frame.
+        solid, checked: see `assemble`.
+    """
+
+    urdf: Urdf
+    annotation: Annotation
+    found: Posed
+    to_object: Pose
+    leaders: Mapping[str, str]
+    origins: Mapping[str, Array]
+    solid: bool
+    checked: bool
+
+    def build(self) -> ArticulatedObject:
+        links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._order))
+        lower, upper = self._box(links)
+        depth, width, height = (float(length) for length in upper - lower)
+        if self.checked:
+            _check_size(self.urdf, max(depth, width, height))
+        roles = ROLES[self.annotation.category].parts
+        return ArticulatedObject(
+            f"{self.annotation.category}:{self.urdf.path.parent.name}",
+            self.annotation.category,
+            links,
+            tuple(self._part(role, links, lower, upper) for role in roles),
+            (width, depth, height),
+            f"foreign, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
+            self_collides=False,
+        )
+
+    def _order(self, link: str) -> tuple[int, bool]:
+        """Parents before children, the final joint's link before the key joint's, the same in every process."""
+        above = self.urdf.joint_above(link)
+        key = self.annotation.joints[ROLES[self.annotation.category].key.name].joint
+        return self._depth(link), above is not None and above.name == key
+
+    def _depth(self, link: str) -> int:
+        above = self.urdf.joint_above(link)
+        return 0 if above is None else 1 + self._depth(above.parent)
+
+    def _link(self, name: str) -> Link:
+        members = [link for link, leader in self.leaders.items() if leader == name]
+        into = transform(-self.origins[name]) @ self.to_object
+        shapes: list[Shape] = []
+        for member in members:
+            shapes += [_visual(surface, into) for surface in self.found.visuals[member]]
+            for surface in self.found.collisions[member] if self.solid else ():
+                shapes += [_solid(vertices, faces, into) for vertices, faces in convex_parts(surface)]
+        mass = sum(self.urdf.links[member].mass or 0.0 for member in members)
+        above = self.urdf.joint_above(name)
+        if above is None:
+            return Link(name, tuple(shapes), _plausible(mass, ROOT_MASS))
+        roles = ROLES[self.annotation.category]
+        role = next(r for r in roles.joints if self.annotation.joints[r.name].joint == above.name)
+        mass = _plausible(mass, FINAL_MASS if role is roles.final else KEY_MASS)
+        parent = self.leaders[above.parent]
+        axis = self.to_object[:3, :3] @ self.found.poses[name][:3, :3] @ np.asarray(above.axis)
+        choice, offset = self.annotation.joints[role.name], self.origins[name] - self.origins[parent]
+        return Link(name, tuple(shapes), mass, parent, _joint(role, choice, axis, offset, self.annotation.scale))
+
+    def _box(self, links: tuple[Link, ...]) -> tuple[Array, Array]:
+        """The box around all that is seen, object frame, joints at rest."""
+        points = [
+            shape.vertices + self.origins[link.name]
+            for link in links
+            for shape in link.shapes
+            if shape.visible and shape.vertices is not None
+        ]
+        every = np.concatenate(points)
+        return every.min(axis=0), every.max(axis=0)
+
+    def _part(self, role: PartRole, links: tuple[Link, ...], lower: Array, upper: Array) -> PartAnnotation:
+        choice, where = self.annotation.parts[role.name], self.urdf.path
+        if choice.link not in self.leaders:
+            raise broken(
+                where,
+                f"the {role.name} is annotated on a link that does not exist.",
+                got=repr(choice.link),
+                allowed=", ".join(self.leaders),
+            )
+        grasp = choice.grasp
+        if choice.frame == "link":
+            grasp = self.to_object @ self.found.poses[choice.link] @ grasp
+        part = annotate(links, self.leaders[choice.link], role.name, grasp, choice.rolls)
+        carried = {motion.joint for motion in part.motions}
+        away = float(np.max(np.maximum(lower - grasp[:3, 3], grasp[:3, 3] - upper)))
+        if self.checked and (away > NEAR or not set(role.joints) <= carried):
+            raise broken(
+                where,
+                f"the {role.name} is not where, or on what, a {self.annotation.category} has it.",
+                got=f"moves with {', '.join(sorted(carried)) or 'nothing'}, {max(away, 0):.2f} m outside of the object",
+                allowed=f"moves with {', '.join(role.joints)}, {NEAR} m outside at most",
+                hint=f"adamanip annotate {where.parent.name}",
+            )
+        return part
+
+
+def _plausible(mass: float, default: float) -> float:
+    return mass if MASSES[0] < mass < MASSES[1] else default
+
+
+def _joint(role: JointRole, choice: JointChoice, axis: Array, origin: Array, scale: float) -> Joint:
+    """Our joint: zero at rest, positive towards open; one that turns either way does so as far to both sides."""
+    travel = (choice.open - choice.rest) * (scale if role.kind == "prismatic" else 1.0)
+    direction = axis * np.sign(travel)
+    limits = (-abs(travel) if role.either_way else 0.0, abs(travel))
+    x, y, z = (float(value) for value in direction)
+    a, b, c = (float(value) for value in origin)
+    return Joint(role.name, role.kind, (x, y, z), (a, b, c), limits, role.friction, role.damping)
+
+
+def _visual(surface: Surface, into: Pose) -> Shape:
+    vertices = surface.vertices @ into[:3, :3].T + into[:3, 3]
+    return Shape(
+        "mesh",
+        (),
+        np.eye(4),
+        Material(surface.color),
+        collides=False,
+        vertices=np.ascontiguousarray(vertices, np.float32),
+        faces=np.ascontiguousarray(surface.faces, np.int32),
+    )
+
+
+def _solid(vertices: Array, faces: NDArray[np.int64], into: Pose) -> Shape:
+    moved = vertices @ into[:3, :3].T + into[:3, 3]
+    return Shape(
+        "mesh",
+        (),
+        np.eye(4),
+        Material((0.5, 0.5, 0.5)),
+        visible=False,
+        vertices=np.ascontiguousarray(moved, np.float32),
+        faces=np.ascontiguousarray(faces, np.int32),
+    )
+
+
+def _check_size(urdf: Urdf, longest: float) -> None:
+    if not SMALLEST <= longest <= LARGEST:
+        raise broken(
+            urdf.path,
+            "of a size no such object has.",
+            got=f"{longest:.3g} m along its longest side",
+            allowed=f"{SMALLEST} ... {LARGEST} m",
+            hint=f"adamanip annotate {urdf.path.parent.name}, and set the scale",
+        )

@@ -1,0 +1,299 @@
+"""Meshes of foreign objects: read from inside their folder only, coloured, and cut into convex parts for collisions."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.assets.urdf import Geometry, broken, parse_xml
+
+logger = logging.getLogger(__name__)
+
+MESH_KINDS = (".obj", ".stl", ".dae", ".glb")
+MAX_BYTES = 256_000_000
+MAX_FACES = 1_000_000
+GREY = (0.6, 0.6, 0.6)
+NEARLY_CONVEX = 0.85
+"""A mesh that fills this much of its hull collides as its hull."""
+THIN = 1e-3
+"""What has no thickness gets this much for collisions [m]."""
+COACD_OPTIONS = {
+    "threshold": 0.07, "max_convex_hull": 24, "seed": 0, "preprocess_resolution": 30, "resolution": 500,
+    "mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2,
+}  # fmt: skip
+"""CoACD's own defaults take minutes for one open box; these take seconds, for about as many parts."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A coloured triangle mesh, (V, 3) [m] in its link's frame and (F, 3)."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    color: tuple[float, float, float]
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Returns the file a URDF or material names, which has to lie in the object's folder.
+
+    Args:
+        folder: of the object.
+        name: relative; ``package://name/rest`` is looked for as ``rest`` and ``name/rest``.
+
+    Raises:
+        ConfigurationError: the path leads elsewhere (``..``, absolute, another scheme, a link), or to no file.
+    """
+    text, root = name.strip().replace("\\", "/"), folder.resolve()
+    rest = text.removeprefix("package://")
+    tries = [rest] if rest == text else [rest.partition("/")[2], rest]
+    where = folder / "mobility.urdf"
+    if "://" in rest or "\0" in rest or any(PurePosixPath(t).is_absolute() or ".." in t.split("/") for t in tries):
+        raise broken(
+            where,
+            "names a file outside its folder, which is not read.",
+            got=repr(name[:120]),
+            allowed=f"a path inside {folder.name}/",
+            hint="copy the file into the folder",
+        )
+    found = [root / each for each in tries if each and (root / each).is_file()]
+    if not found:
+        raise broken(
+            where,
+            "names a file that is missing.",
+            got=repr(name[:120]),
+            allowed=f"a file inside {folder.name}/",
+            hint="unpack the whole archive",
+        )
+    path = found[0].resolve()
+    if not path.is_relative_to(root):
+        raise broken(
+            where,
+            "names a link out of its folder, which is not followed.",
+            got=repr(name[:120]),
+            allowed=f"files inside {folder.name}/",
+            hint="copy the file into the folder",
+        )
+    return path
+
+
+def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
+    """Returns the surfaces of a visual or collision element, in its link's frame, in the URDF's unit of length.
+
+    Raises:
+        ConfigurationError: the mesh is missing, outside the folder, of an unknown kind, or cannot be read.
+    """
+    import trimesh
+
+    if geometry.kind == "mesh":
+        parts = _mesh_parts(folder, geometry.mesh)
+    elif geometry.kind == "box":
+        parts = ((trimesh.creation.box(extents=geometry.size), None),)
+    elif geometry.kind == "sphere":
+        parts = ((trimesh.creation.icosphere(subdivisions=2, radius=geometry.size[0]), None),)
+    else:
+        parts = ((trimesh.creation.cylinder(radius=geometry.size[0], height=geometry.size[1], sections=32), None),)
+    to_link = geometry.pose.copy()
+    if geometry.kind == "mesh":
+        to_link[:3, :3] = to_link[:3, :3] * np.asarray(geometry.size)
+    made = []
+    for mesh, color in parts:
+        faces = np.asarray(mesh.faces, np.int64)
+        if np.linalg.det(to_link[:3, :3]) < 0:
+            faces = faces[:, ::-1]
+        vertices = np.asarray(mesh.vertices, np.float64) @ to_link[:3, :3].T + to_link[:3, 3]
+        made.append(Surface(vertices, faces, geometry.color or color or GREY))
+    return tuple(made)
+
+
+def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float, float] | None], ...]:
+    """The triangle meshes of a file, in the file's frame, each with its main colour."""
+    import trimesh
+
+    path = inside(folder, name)
+    if path.suffix.lower() not in MESH_KINDS or path.stat().st_size > MAX_BYTES:
+        raise broken(
+            path,
+            "not a mesh that can be read.",
+            got=f"{path.suffix}, {path.stat().st_size} bytes",
+            allowed=f"{', '.join(MESH_KINDS)} up to {MAX_BYTES} bytes",
+            hint="convert it to .obj",
+        )
+    data = path.read_bytes()
+    if path.suffix.lower() == ".dae":
+        _check_collada(path, data)
+    try:
+        scene = trimesh.load_scene(
+            io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=_resolver(folder, path.parent)
+        )
+        meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    except Exception as error:
+        raise broken(
+            path,
+            "cannot be read as a mesh.",
+            got=f"{type(error).__name__}: {error}",
+            allowed=f"a valid {path.suffix} file",
+        ) from error
+    if sum(len(mesh.faces) for mesh in meshes) > MAX_FACES or not all(np.isfinite(m.vertices).all() for m in meshes):
+        raise broken(
+            path,
+            "has too many faces, or vertices that are not finite.",
+            got=f"{len(meshes)} meshes",
+            allowed=f"finite vertices, {MAX_FACES} faces",
+        )
+    if not meshes:
+        logger.warning("%s has no triangles: left out", path)
+    return tuple((mesh, _main_color(mesh)) for mesh in meshes)
+
+
+def _check_collada(path: Path, data: bytes) -> None:
+    """Collada is XML: refuse what a URDF is refused for; and say what reads it."""
+    parse_xml(path, data)
+    try:
+        import collada  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise broken(
+            path,
+            "Collada needs a package that is not installed.",
+            got="no module collada",
+            allowed="pycollada",
+            hint="pip install 'lerobot_env_adamanip[assets]'",
+        ) from error
+
+
+def _resolver(folder: Path, base: Path) -> Any:
+    """What fetches the files a mesh names (materials, textures): from inside the object's folder only."""
+    import trimesh
+
+    root = folder.resolve()
+
+    class Inside(trimesh.resolvers.Resolver):
+        def __init__(self) -> None:
+            """Nothing to prepare; trimesh asks for a constructor."""
+
+        def get(self, name: str) -> bytes:
+            path = (base / str(name).strip().replace("\\", "/")).resolve()
+            if not path.is_relative_to(root) or path.stat().st_size > MAX_BYTES:
+                raise FileNotFoundError(f"{name} is not inside {root}")
+            return path.read_bytes()
+
+        def keys(self) -> Any:
+            return ()
+
+        def namespaced(self, namespace: str) -> Any:
+            raise FileNotFoundError(namespace)
+
+        def write(self, name: str, data: Any) -> None:
+            raise PermissionError(name)
+
+    return Inside()
+
+
+def _main_color(mesh: Any) -> tuple[float, float, float] | None:
+    """The colour of a mesh's material, or its texture's mean; None if it has none."""
+    try:
+        material = getattr(mesh.visual, "material", None)
+        image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        if image is not None:
+            mean = np.asarray(image.convert("RGB").resize((16, 16)), np.float64).reshape(-1, 3).mean(axis=0)
+        elif material is not None:
+            mean = np.asarray(material.main_color, np.float64)[:3]
+        elif mesh.visual.defined:
+            mean = np.asarray(mesh.visual.main_color, np.float64)[:3]
+        else:
+            return None
+    except Exception:  # a picture that cannot be read costs a colour, not the object
+        logger.warning("a material could not be read: grey instead")
+        return None
+    linear = (mean / 255) ** 2.2  # files hold sRGB, shaders work on linear colours
+    return float(linear[0]), float(linear[1]), float(linear[2])
+
+
+def convex_parts(surface: Surface) -> tuple[tuple[NDArray[np.float64], NDArray[np.int64]], ...]:
+    """Returns convex meshes (V, 3), (F, 3) that together cover a surface: its hull, or CoACD's parts of it."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
+    hull = _hull(surface.vertices)
+    if _fills(mesh, hull):
+        return ((np.asarray(hull.vertices), np.asarray(hull.faces)),)
+    parts = [_hull(vertices) for vertices in _decomposed(mesh)] or [hull]
+    return tuple((np.asarray(part.vertices), np.asarray(part.faces)) for part in parts)
+
+
+def _hull(vertices: NDArray[np.float64]) -> Any:
+    import trimesh
+
+    extent = np.ptp(vertices, axis=0)
+    thin = float(np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)[-1])
+    if extent.min() < THIN or thin < 1e-6 * np.sqrt(len(vertices)):
+        steps = THIN / 2 * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        vertices = (vertices[:, None] + steps).reshape(-1, 3)
+    return trimesh.convex.convex_hull(vertices)
+
+
+def _fills(mesh: Any, hull: Any) -> bool:
+    """Whether a mesh is close to its hull: by volume if it is closed, else by how far the hull is off its surface."""
+    from scipy.spatial import cKDTree
+    from trimesh.sample import sample_surface
+
+    if mesh.is_watertight:
+        return bool(abs(mesh.volume) > NEARLY_CONVEX * hull.volume)
+    count = 4000
+    own, around = (np.asarray(sample_surface(item, count, seed=0)[0]) for item in (mesh, hull))
+    spacing = np.sqrt(float(mesh.area) / count)
+    gap = cKDTree(own).query(around)[0].max()
+    return bool(gap < max(0.006, 4 * spacing))
+
+
+def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
+    """The vertices of CoACD's parts, from a cache where they are known; none if CoACD is not installed or fails."""
+    vertices, faces = np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
+    digest = hashlib.sha256(vertices.tobytes() + faces.tobytes() + f"{COACD_OPTIONS}".encode()).hexdigest()[:32]
+    path = cache_folder() / f"{digest}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return [np.asarray(stored[key]) for key in stored.files]
+    except (OSError, ValueError):
+        pass
+    try:
+        import coacd
+    except ModuleNotFoundError:
+        logger.warning(
+            "a part is not convex and collides as its hull; pip install 'lerobot_env_adamanip[assets]' cuts it up"
+        )
+        return []
+    try:
+        coacd.set_log_level("error")
+        logger.info("cutting a part that is not convex into convex ones (once; kept in %s)", path.parent)
+        parts = coacd.run_coacd(coacd.Mesh(vertices, faces), **COACD_OPTIONS)
+    except Exception as error:
+        logger.warning("CoACD failed (%s): a part that is not convex collides as its hull", error)
+        return []
+    found = [np.asarray(part[0], np.float64) for part in parts]
+    _store(path, found)
+    return found
+
+
+def cache_folder() -> Path:
+    """Where convex parts are kept between runs."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "lerobot_adamanip" / "convex"
+
+
+def _store(path: Path, parts: list[NDArray[np.float64]]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as stream:
+            np.savez(cast(Any, stream), *parts)
+        Path(stream.name).replace(path)
+    except OSError as error:
+        logger.warning("convex parts are not kept: %s", error)

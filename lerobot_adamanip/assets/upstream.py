@@ -1,0 +1,165 @@
+"""AdaManip's and UniDoorManip's annotations: a point per part, and constants of AdaManip's code for how it is held."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice, PartChoice, read_annotation
+from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
+from lerobot_adamanip.assets.source import ANNOTATION_NAME
+from lerobot_adamanip.assets.urdf import HUGE, Urdf, UrdfJoint, broken
+from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, from_above
+from lerobot_adamanip.rotations import transform
+
+MAX_POINT_BYTES = 1_000_000
+PART_FROM_OBJECT: NDArray[np.float64] = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""AdaManip's part frames: y up, z out of the front. Takes our object frame's directions to theirs."""
+_DEFAULT_FINAL, _DEFAULT_KEY = "joint_1", "joint_2"
+
+
+def find_annotation(urdf: Urdf, category: str) -> Annotation:
+    """Returns the annotation of an object: ``adamanip.json`` if there is one, else AdaManip's or UniDoorManip's points.
+
+    Raises:
+        ConfigurationError: there is none, or it is broken.
+    """
+    path = urdf.path.parent / ANNOTATION_NAME
+    return read_annotation(path, category) if path.is_file() else upstream_annotation(urdf, category)
+
+
+def upstream_annotation(urdf: Urdf, category: str) -> Annotation:
+    """Returns what AdaManip's or UniDoorManip's files say: a point per part, in the frame of its link.
+
+    Joints are ``joint_1`` (final) and ``joint_2`` (key), or, where these are not there, the first two that move. How a
+    hand comes to the point is AdaManip's constant for the category.
+    """
+    roles = ROLES[require_choice("category", category, ROLES)]
+    joints = guessed_joints(urdf, category)
+    parts = {}
+    for part in roles.parts:
+        path = next((p for name in part.point_files if (p := urdf.path.parent / name).is_file()), None)
+        if path is None:
+            raise _unannotated(urdf, part)
+        link = part_link(urdf, part, joints, roles.final, roles.key)
+        rolls = any_roll() if part.round else TWO_FINGERS
+        parts[part.name] = PartChoice(link, upstream_grasp(part, read_point(path)), "link", rolls)
+    return Annotation(category, joints, parts)
+
+
+def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
+    """Returns the joints that play the category's roles, by AdaManip's names or by their order.
+
+    Raises:
+        ConfigurationError: fewer than two joints move, or not in the way the category needs.
+    """
+    roles, moving = ROLES[category], {joint.name: joint for joint in urdf.moving}
+    if {_DEFAULT_FINAL, _DEFAULT_KEY} <= set(moving):
+        chosen = [moving[_DEFAULT_FINAL], moving[_DEFAULT_KEY]]
+    else:
+        chosen = list(moving.values())[:2]
+    if len(chosen) < 2:
+        raise broken(
+            urdf.path,
+            f"a {category} needs two joints that move.",
+            got=list(moving) or "none",
+            allowed=" and ".join(f"{r.name} ({r.kind})" for r in roles.joints),
+        )
+    for role, joint in zip(roles.joints, chosen, strict=True):
+        check_kind(urdf, role, joint)
+    return {role.name: default_choice(role, joint) for role, joint in zip(roles.joints, chosen, strict=True)}
+
+
+def check_kind(urdf: Urdf, role: JointRole, joint: UrdfJoint) -> None:
+    """Raises `ConfigurationError` if a joint does not move in the way its role needs."""
+    kind = "revolute" if joint.kind == "continuous" else joint.kind
+    if kind != role.kind:
+        raise broken(
+            urdf.path,
+            f"joint {joint.name!r} cannot be the {role.name}.",
+            got=joint.kind,
+            allowed=role.kind,
+            hint=f"adamanip annotate {urdf.path.parent.name}, and choose the joint",
+        )
+
+
+def default_choice(role: JointRole, joint: UrdfJoint) -> JointChoice:
+    """Returns where a joint rests and opens to: zero (or what is next to it), and its limit on the longer side."""
+    lower, upper = joint.limits or (0.0, role.upper)
+    if upper - lower < 1e-6:
+        lower, upper = 0.0, role.upper
+    rest = float(np.clip(0.0, lower, upper))
+    return JointChoice(joint.name, rest, upper if upper - rest >= rest - lower else lower)
+
+
+def part_link(urdf: Urdf, part: PartRole, joints: Mapping[str, JointChoice], final: JointRole, key: JointRole) -> str:
+    """Returns the link a part belongs to: under its last joint, or a handle with a joint of its own on that link."""
+    children = {joint.name: joint.child for joint in urdf.joints}
+    link = children[joints[part.joints[-1]].joint]
+    if part.joints == (final.name,) and part.name == "handle":
+        taken = {choice.joint for choice in joints.values()}
+        own = [joint.child for joint in urdf.moving if joint.parent == link and joint.name not in taken]
+        return own[0] if own else link
+    return link
+
+
+def upstream_grasp(part: PartRole, point: NDArray[np.float64]) -> Pose:
+    """Returns the (4, 4) grasp in AdaManip's part frame at an annotated ``point`` (3,) [m]."""
+    held = {"facing": facing, "from_above": from_above}[part.grasp]((0.0, 0.0, 0.0), part.roll)
+    rotation = PART_FROM_OBJECT @ held[:3, :3]
+    up = PART_FROM_OBJECT @ np.array([0.0, 0.0, part.up])
+    return transform(point + part.past * rotation[:, 2] + up, rotation)
+
+
+def read_point(path: Path) -> NDArray[np.float64]:
+    """Reads a point (3,): a ``goal_pos`` in JSON, numpy's .npy, or a tensor that torch saved under that name.
+
+    Raises:
+        ConfigurationError: anything else, pickled objects above all (nothing is unpickled).
+    """
+    if path.stat().st_size > MAX_POINT_BYTES:
+        raise broken(path, "too large for a point.", got=f"{path.stat().st_size} bytes", allowed="3 numbers")
+    readers: dict[bool, Callable[[Path], Any]] = {True: _point_in_json, False: _point_in_array}
+    try:
+        value = np.asarray(readers[path.suffix == ".json"](path), dtype=np.float64).reshape(-1)
+    except Exception as error:
+        raise broken(
+            path,
+            "holds no point that is safe to read.",
+            got=f"{type(error).__name__}: {error}"[:300],
+            allowed="a tensor or an array of 3 numbers",
+        ) from error
+    if value.shape != (3,) or not np.isfinite(value).all() or np.abs(value).max() > HUGE:
+        raise broken(path, "not a point.", got=value[:6], allowed="3 finite numbers [m]")
+    return value
+
+
+def _point_in_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))["goal_pos"]
+
+
+def _point_in_array(path: Path) -> Any:
+    with path.open("rb") as stream:
+        if stream.read(6) == b"\x93NUMPY":
+            return np.load(path, allow_pickle=False)
+    import torch
+
+    value = torch.load(path, map_location="cpu", weights_only=True)
+    if not isinstance(value, torch.Tensor):
+        raise TypeError(f"{type(value).__name__} instead of a tensor")
+    return value.detach().double().numpy()
+
+
+def _unannotated(urdf: Urdf, part: PartRole) -> ConfigurationError:
+    return ConfigurationError(
+        f"{urdf.path.parent.name} does not say where its {part.name} is held.",
+        got=f"neither {ANNOTATION_NAME} nor {' nor '.join(part.point_files)} in {urdf.path.parent}",
+        allowed=f"{ANNOTATION_NAME}, or AdaManip's annotated points (PartNet-Mobility has none)",
+        hint=f"adamanip annotate {urdf.path.parent.name} --category ...",
+    )

@@ -1,0 +1,273 @@
+"""A careful reader of URDF: what others wrote is checked, not trusted. Nothing outside the given text is read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.objects.base import Pose
+from lerobot_adamanip.rotations import transform
+
+UrdfJointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
+GeometryKind = Literal["box", "cylinder", "sphere", "mesh"]
+JOINT_KINDS: tuple[UrdfJointKind, ...] = ("fixed", "revolute", "continuous", "prismatic")
+MAX_BYTES = 8_000_000
+MAX_LINKS = 1000
+HUGE = 1e4
+"""No number in the description of a household object is larger."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A visual or collision element: ``size`` as URDF has it (box: full extents; cylinder: radius, length; sphere:
+    radius; mesh: scale along x, y, z), in the frame of its link at ``pose`` (4, 4).
+    """
+
+    kind: GeometryKind
+    size: tuple[float, ...]
+    pose: Pose
+    mesh: str = ""
+    color: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class UrdfLink:
+    """A link; ``mass`` is None where the file states none that can be used [kg]."""
+
+    name: str
+    visuals: tuple[Geometry, ...]
+    collisions: tuple[Geometry, ...]
+    mass: float | None
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint; ``pose`` (4, 4) is the child's in the parent at zero, ``axis`` (3,) a unit vector in the child."""
+
+    name: str
+    kind: UrdfJointKind
+    parent: str
+    child: str
+    pose: Pose
+    axis: tuple[float, float, float]
+    limits: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A tree of links; joints in the order of the file."""
+
+    path: Path
+    links: dict[str, UrdfLink]
+    joints: tuple[UrdfJoint, ...]
+    root: str
+
+    @property
+    def moving(self) -> tuple[UrdfJoint, ...]:
+        """The joints that are not fixed."""
+        return tuple(joint for joint in self.joints if joint.kind != "fixed")
+
+    def joint_above(self, link: str) -> UrdfJoint | None:
+        """Returns the joint whose child a link is; None for the root."""
+        return next((joint for joint in self.joints if joint.child == link), None)
+
+
+def broken(
+    path: Path, what: str, *, got: object, allowed: object, hint: str = "the file as it was published"
+) -> Exception:
+    """Returns the error for a file that cannot be used."""
+    return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Reads a URDF.
+
+    Raises:
+        ConfigurationError: no such file, not XML, with a document type (entities), or not one tree of links.
+    """
+    if not path.is_file():
+        raise broken(
+            path,
+            "no such file.",
+            got="nothing",
+            allowed="a folder with a mobility.urdf in it",
+            hint="the folder of one object",
+        )
+    if path.stat().st_size > MAX_BYTES:
+        raise broken(path, "too large.", got=f"{path.stat().st_size} bytes", allowed=f"{MAX_BYTES} bytes")
+    robot = parse_xml(path, path.read_bytes())
+    if robot.tag != "robot":
+        raise broken(path, "not a URDF.", got=f"<{robot.tag}>", allowed="<robot> as its root")
+    colors = {
+        str(m.get("name")): color
+        for m in robot.findall("material")
+        if (color := _color(path, m.find("color"))) is not None
+    }
+    links = [_link(path, element, colors) for element in robot.findall("link")]
+    joints = tuple(_joint(path, element) for element in robot.findall("joint"))
+    return Urdf(path, {link.name: link for link in links}, joints, _checked_root(path, links, joints))
+
+
+def parse_xml(path: Path, text: bytes) -> Any:
+    """Returns the root element of XML without a document type; `ConfigurationError` for anything else."""
+    import defusedxml
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    try:
+        return fromstring(text, forbid_dtd=True)
+    except defusedxml.DefusedXmlException as error:
+        raise broken(
+            path,
+            "has a document type or entities, which are not read.",
+            got=type(error).__name__,
+            allowed="plain XML",
+            hint="a file without <!DOCTYPE ...>",
+        ) from error
+    except (ParseError, ValueError, LookupError, RecursionError) as error:
+        raise broken(path, "not XML.", got=error, allowed="well-formed XML") from error
+
+
+def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
+    """Parses ``count`` finite numbers; `ConfigurationError` otherwise."""
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(math.isfinite(v) and abs(v) < HUGE for v in values):
+        raise broken(
+            path,
+            f"{what} is not {count} finite number(s).",
+            got=repr(text[:80]),
+            allowed=f"{count} number(s) below {HUGE:g}",
+        )
+    return values
+
+
+def _origin(path: Path, element: Any, where: str) -> Pose:
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(4)
+    position = numbers(path, origin.get("xyz", "0 0 0"), 3, f"the origin of {where}")
+    angles = numbers(path, origin.get("rpy", "0 0 0"), 3, f"the orientation of {where}")
+    return transform(position, Rotation.from_euler("xyz", angles).as_matrix())
+
+
+def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
+    if element is None:
+        return None
+    # Written as screens show them; shaders work on linear colours.
+    red, green, blue, _ = np.clip(numbers(path, element.get("rgba", ""), 4, "a colour"), 0, 1) ** 2.2
+    return float(red), float(green), float(blue)
+
+
+def _name(path: Path, element: Any, what: str) -> str:
+    name: str = element.get("name", "")
+    if not name:
+        raise broken(path, f"a {what} has no name.", got=f"<{element.tag}>", allowed=f"a name for every {what}")
+    return name
+
+
+def _link(path: Path, element: Any, colors: dict[str, tuple[float, float, float]]) -> UrdfLink:
+    name = _name(path, element, "link")
+
+    def all_of(tag: str) -> tuple[Geometry, ...]:
+        return tuple(_geometry(path, item, name, colors) for item in element.findall(tag))
+
+    mass = None
+    if (stated := element.find("inertial/mass")) is not None:
+        mass = numbers(path, stated.get("value", ""), 1, f"the mass of {name}")[0]
+    return UrdfLink(name, all_of("visual"), all_of("collision"), mass)
+
+
+def _geometry(path: Path, element: Any, link: str, colors: dict[str, tuple[float, float, float]]) -> Geometry:
+    where = f"a {element.tag} of {link}"
+    pose = _origin(path, element, where)
+    color = None
+    if (material := element.find("material")) is not None:
+        color = _color(path, material.find("color")) or colors.get(material.get("name", ""))
+    shape: Any = next(iter(element.findall("geometry/*")), None)
+    readers: dict[str, Callable[[], tuple[float, ...]]] = {
+        "box": lambda: numbers(path, shape.get("size", ""), 3, where),
+        "sphere": lambda: numbers(path, shape.get("radius", ""), 1, where),
+        "cylinder": lambda: numbers(path, f"{shape.get('radius', '')} {shape.get('length', '')}", 2, where),
+        "mesh": lambda: numbers(path, shape.get("scale", "1 1 1"), 3, where),
+    }
+    if shape is None or shape.tag not in readers:
+        raise broken(
+            path,
+            f"{where} has no shape that can be used.",
+            got="nothing" if shape is None else shape.tag,
+            allowed=", ".join(readers),
+        )
+    size = readers[shape.tag]()
+    if (not all(value > 0 for value in size) and shape.tag != "mesh") or not all(size):
+        raise broken(path, f"{where} has no extent.", got=size, allowed="positive sizes")
+    return Geometry(shape.tag, size, pose, shape.get("filename", ""), color)
+
+
+def _joint(path: Path, element: Any) -> UrdfJoint:
+    name, kind = _name(path, element, "joint"), element.get("type", "")
+    if kind not in JOINT_KINDS:
+        raise broken(
+            path, f"joint {name!r} has a type that is not known here.", got=repr(kind), allowed=", ".join(JOINT_KINDS)
+        )
+    ends = [element.find(end).get("link", "") if element.find(end) is not None else "" for end in ("parent", "child")]
+    written = element.find("axis")
+    axis = np.array((1.0, 0.0, 0.0) if written is None else numbers(path, written.get("xyz", ""), 3, f"axis of {name}"))
+    if kind != "fixed" and np.linalg.norm(axis) < 1e-6:
+        raise broken(path, f"the axis of {name!r} has no direction.", got=axis, allowed="a vector that is not zero")
+    unit = axis / max(float(np.linalg.norm(axis)), 1e-12)
+    limits, limit = None, element.find("limit")
+    if limit is not None and kind in ("revolute", "prismatic"):
+        both = f"{limit.get('lower', '0')} {limit.get('upper', '0')}"
+        lower, upper = numbers(path, both, 2, f"the limits of {name}")
+        limits = (min(lower, upper), max(lower, upper))
+    pose = _origin(path, element, f"joint {name}")
+    return UrdfJoint(name, kind, ends[0], ends[1], pose, (float(unit[0]), float(unit[1]), float(unit[2])), limits)
+
+
+def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ...]) -> str:
+    """Returns the name of the root, once it is certain that the links are one tree."""
+    names = [link.name for link in links]
+    if not 0 < len(names) <= MAX_LINKS or len(set(names)) != len(names):
+        raise broken(
+            path,
+            "link names are not unique, or none or too many.",
+            got=f"{len(names)} links",
+            allowed=f"1 to {MAX_LINKS} links, each with a name of its own",
+        )
+    if len({joint.name for joint in joints}) != len(joints):
+        raise broken(
+            path,
+            "joint names are not unique.",
+            got=[joint.name for joint in joints],
+            allowed="a name of its own for each",
+        )
+    for joint in joints:
+        if joint.parent not in names or joint.child not in names:
+            raise broken(
+                path,
+                f"joint {joint.name!r} names a link that does not exist.",
+                got=f"{joint.parent!r} -> {joint.child!r}",
+                allowed=", ".join(names[:20]),
+            )
+    parents = {joint.child: joint.parent for joint in joints}
+    roots = [name for name in names if name not in parents]
+    reached = set(roots)
+    while grown := {child for child, parent in parents.items() if parent in reached} - reached:
+        reached |= grown
+    if len(roots) != 1 or len(parents) != len(joints) or reached != set(names):
+        raise broken(
+            path,
+            "the links are not one tree.",
+            got=f"roots {roots}, {len(joints)} joints",
+            allowed="one root, and one joint above every other link",
+        )
+    return roots[0]

@@ -1,0 +1,96 @@
+"""`adamanip annotate`: say in the browser where the parts of somebody's objects are held, and which joints do what."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from lerobot_adamanip.assets.source import URDF_NAME, AssetSource
+from lerobot_adamanip.catalog import make_object
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError, require_choice
+
+AUTOSAVE_PERIOD = 1.0
+"""Seconds at most between a change and a file that holds it."""
+
+
+@dataclass
+class Annotate:
+    """Shows an object in the browser with a gripper at each part; saves adamanip.json into the object's folder.
+
+    Part poses are proposed from bounding boxes (or read from AdaManip's points) for a person to refine. Ctrl-C ends it;
+    what was not saved is kept as a draft and loaded again.
+    """
+
+    directory: Annotated[Path | None, tyro.conf.Positional] = None
+    """A folder with a mobility.urdf, or a directory of such folders."""
+
+    category: str = "safe"
+    """Which kind of object it is."""
+
+    object: str | None = None
+    """Look at a generated object instead (safe_003); nothing can be changed."""
+
+    host: str = "127.0.0.1"
+    """Address to serve the page at; 0.0.0.0 lets other machines in."""
+
+    port: int = 8080
+    """Port to serve the page at; a free one is taken if it is not."""
+
+    def run(self) -> int:
+        """Serves the page until interrupted; 0."""
+        require_choice("category", self.category, CATEGORIES)
+        folders = self._folders()
+        shown = None if self.object is None else make_object(self.object)
+        server = start_server(self.host, self.port)
+        from lerobot_adamanip.cli.annotate.app import AnnotationApp, show
+
+        print(f"open http://{'localhost' if self.host in ('127.0.0.1', '0.0.0.0') else self.host}:{server.get_port()}")
+        app = None if shown is not None else AnnotationApp(server, folders, self.category)
+        if shown is not None:
+            show(server, shown)
+        try:
+            while True:
+                time.sleep(AUTOSAVE_PERIOD)
+                if app is not None:
+                    app.autosave()
+        except KeyboardInterrupt:
+            print("closed")
+        finally:
+            if app is not None:
+                app.autosave()
+            server.stop()
+        return 0
+
+    def _folders(self) -> list[Path]:
+        if (self.directory is None) == (self.object is None):
+            raise ConfigurationError(
+                "Nothing to show.",
+                got=f"directory {self.directory}, --object {self.object}",
+                allowed="one of the two",
+                hint="adamanip annotate assets/safe/sa1 --category safe",
+            )
+        if self.directory is None:
+            return []
+        if (self.directory / URDF_NAME).is_file():
+            return [self.directory]
+        source = AssetSource(self.directory)
+        return [source.folder(identifier) for identifier in source.ids(self.category)]
+
+
+def start_server(host: str, port: int) -> Any:
+    """Returns a viser server; `ConfigurationError` if viser is not installed."""
+    try:
+        import viser
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            "The annotation tool needs a package that is not installed.",
+            got="no module viser",
+            allowed="viser",
+            hint="pip install 'lerobot_env_adamanip[annotate]'",
+        ) from error
+    return viser.ViserServer(host=host, port=port, label="adamanip annotate", verbose=False)

@@ -1,0 +1,1 @@
+"""`adamanip bench`."""

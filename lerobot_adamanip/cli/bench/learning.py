@@ -1,0 +1,174 @@
+"""What the benchmark measures with the dataset and the policy: reading, a training step by stage, an action."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from lerobot_adamanip import lerobot_compat
+from lerobot_adamanip.cli.bench.timing import Stopwatch, median_ms, ratio, repeat_ms
+from lerobot_adamanip.demos.loading import open_dataset
+from lerobot_adamanip.schema import POINT_CLOUD
+
+Batch = dict[str, Any]
+
+
+def make_config(preset: str, features: dict[str, Any], *, device: str) -> Any:
+    """Returns the configuration of ``dp3_adaptive`` for a dataset's features; its clouds made as large as it needs."""
+    from lerobot.configs.types import FeatureType, PolicyFeature
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    from lerobot_policy_adamanip import DP3AdaptiveConfig
+
+    found = dataset_to_policy_features(features)
+    outputs = {key: value for key, value in found.items() if value.type is FeatureType.ACTION}
+    inputs = {key: value for key, value in found.items() if key not in outputs}
+    config = DP3AdaptiveConfig(preset=preset, device=device, output_features=outputs)
+    assert config.num_points is not None
+    points = max(config.num_points, inputs[POINT_CLOUD].shape[0])
+    config.input_features = {**inputs, POINT_CLOUD: PolicyFeature(FeatureType.STATE, (points, 3))}
+    return config
+
+
+def open_for(root: Path, config: Any, *, fast: bool, videos: bool) -> Any:
+    """Returns the dataset as lerobot-train reads it for a policy: with the fast reader or LeRobot's own."""
+    from lerobot.datasets.factory import resolve_delta_timestamps
+    from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
+
+    meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
+    (lerobot_compat.apply if fast else lerobot_compat.restore)()
+    try:
+        dataset = open_dataset(root, delta_timestamps=resolve_delta_timestamps(config, meta))
+        _ = dataset[0]  # readers are built on first use
+    finally:
+        lerobot_compat.apply()
+    if not videos:
+        lerobot_compat.skip_videos(dataset.meta)
+    return dataset
+
+
+def reading(root: Path, *, items: int, repeats: int) -> dict[str, Any]:
+    """Returns ms per item of LeRobot's reader, the fast one, and the fast one without videos; and the speed-ups."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
+
+    config = make_config("fast", LeRobotDatasetMetadata(f"local/{root.name}", root=root).features, device="cpu")
+    rng, times = np.random.default_rng(0), {}
+    kinds = {"stock": (False, True), "fast": (True, True), "fast_without_video": (True, False)}
+    for name, (fast, videos) in kinds.items():
+        dataset = open_for(root, config, fast=fast, videos=videos)
+        wanted = rng.integers(len(dataset), size=(1 + repeats, items))
+        laps = [lerobot_compat.item_milliseconds(dataset, map(int, row)) for row in wanted]
+        times[name] = median_ms([1e-3 * lap for lap in laps[1:]])
+    speed_up = {name: ratio(times["stock"], times[name]) for name in ("fast", "fast_without_video")}
+    return {"ms_per_item": times, "speed_up_over_stock": speed_up}
+
+
+def make_policy(root: Path, preset: str, *, device: str) -> tuple[Any, Any, Any, Any]:
+    """Returns policy, preprocessor, postprocessor and dataset (fast reader, no videos) of a preset."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
+
+    from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
+    from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import make_dp3_adaptive_pre_post_processors
+
+    meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
+    config = make_config(preset, meta.features, device=device)
+    policy = DP3AdaptivePolicy(config, dataset_stats=meta.stats).to(device)
+    before, after = make_dp3_adaptive_pre_post_processors(config, meta.stats)
+    return policy, before, after, open_for(root, config, fast=True, videos=False)
+
+
+def training(root: Path, preset: str, *, batch_size: int, repeats: int, device: str) -> dict[str, Any]:
+    """Returns a training step's time by stage [ms]; ``encoder`` and ``unet`` are forward and backward together."""
+    policy, before, _, dataset = make_policy(root, preset, device=device)
+    policy.train()
+    preset_ = policy.config.get_optimizer_preset()
+    optimizer = preset_.build(policy.get_optim_params())
+    watch, rng = Stopwatch(), np.random.default_rng(0)
+    for _ in range(1 + repeats):
+        with watch.stage("total"):
+            with watch.stage("loading"):
+                items = [dataset[int(index)] for index in rng.integers(len(dataset), size=batch_size)]
+                batch = torch.utils.data.default_collate(items)
+            batch[POINT_CLOUD] = _enough_points(batch[POINT_CLOUD], policy.config.num_points)
+            with watch.stage("preprocessing"):
+                batch = before(batch)
+                _synchronise(device)
+            _learn(policy, batch, watch, device)
+            with watch.stage("optimizer_and_ema"):
+                torch.nn.utils.clip_grad_norm_(policy.get_optim_params(), preset_.grad_clip_norm)
+                optimizer.step()
+                optimizer.zero_grad()
+                policy.update()
+                _synchronise(device)
+    times = watch.medians_ms()
+    return {"batch_size": batch_size, "ms": times, "loading_share": round(times["loading"] / times["total"], 4)}
+
+
+def _learn(policy: Any, batch: Batch, watch: Stopwatch, device: str) -> None:
+    """Forward and backward, cut at the conditioning vector, so that encoder and U-Net can be timed apart."""
+    cut: list[tuple[torch.Tensor, torch.Tensor]] = []
+    encoder_watch = Stopwatch()
+
+    def condition(*args: Any) -> torch.Tensor:
+        with encoder_watch.stage("forward"):
+            whole = type(policy).condition(policy, *args)
+            _synchronise(device)
+        cut.append((whole, whole.detach().requires_grad_()))
+        return cut[0][1]
+
+    whole_watch = Stopwatch()
+    policy.condition = condition
+    try:
+        with whole_watch.stage("step"):
+            loss, _ = policy.forward(batch)
+            loss.backward()
+            _synchronise(device)
+    finally:
+        del policy.condition
+    encoded, leaf = cut[0]
+    with encoder_watch.stage("backward"):
+        torch.autograd.backward(encoded, leaf.grad)
+        _synchronise(device)
+    forward, backward = (encoder_watch.laps[name][0] for name in ("forward", "backward"))
+    watch.laps.setdefault("encoder", []).append(forward + backward)
+    watch.laps.setdefault("unet", []).append(whole_watch.laps["step"][0] - forward)
+
+
+def acting(root: Path, preset: str, *, batch_sizes: tuple[int, ...], repeats: int, device: str) -> dict[str, float]:
+    """Returns the time to an action [ms], for each batch size: processing and generating a chunk, none left over."""
+    policy, before, after, dataset = make_policy(root, preset, device=device)
+    policy.eval()
+    item = dataset[0]
+    times: dict[str, float] = {}
+    for batch_size in batch_sizes:
+        observation = {key: _repeated(item[key][-1], batch_size) for key in policy.config.input_features}
+        observation[POINT_CLOUD] = _enough_points(observation[POINT_CLOUD], policy.config.num_points)
+
+        def act(observation: Batch = observation) -> None:
+            # Forgetting the plan makes every call generate; the observation queue is filled by the first.
+            policy._planned.clear()
+            with torch.inference_mode():
+                after(policy.select_action(before(dict(observation))))
+            _synchronise(device)
+
+        policy.reset()
+        times[f"batch_{batch_size}"] = repeat_ms(act, repeats)
+    return times
+
+
+def _repeated(value: torch.Tensor, batch_size: int) -> torch.Tensor:
+    return value.unsqueeze(0).repeat(batch_size, *(1,) * value.dim())
+
+
+def _enough_points(cloud: torch.Tensor, num_points: int) -> torch.Tensor:
+    """(..., N, 3) -> at least ``num_points``, by repetition: time does not depend on where points are."""
+    times = -(-num_points // cloud.shape[-2])
+    return torch.cat([cloud] * times, dim=-2) if times > 1 else cloud
+
+
+def _synchronise(device: str) -> None:
+    if device == "cuda":
+        torch.cuda.synchronize()

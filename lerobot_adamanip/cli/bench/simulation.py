@@ -1,0 +1,119 @@
+"""What the benchmark measures with the simulator: collection, steps, key frames, observations."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.catalog import object_id
+from lerobot_adamanip.cli.bench.timing import Stopwatch, per_second, ratio, repeat_ms
+from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.demos.collection import CollectionSpec
+from lerobot_adamanip.demos.worker import make_env, resolve
+from lerobot_adamanip.observation import workspace_cloud
+from lerobot_adamanip.pointcloud import Workspace
+from lerobot_adamanip.rollout import rollout
+from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
+
+STEPS_PER_REPEAT = 20
+SEED = 20_25
+
+
+def collection(root: Path, *, category: str, objects: int, per_object: int, workers: int) -> dict[str, Any]:
+    """Collects adaptive demonstrations into ``root``.
+
+    Returns episodes, workers, episodes per minute (as `adamanip collect` reports it, starting the simulators included;
+    and steadily, from the first finished episode to the last), the expert's success and bytes per episode.
+    """
+    names = tuple(object_id(category, number) for number in range(objects))
+    finished: list[float] = []
+
+    def listen(stage: str, done: int, total: int) -> None:
+        if stage == "record" and done:
+            finished.append(time.monotonic())
+
+    options = CollectionSpec(category=category, objects=names, episodes_per_object=per_object, seed=SEED)
+    summary = collect(root, options, workers=workers, listener=listen)
+    # The first finished episode of each worker starts its clock.
+    counted, span = len(finished) - workers, finished[-1] - finished[min(workers, len(finished)) - 1]
+    return {
+        "episodes": summary.episodes,
+        "workers": workers,
+        "episodes_per_minute": round(summary.episodes_per_minute, 2),
+        "episodes_per_minute_steady": round(60 * counted / span, 2) if counted > 0 and span > 0 else None,
+        "expert_success_rate": round(summary.expert_success_rate, 4),
+        "bytes_per_episode": summary.bytes // max(1, summary.episodes),
+    }
+
+
+def simulation(*, category: str, repeats: int) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns rates of the simulator [1/s], and times of an observation by stage [ms], of one environment."""
+    from lerobot_env_adamanip.keyframe_env import make_task
+
+    options = CollectionSpec(category=category, objects=(object_id(category, 0),))
+    key_frame = _key_frame_ms(options)
+    task = make_task(category, objects=options.objects[0])
+    try:
+        task.reset(seed=SEED)
+        return _rates(task, key_frame, repeats), _observation(task, repeats)
+    finally:
+        task.close()
+
+
+def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
+    from lerobot_env_adamanip.sim.camera import capture
+
+    still = np.zeros(task.action_space.shape, np.float32)
+    workspace = Workspace()
+
+    def step() -> None:
+        for _ in range(STEPS_PER_REPEAT):
+            task.step(still)
+
+    def step_and_look() -> None:
+        task.step(still)
+        workspace_cloud(capture(task.scene, task._sensors["front"])[1], workspace, DEFAULT_NUM_POINTS)
+
+    plain = per_second(repeat_ms(step, repeats) / STEPS_PER_REPEAT)
+    seen = per_second(repeat_ms(step_and_look, repeats))
+    return {
+        "steps_per_second": plain,
+        "steps_per_second_with_cloud": seen,
+        "cloud_slowdown": ratio(plain, seen),
+        "key_frames_per_second": per_second(key_frame_ms),
+    }
+
+
+def _key_frame_ms(options: CollectionSpec) -> float:
+    """Times the key frames of one expert's episode, observation included; returns their mean [ms]."""
+    env = make_env(options, options.objects[0])
+    try:
+        observation, _ = env.reset(seed=SEED, options={"object_id": options.objects[0]})
+        expert = resolve(options.expert_factory)(
+            options.category, options.expert, env.annotations, generator=np.random.default_rng(SEED)
+        )
+        begin = time.perf_counter()
+        result = rollout(env, observation, expert)
+        seconds = time.perf_counter() - begin
+    finally:
+        env.close()
+    # A mean: key frames differ in length, and their sum is what an episode takes.
+    return 1e3 * seconds / result.key_frames
+
+
+def _observation(task: Any, repeats: int) -> dict[str, float]:
+    from lerobot_env_adamanip.sim.camera import capture
+
+    watch, workspace, camera = Stopwatch(), Workspace(), task._sensors["front"]
+    for _ in range(1 + repeats):
+        with watch.stage("total"):
+            with watch.stage("render"):
+                points = capture(task.scene, camera)[1]
+            with watch.stage(f"crop_fps_{DEFAULT_NUM_POINTS}"):
+                workspace_cloud(points, workspace, DEFAULT_NUM_POINTS)
+        with watch.stage(f"crop_fps_{PAPER_NUM_POINTS}"):
+            workspace_cloud(points, workspace, PAPER_NUM_POINTS)
+    return watch.medians_ms()

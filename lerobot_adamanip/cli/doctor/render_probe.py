@@ -1,0 +1,54 @@
+"""Renders one small frame with SAPIEN and checks its pixels: the only proof that rendering works.
+
+`sapien.Device.can_render()` says False for Mesa's lavapipe, which does render. Run this in a process of its own
+(`python -m lerobot_adamanip.cli.doctor.render_probe`): a broken driver may crash instead of raising. Prints the device.
+"""
+
+from __future__ import annotations
+
+import sys
+
+SIZE = 32
+"""Side of the probe's image [pixels]."""
+
+
+def render_box(backend: str) -> str:
+    """Renders a red box on ``backend`` ("cuda" or "cpu"); returns what SAPIEN calls the device.
+
+    Raises:
+        RuntimeError: no such device, the driver failed, or the picture does not show the box.
+    """
+    import sapien
+
+    device = sapien.Device(backend)
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(device)])
+    scene.set_ambient_light([0.5, 0.5, 0.5])
+    box = scene.create_actor_builder()
+    box.add_box_visual(half_size=[0.1, 0.1, 0.1], material=[1.0, 0.0, 0.0])
+    box.build_static(name="box")
+    camera = scene.add_camera("probe", SIZE, SIZE, 1.0, 0.01, 10.0)
+    camera.entity.set_pose(sapien.Pose([-0.5, 0.0, 0.0]))
+    scene.update_render()
+    camera.take_picture()
+    red, green, blue = (float(v) for v in camera.get_picture("Color")[SIZE // 2, SIZE // 2, :3])
+    if not red > 0.2 > max(green, blue):
+        raise RuntimeError(f"{backend}: the rendered box is not red: {red:.2f}, {green:.2f}, {blue:.2f}")
+    return f"{backend} ({device.name})" if device.name != backend else backend
+
+
+def main() -> int:
+    """Tries the GPU, then the CPU; exit status 0 if one of them renders."""
+    failures = []
+    for backend in ("cuda", "cpu"):
+        try:
+            print(render_box(backend))
+        except (RuntimeError, ImportError) as error:
+            failures.append(f"{backend}: {error}")
+        else:
+            return 0
+    print("; ".join(failures), file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,268 @@
+"""Handles that turn on a leaf: levers, knobs and bars, and the plates they sit on. Shared by doors and windows.
+
+A handle is built hanging straight down from its pivot, in a frame whose origin is the pivot on the leaf's face, x out
+of the leaf and z up, and then turned about x to the side it rests at. Sizes follow door and window furniture: a lever
+stands 55 to 65 mm off its leaf and is 110 to 140 mm long, a knob measures 45 to 56 mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, rod
+from lerobot_adamanip.rotations import rotation_about, transform
+
+LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever")
+KNOBS = ("ball knob", "drum knob", "tulip knob")
+CENTRED = ("T bar", "olive")
+PLATES = ("round rose", "square rose", "long plate")
+METALS = (
+    Material((0.76, 0.76, 0.77), 0.28, 0.9),
+    Material((0.74, 0.56, 0.22), 0.28, 0.9),
+    Material((0.34, 0.25, 0.17), 0.45, 0.8),
+    Material((0.05, 0.05, 0.055), 0.5, 0.2),
+)
+DARK = Material((0.02, 0.02, 0.02), 0.7)
+MASS = 0.06
+"""Of what turns [kg]."""
+SPRING, KNOB_SPRING = 0.35, 0.06
+"""Stiffness of the return spring [N m/rad]: of a lever, and of what is turned between two pads on its own axis."""
+SIDES = 32
+"""Of what is round: a multiple of eight, so that a pad meets a flat from each of `any_roll`'s sides."""
+
+
+@dataclass(frozen=True)
+class HandleDesign:
+    """The parameters of one handle [m, rad].
+
+    Attributes:
+        style: one of `LEVERS`, `KNOBS`, `CENTRED`.
+        standoff: distance of the grip from the leaf's face.
+        length: of a lever from its pivot, or of a bar from end to end.
+        grip: distance of the grip from the pivot, along the lever; 0 for what is held on its pivot.
+        thickness: between the fingers.
+        rest: turn about the leaf's outward normal from hanging straight down to where the handle rests [rad].
+        plate: one of `PLATES`.
+        metal: look.
+    """
+
+    style: str
+    standoff: float
+    length: float
+    grip: float
+    thickness: float
+    rest: float
+    plate: str
+    metal: Material
+
+    @property
+    def rolls(self) -> tuple[float, ...]:
+        """Rolls of equally good grasps [rad]."""
+        return any_roll() if self.style in KNOBS else TWO_FINGERS
+
+    def grip_offset(self) -> NDArray[np.float64]:
+        """Returns the grip from the pivot (3,): x out of the leaf, z up [m]."""
+        sideways = _SWEEP if self.style == "swept lever" else 0.0
+        return rotation_about((1.0, 0.0, 0.0), self.rest) @ (self.standoff - DEEPER, sideways, -self.grip)
+
+
+DEEPER = 0.003
+"""How far the pads reach past the middle of what they hold [m]: every failed pull costs a little."""
+_SWEEP = 0.010
+"""How far a swept lever bows to the side [m]."""
+
+
+def draw_handle(
+    rng: np.random.Generator, styles: Sequence[str], rest: float, metals: Sequence[Material]
+) -> HandleDesign:
+    """Draws a handle of one of ``styles``; knobs and bars rest straight whatever ``rest`` [rad] is."""
+    style = str(rng.choice(list(styles)))
+    lever = style in LEVERS
+    thickness = {"round lever": (0.017, 0.021), "return lever": (0.017, 0.021), "swept lever": (0.017, 0.021)}.get(
+        style, (0.044, 0.056) if style in KNOBS else (0.014, 0.018)
+    )
+    if style == "olive":
+        thickness = (0.024, 0.030)
+    grip = rng.uniform(0.064, 0.076) if lever else 0.0
+    return HandleDesign(
+        style=style,
+        standoff=rng.uniform(0.056, 0.063),
+        length=grip + rng.uniform(0.032, 0.048) if lever else rng.uniform(0.085, 0.115),
+        grip=grip,
+        thickness=rng.uniform(*thickness),
+        rest=rest if lever else 0.0,
+        plate=str(rng.choice(PLATES)),
+        metal=metals[int(rng.integers(len(metals)))],
+    )
+
+
+def handle_shapes(design: HandleDesign) -> tuple[Shape, ...]:
+    """Returns what turns, in the frame of the pivot."""
+    if design.style in KNOBS:
+        shapes = _knob(design)
+    elif design.style in CENTRED:
+        shapes = _centred(design)
+    else:
+        shapes = _lever(design)
+    return turned(shapes, design.rest)
+
+
+def handle_link(
+    design: HandleDesign, names: tuple[str, str, str], pivot: NDArray[np.float64], turn_range: float, damping: float
+) -> Link:
+    """Returns the handle on its spindle. Positive turns clockwise as seen by who stands in front: about -x.
+
+    A return spring, as in a lock case, brings it back to rest. It is tensioned against the handle's weight, or one that
+    hangs to the side would sag in the direction it may turn in, and show it.
+
+    Args:
+        design: of the handle.
+        names: of link, parent link and joint.
+        pivot: (3,) in the parent's frame [m].
+        turn_range: to either side [rad].
+        damping: of the spindle [N m s/rad].
+    """
+    link, parent, name = names
+    shapes = handle_shapes(design)
+    spring = SPRING if design.style in LEVERS else KNOB_SPRING
+    tension = -MASS * 9.81 * _sideways(shapes) / spring
+    x, y, z = (float(value) for value in pivot)
+    joint = Joint(
+        name,
+        "revolute",
+        (-1.0, 0.0, 0.0),
+        (x, y, z),
+        (-turn_range, turn_range),
+        friction=0.0,
+        damping=damping,
+        stiffness=spring,
+        rest=tension,
+    )
+    return Link(link, shapes, mass=MASS, parent=parent, joint=joint)
+
+
+def _sideways(shapes: Sequence[Shape]) -> float:
+    """Returns how far (y) [m] a handle's centre of mass is from its spindle.
+
+    As bodies are built: the middle of a box around meshes, and 2 cm to each side of the centres of all shapes.
+    """
+    reach = []
+    for shape in shapes:
+        if shape.collides:
+            reach += [shape.pose_in_link[1, 3] - 0.02, shape.pose_in_link[1, 3] + 0.02]
+            if shape.vertices is not None:
+                reach += list(shape.vertices @ shape.pose_in_link[1, :3] + shape.pose_in_link[1, 3])
+    return float(max(reach) + min(reach)) / 2
+
+
+def turned(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
+    """Returns the shapes turned by ``angle`` [rad] about x."""
+    turn = transform(rotation=rotation_about((1.0, 0.0, 0.0), angle))
+    return tuple(replace(shape, pose_in_link=turn @ shape.pose_in_link) for shape in shapes)
+
+
+def _lever(design: HandleDesign) -> list[Shape]:
+    x, end, half, metal = design.standoff, -design.length, design.thickness / 2, design.metal
+    neck = rod((0.004, 0, 0), (x, 0, 0), 0.0085, metal, round_ends=False)
+    if design.style == "flat lever":
+        middle = (end + half) / 2
+        return [neck, chamfered_box((x, 0, middle), (0.010, half, half - middle), 0.002, metal)]
+    if design.style == "tapered lever":
+        return [rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False), _tapered(x, end, half, metal)]
+    if design.style == "swept lever":
+        turn, back = -design.grip + 0.022, -design.grip - 0.020
+        points = [(x, 0, 0), (x, _SWEEP, turn), (x, _SWEEP, back), (x, 0.3 * _SWEEP, end)]
+        return [neck] + [rod(a, b, half, metal) for a, b in pairwise(points)]
+    shapes = [neck, rod((x, 0, 0), (x, 0, end), half, metal)]
+    if design.style == "return lever":
+        shapes.append(rod((x, 0, end), (0.022, 0, end), half, metal))
+    return shapes
+
+
+def _tapered(x: float, end: float, half: float, metal: Material) -> Shape:
+    """A blade that is broad over the pivot and slim, but never less than ``half`` to each side, at its end."""
+    ring = []
+    for z, y, depth in ((0.013, half + 0.001, 0.007), (0.010, half + 0.004, 0.011), (end, half, 0.009)):
+        ring += [(x + sx * depth, sy * y, z) for sx in (-1, 1) for sy in (-0.72, 0.72)]
+        ring += [(x + sx * 0.6 * depth, sy * y, z) for sx in (-1, 1) for sy in (-1, 1)]
+    return convex_mesh(np.asarray(ring, dtype=np.float64), np.eye(4), metal)
+
+
+def _knob(design: HandleDesign) -> list[Shape]:
+    """A neck, and a turned head whose widest band is where the pads come."""
+    x, radius = design.standoff, design.thickness / 2
+    profiles = {
+        "ball knob": ((-0.026, 0.45), (-0.021, 0.72), (-0.014, 0.92), (-0.006, 1.0), (0.006, 1.0), (0.014, 0.92),
+                      (0.021, 0.70), (0.026, 0.36)),
+        "drum knob": ((-0.018, 0.86), (-0.014, 1.0), (0.014, 1.0), (0.018, 0.90)),
+        "tulip knob": ((-0.034, 0.42), (-0.018, 0.80), (-0.008, 1.0), (0.008, 1.0), (0.014, 0.93), (0.018, 0.66)),
+    }  # fmt: skip
+    head = lathe([(x + along, radius * share) for along, share in profiles[design.style]], design.metal)
+    shapes = [rod((0.002, 0, 0), (x - 0.012, 0, 0), 0.42 * radius, design.metal, round_ends=False), head]
+    shapes.append(disk((x + 0.0185, 0, 0), 0.24 * radius, 0.008, design.metal, collides=False))
+    return shapes
+
+
+def lathe(profile: Sequence[tuple[float, float]], material: Material) -> Shape:
+    """The convex hull of rings (x, radius) [m] about the x axis."""
+    angles = (np.arange(SIDES) + 0.5) * 2 * np.pi / SIDES
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / np.cos(np.pi / SIDES)
+    rings = [np.column_stack([np.full(SIDES, x), radius * around]) for x, radius in profile]
+    return convex_mesh(np.concatenate(rings), np.eye(4), material)
+
+
+def _centred(design: HandleDesign) -> list[Shape]:
+    """A bar across the pivot, or an oval knob: held on the axis by two flat sides."""
+    x, half, metal = design.standoff, design.thickness / 2, design.metal
+    neck = rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False)
+    if design.style == "T bar":
+        return [neck, chamfered_box((x, 0, 0), (0.013, half, design.length / 2), 0.003, metal)]
+    points = [
+        (x + 0.016 * np.cos(t), s * (half if abs(np.sin(t)) < 0.6 else 0.82 * half), 0.030 * np.sin(t))
+        for t in np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        for s in (-1, 1)
+    ]
+    points += [(x + 0.022 * np.cos(t), 0, 0.038 * np.sin(t)) for t in np.linspace(0, 2 * np.pi, 24, endpoint=False)]
+    return [neck, convex_mesh(np.asarray(points, dtype=np.float64), np.eye(4), metal)]
+
+
+def plate_shapes(
+    design: HandleDesign, y: float, z: float, *, half_width: float, half_length: float, keyhole: bool
+) -> tuple[Shape, ...]:
+    """What the handle sits on, at (y, z) of the leaf: a rose, or a long plate; decoration, a few millimetres proud.
+
+    Args:
+        design: of the handle.
+        y: of the pivot in the leaf's frame [m].
+        z: likewise [m].
+        half_width: of a long plate, and radius of a rose [m].
+        half_length: of a long plate [m].
+        keyhole: whether there is a lock below the pivot.
+    """
+    metal, below = design.metal, z - 0.072
+    if design.plate == "long plate":
+        middle = z - (0.3 * half_length if keyhole else 0.0)
+        shapes = [chamfered_box((0.0025, y, middle), (0.0035, half_width, half_length), 0.002, metal, collides=False)]
+    elif design.plate == "square rose":
+        shapes = [chamfered_box((0.003, y, z), (0.004, half_width, half_width), 0.002, metal, collides=False)]
+    else:
+        shapes = [disk((0.003, y, z), 1.05 * half_width, 0.004, metal, collides=False)]
+    shapes.append(disk((0.006, y, z), 0.62 * half_width, 0.006, metal, collides=False))
+    if keyhole:
+        if design.plate != "long plate":
+            shapes.append(disk((0.0025, y, below), 0.8 * half_width, 0.003, metal, collides=False))
+        shapes.append(disk((0.004, y, below), 0.0075, 0.0035, METALS[0], collides=False))
+        shapes.append(box((0.0068, y, below - 0.002), (0.001, 0.0013, 0.0045), DARK, collides=False))
+    return tuple(shapes)
+
+
+__all__ = [
+    "CENTRED", "KNOBS", "LEVERS", "METALS", "PLATES", "HandleDesign", "draw_handle", "handle_link", "handle_shapes",
+    "lathe", "plate_shapes", "turned",
+]  # fmt: skip

@@ -1,0 +1,208 @@
+"""Shapes turned about a vertical axis: profiles of rings become convex frusta, and decoration follows their surface."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.objects.geometry.shapes import convex_mesh
+from lerobot_adamanip.rotations import rotation_about, transform
+
+Array = NDArray[np.float64]
+Curves = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+"""Of a picture on a surface: (N,) positions along the circumference from the middle, increasing, and (N,) heights of
+its lower and its upper edge there [m]."""
+SIDES, SOLID_SIDES, GRIP_SIDES = 48, 16, 32
+"""Of what is seen, of the solids inside it, and of those that fingers press on: they would turn about fewer and wider
+faces from one to the next, with a part that is blocked."""
+LEAST_SOLID = 0.009
+"""Height of a solid at least, where a profile is that high [m]."""
+PROUD = 0.0004
+"""How far decoration lies above the surface it is on [m]: enough for a depth buffer, too little for an eye."""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A horizontal cross-section.
+
+    Attributes:
+        height: [m].
+        radius: half width along y [m].
+        depth: extent along x as a fraction of that along y; 1 is round.
+        squareness: 0 for an ellipse, 1 for nearly a rectangle.
+    """
+
+    height: float
+    radius: float
+    depth: float = 1.0
+    squareness: float = 0.0
+
+    def point(self, angle: ArrayLike, proud: float = 0.0) -> Array:
+        """Returns the points (..., 3) of the outline at angles from +x [rad], ``proud`` [m] outside it."""
+        angle = np.asarray(angle, dtype=np.float64)
+        power = 2.0 + 6.0 * self.squareness
+        cosine, sine = np.cos(angle), np.sin(angle)
+        reach = (np.abs(cosine) ** power + np.abs(sine) ** power) ** (-1.0 / power)
+        x = (self.radius * self.depth + proud) * reach * cosine
+        y = (self.radius + proud) * reach * sine
+        return np.stack([x, y, np.full_like(x, self.height)], axis=-1)
+
+
+def ring_at(rings: Sequence[Ring], height: float) -> Ring:
+    """Returns the cross-section of a profile at ``height`` [m], interpolated between its rings."""
+    heights = [ring.height for ring in rings]
+    values = [[ring.radius, ring.depth, ring.squareness] for ring in rings]
+    radius, depth, squareness = (float(np.interp(height, heights, column)) for column in zip(*values, strict=True))
+    return Ring(height, radius, depth, squareness)
+
+
+def turned(
+    rings: Sequence[Ring],
+    paint: Material | Callable[[float], Material],
+    *,
+    axis: tuple[float, float] = (0.0, 0.0),
+    sides: int = SIDES,
+    collides: bool = True,
+) -> tuple[Shape, ...]:
+    """Returns a frustum between each two rings that follow each other, and the solids inside them.
+
+    What is seen does not collide. PhysX parts what touches along the shortest way, which for a thin slice is up or
+    down, and invents deep contacts with hair-thin ones; and of a convex shape's corners SAPIEN leaves 64, which ones
+    it decides itself.
+
+    Args:
+        rings: from the bottom up.
+        paint: material, or the material at a height [m].
+        axis: (x, y) of the axis in the link's frame [m].
+        sides: of the polygon that stands for a ring.
+        collides: solid, or decoration.
+    """
+    shapes = []
+    for lower, upper in itertools.pairwise(rings):
+        if upper.height - lower.height > 1e-6:
+            material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
+            shapes.append(_frustum(lower, upper, sides, material, axis, collides=False))
+    if collides:
+        for lower, upper in _inscribed(rings):
+            material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
+            shapes.append(_frustum(lower, upper, SOLID_SIDES, material, axis, collides=True))
+    return tuple(shapes)
+
+
+def _frustum(
+    lower: Ring, upper: Ring, sides: int, material: Material, axis: tuple[float, float], *, collides: bool
+) -> Shape:
+    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    middle = (lower.height + upper.height) / 2
+    points = np.concatenate([lower.point(angles), upper.point(angles)]) - (0.0, 0.0, middle)
+    return convex_mesh(points, transform((*axis, middle)), material, collides=collides)
+
+
+def _inscribed(rings: Sequence[Ring]) -> Iterator[tuple[Ring, Ring]]:
+    """Pairs of rings, not too close, such that what is between them is inside the profile."""
+    kept, top = [rings[0]], rings[-1]
+    for ring in rings[1:-1]:
+        if min(ring.height - kept[-1].height, top.height - ring.height) >= LEAST_SOLID:
+            kept.append(ring)
+    for lower, upper in itertools.pairwise([*kept, top]):
+        height = upper.height - lower.height
+        if height < LEAST_SOLID / 2:
+            continue
+        between = [ring for ring in rings if lower.height <= ring.height <= upper.height]
+        straight = [lower.radius + (upper.radius - lower.radius) * (r.height - lower.height) / height for r in between]
+        excess = PROUD + max(0.0, *(line - ring.radius for line, ring in zip(straight, between, strict=True)))
+        yield replace(lower, radius=lower.radius - excess), replace(upper, radius=upper.radius - excess)
+
+
+def grip_solid(lower: Ring, upper: Ring, material: Material) -> Shape:
+    """Returns one solid for fingers to press on: it has a flat face towards every grasp of `any_roll`."""
+    bottom, top = replace(lower, radius=lower.radius - PROUD), replace(upper, radius=upper.radius - PROUD)
+    return _frustum(bottom, top, GRIP_SIDES, material, (0.0, 0.0), collides=True)
+
+
+def fluted(
+    bottom: float,
+    top: float,
+    radius: float,
+    count: int,
+    material: Material,
+    *,
+    groove: float = 0.0007,
+    taper: float = 1.0,
+) -> Shape:
+    """The ribs around a screw cap, as decoration: ``radius`` [m] is that of the ribs' backs, ``groove`` their depth."""
+    angles = np.arange(4 * count) * 2 * np.pi / (4 * count)
+    reach = np.where(np.arange(4 * count) % 4 < 2, radius, radius - groove)
+    ring = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=-1)
+    lower = np.column_stack([ring, np.full(len(ring), bottom)])
+    upper = np.column_stack([ring * taper, np.full(len(ring), top)])
+    first = np.arange(len(ring))
+    after = np.roll(first, -1)
+    return _mesh(np.concatenate([lower, upper]), _quads(first, after, after + len(ring), first + len(ring)), material)
+
+
+def decal(
+    rings: Sequence[Ring],
+    curves: Curves,
+    material: Material,
+    *,
+    turn: float = 0.0,
+    layer: int = 1,
+    axis: tuple[float, float] = (0.0, 0.0),
+) -> Shape:
+    """A picture on a turned surface: a strip between two curves, wrapped around it. Decoration.
+
+    Args:
+        rings: profile of the surface.
+        curves: see `Curves`; `patch` and `oval` make some.
+        material: look.
+        turn: azimuth of the picture's middle from +x [rad].
+        layer: 1 lies on the surface, 2 on that, ...
+        axis: (x, y) of the surface's axis in the link's frame [m].
+    """
+    across, lower, upper = curves
+    rows = 9
+    heights = lower + (upper - lower) * np.linspace(0.0, 1.0, rows)[:, None]
+    # One angle per column, so that the edges of a picture on a tapered bottle stay upright.
+    angles = turn + across / ring_at(rings, float(heights.mean())).radius
+    points = np.array(
+        [[ring_at(rings, h).point(a, layer * PROUD) for h, a in zip(row, angles, strict=True)] for row in heights]
+    )
+    index = np.arange(heights.size).reshape(heights.shape)
+    corners = (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
+    faces = _quads(*(corner.reshape(-1) for corner in corners))
+    return _mesh(points.reshape(-1, 3) + np.array([*axis, 0.0]), faces, material)
+
+
+def patch(width: float, bottom: float, top: float, columns: int = 25) -> Curves:
+    """Returns the curves of a rectangle, for `decal` [m]."""
+    across = np.linspace(-width / 2, width / 2, columns)
+    return across, np.full(columns, bottom), np.full(columns, top)
+
+
+def oval(width: float, height: float, middle: float, *, sharp: bool = False, shift: float = 0.0) -> Curves:
+    """Returns the curves of an ellipse (or, ``sharp``, a rhombus) around ``middle`` [m], for `decal`."""
+    along = np.linspace(-1.0, 1.0, 25)
+    half: Array = 0.5 * height * (1 - np.abs(along) if sharp else np.sqrt(np.maximum(0.0, 1 - along**2)))
+    return shift + along * width / 2, middle - half, middle + half
+
+
+def swivelled(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
+    """Returns the shapes turned about their link's z axis by ``angle`` [rad]."""
+    turn = transform(rotation=rotation_about((0.0, 0.0, 1.0), angle))
+    return tuple(replace(shape, pose_in_link=turn @ shape.pose_in_link) for shape in shapes)
+
+
+def _quads(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+
+
+def _mesh(points: Array, faces: NDArray[np.int64], material: Material) -> Shape:
+    vertices = np.ascontiguousarray(points, np.float32)
+    return Shape("mesh", (), np.eye(4), material, False, vertices, np.ascontiguousarray(faces, np.int32))

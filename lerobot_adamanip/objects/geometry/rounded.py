@@ -1,0 +1,102 @@
+"""Plates and boxes with round corners, upright cylinders, bars for fingers. All pieces convex."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.objects.geometry.shapes import convex_mesh
+from lerobot_adamanip.rotations import rotation_with_x_along, transform
+
+_QUARTER = np.linspace(0, np.pi / 2, 9)
+_FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Takes a plate's (across, up, out) to (y, z, x): it stands, and faces out of an object's front."""
+
+
+def slab(
+    center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.0,
+    collides: bool = True,
+) -> Shape:  # fmt: skip
+    """A lying plate: corners rounded about z by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
+    points = _rounded(half, radius, upper_bevel=bevel)
+    return convex_mesh(points, transform(center), material, collides=collides)
+
+
+def plate(
+    center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.0,
+    collides: bool = True,
+) -> Shape:  # fmt: skip
+    """A standing plate, the twin of `slab`: corners rounded about x, the front rim cut, half extents x, y, z [m]."""
+    points = _rounded((half[1], half[2], half[0]), radius, upper_bevel=bevel) @ _FRONT.T
+    return convex_mesh(points, transform(center), material, collides=collides)
+
+
+def round_cornered(
+    center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.003,
+    collides: bool = True,
+) -> Shape:  # fmt: skip
+    """A box with vertical edges rounded by ``radius`` and both rims cut by ``bevel``, half extents x, y, z [m]."""
+    radius = min(radius, 0.98 * min(half[0], half[1]))
+    cut = min(bevel, 0.45 * half[2], 0.9 * radius)
+    points = _rounded(half, radius, upper_bevel=cut, lower_bevel=cut)
+    return convex_mesh(points, transform(center), material, collides=collides)
+
+
+def _rounded(
+    half: Sequence[float], radius: float, *, upper_bevel: float, lower_bevel: float = 0.0
+) -> NDArray[np.float64]:
+    """Corner points (P, 3) of a plate in the xy plane whose rims are cut."""
+    insets = [(lower_bevel, -half[2]), (0.0, half[2] - upper_bevel), (upper_bevel, half[2])]
+    if lower_bevel:
+        insets.insert(1, (0.0, lower_bevel - half[2]))
+    layers = [(_outline(half[0] - cut, half[1] - cut, max(radius - cut, 1e-4)), z) for cut, z in insets]
+    return np.concatenate([np.column_stack([points, np.full(len(points), z)]) for points, z in layers])
+
+
+def _outline(half_x: float, half_y: float, radius: float) -> NDArray[np.float64]:
+    """A rectangle (36, 2) with quarter circles of 9 points at its corners."""
+    cut = min(radius, 0.999 * min(half_x, half_y))
+    arc = cut * np.stack([np.cos(_QUARTER), np.sin(_QUARTER)], axis=-1)
+    corner = arc + np.array([half_x - cut, half_y - cut])
+    return np.concatenate([corner * sign for sign in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+
+
+def upright(
+    center: ArrayLike, radius: float, half_height: float, material: Material, *, collides: bool = True
+) -> Shape:
+    """A cylinder about z by its centre [m]."""
+    pose = transform(center, rotation_with_x_along((0.0, 0.0, 1.0)))
+    return Shape("cylinder", (radius, half_height), pose, material, collides)
+
+
+def bar(
+    stations: Sequence[tuple[float, float, float, float]],
+    material: Material,
+    *,
+    sides: int = 16,
+    squareness: float = 1.0,
+    collides: bool = True,
+) -> Shape:
+    """A convex bar along x, with two faces square to y for the fingers.
+
+    Args:
+        stations: (x, z, half width along y, half height along z) [m] of each cross section.
+        material: look.
+        sides: of a cross section.
+        squareness: 1 for an ellipse; 0.5 for a rectangle with round corners.
+        collides: see `Shape`.
+    """
+    angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    unit = np.sign(unit) * np.abs(unit) ** squareness
+    unit /= unit.max(axis=0)
+    rings = []
+    for x, z, half_width, half_height in stations:
+        section = unit * (half_width, half_height) + (0.0, z)
+        rings.append(np.column_stack([np.full(sides, x), section]))
+    points = np.concatenate(rings)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return convex_mesh(points - middle, transform(middle), material, collides=collides)

@@ -1,0 +1,39 @@
+"""Observations: from points and joints to the contract's arrays, and from those to dataset columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.keyframes import Feedback
+from lerobot_adamanip.pointcloud import Cloud, Workspace, farthest_point_order
+from lerobot_adamanip.rotations import pose_vector
+
+Observation = Mapping[str, Any]
+"""As the environments return it: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and
+``pixels["front"]`` (H, W, 3) where images are observed."""
+
+
+def workspace_cloud(points_in_base: Cloud, workspace: Workspace, num_points: int) -> Cloud:
+    """Crops (M, 3) to the workspace and orders ``num_points`` of it farthest first. -> (num_points, 3)."""
+    return farthest_point_order(points_in_base[workspace.contains(points_in_base)], num_points)
+
+
+def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Returns the (24,) state of the contract: tool pose, gripper, joint positions and velocities."""
+    pose = pose_vector(feedback.tcp_in_base, feedback.gripper)
+    return np.concatenate([pose, qpos, qvel]).astype(np.float32)
+
+
+def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
+    """Returns the dataset columns of one Gym observation: copies, so that the environment may reuse its buffers."""
+    return {
+        schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32),
+        schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),
+        schema.EFFORT: np.array(observation["effort"], dtype=np.float32),
+        schema.FRONT_IMAGE: np.array(observation["pixels"]["front"], dtype=np.uint8),
+    }

@@ -1,0 +1,121 @@
+"""The one loop that lets an expert work in an environment, and what it needs of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
+from lerobot_adamanip.objects import PartAnnotation
+from lerobot_adamanip.observation import Observation
+
+
+class KeyframeEnvironment(Protocol):
+    """One step is one key frame: `lerobot_env_adamanip.keyframe_env.KeyframeEnv`, a robot, or a fake."""
+
+    @property
+    def max_key_frames(self) -> int:
+        """Key frames per episode at most."""
+
+    @property
+    def task_description(self) -> str:
+        """The instruction in words."""
+
+    @property
+    def feedback(self) -> Feedback:
+        """What was felt after the latest key frame."""
+
+    @property
+    def annotations(self) -> Mapping[str, PartAnnotation]:
+        """The annotated part poses an expert may know, robot base frame."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts the episode of ``seed`` on ``options["object_id"]``."""
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Drives the arm to one key frame, a (10,) action of the contract."""
+
+    def hidden_state(self) -> dict[str, Any]:
+        """This episode's draw of the mechanism, JSON-able. Privileged."""
+
+    def episode_record(self) -> dict[str, Any]:
+        """What describes the episode, JSON-able."""
+
+    def camera_parameters(self) -> dict[str, Any]:
+        """Intrinsics and extrinsics of the front camera in this episode, JSON-able."""
+
+    def close(self) -> None:
+        """Releases the simulator."""
+
+
+@dataclass(frozen=True)
+class KeyFrame:
+    """One key frame of a rollout, as an observer hears of it.
+
+    Attributes:
+        observation: before the action.
+        goal: what the expert asked for.
+        feedback: what was felt once the action had ended.
+        following: the observation after it.
+        success: whether the task is done by now.
+    """
+
+    observation: Observation
+    goal: Goal
+    feedback: Feedback
+    following: Observation
+    success: bool
+
+
+@dataclass(frozen=True)
+class RolloutResult:
+    """How a rollout went: whether the task was done, key frames used, and why it ended."""
+
+    success: bool
+    key_frames: int
+    reason: str
+
+
+def rollout(
+    env: KeyframeEnvironment,
+    observation: Observation,
+    expert: KeyFrames,
+    on_key_frame: Callable[[KeyFrame], None] | None = None,
+) -> RolloutResult:
+    """Lets an expert work on a freshly reset environment until the task is done, time is up, or it has no more ideas.
+
+    Args:
+        env: reset; ``observation`` is what its reset returned.
+        observation: the first one.
+        expert: not yet primed; closed at the end.
+        on_key_frame: observer, told of every key frame.
+    """
+    success, reason, key_frames = False, "the expert ended without success", 0
+    try:
+        goal = next(expert, None)
+        while goal is not None and key_frames < env.max_key_frames:
+            following, _, terminated, truncated, info = env.step(goal.action())
+            key_frames += 1
+            success = success or bool(info["is_success"])
+            if on_key_frame is not None:
+                on_key_frame(KeyFrame(observation, goal, env.feedback, following, success))
+            if terminated or truncated:
+                break
+            observation = following
+            goal = _next_goal(expert, env.feedback)
+        if goal is not None:
+            reason = "time limit"
+    finally:
+        expert.close()
+    return RolloutResult(success, key_frames, "success" if success else reason)
+
+
+def _next_goal(expert: KeyFrames, feedback: Feedback) -> Goal | None:
+    try:
+        return expert.send(feedback)
+    except StopIteration:
+        return None

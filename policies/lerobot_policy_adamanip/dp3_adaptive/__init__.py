@@ -1,0 +1,1 @@
+"""The policy ``dp3_adaptive``."""

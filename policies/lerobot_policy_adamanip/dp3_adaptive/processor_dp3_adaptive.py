@@ -1,0 +1,156 @@
+"""Pre- and post-processing of ``dp3_adaptive``: LeRobot's steps, a rigid augmentation, and rotations made whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from lerobot.configs.types import PipelineFeatureType, PolicyFeature
+from lerobot.lerobot_types import EnvTransition, TransitionKey
+from lerobot.processor import (
+    PolicyAction,
+    PolicyProcessorPipeline,
+    ProcessorStep,
+    ProcessorStepRegistry,
+    make_default_policy_processor_steps,
+    make_policy_processor_pipelines,
+)
+from torch import Tensor
+
+from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+
+Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
+Pipelines = tuple[
+    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
+]
+
+
+@ProcessorStepRegistry.register("adamanip_rigid_augmentation")
+@dataclass
+class RigidAugmentationStep(ProcessorStep):
+    """Moves a sample's whole scene: cloud, tool pose, history and labels alike. Joint positions stay as they are.
+
+    Acts only where actions come along, which is in training, and before normalisation, in metres. Every sample of a
+    batch is moved by a draw of its own, all of its time steps by the same one.
+
+    Attributes:
+        translation: uniform within +- this along each axis [m].
+        yaw: uniform within +- this about the vertical through ``center`` [rad].
+        center: (x, y, z) [m], robot base frame.
+    """
+
+    translation: float = 0.0
+    yaw: float = 0.0
+    center: tuple[float, float, float] = (0.55, 0.0, 0.0)
+
+    def __call__(self, transition: EnvTransition) -> EnvTransition:
+        """Returns a transition with moved copies; the one given stays as it is."""
+        actions = transition.get(TransitionKey.ACTION)
+        observation = transition.get(TransitionKey.OBSERVATION)
+        if not isinstance(actions, Tensor) or observation is None or (self.translation == 0 and self.yaw == 0):
+            return transition
+        batch, device = len(actions), actions.device
+        rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
+        shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
+        moved = {
+            **observation,
+            POINT_CLOUD: self._points(observation[POINT_CLOUD], rotation, shift),
+            STATE: self._poses(observation[STATE], rotation, shift),
+        }
+        actions = self._poses(actions, rotation, shift)
+        changed = {**transition, TransitionKey.OBSERVATION: moved, TransitionKey.ACTION: actions}
+        return cast(EnvTransition, changed)
+
+    def _points(self, points: Tensor, rotation: Tensor, shift: Tensor) -> Tensor:
+        """(B, ..., 3+), (B, 3, 3), (B, 3) -> moved, numbers after the first three as they were."""
+        center = torch.as_tensor(self.center, dtype=points.dtype, device=points.device)
+        flat = points[..., :3].reshape(len(points), -1, 3)
+        turned = (flat - center) @ rotation.transpose(1, 2).to(points.dtype) + center + shift[:, None].to(points.dtype)
+        return torch.cat([turned.reshape(*points.shape[:-1], 3), points[..., 3:]], dim=-1)
+
+    def _poses(self, poses: Tensor, rotation: Tensor, shift: Tensor) -> Tensor:
+        """(B, ..., D) with position and rotation 6D first."""
+        position = self._points(poses[..., POSITION_DIMS], rotation, shift)
+        # Rotation 6D holds the matrix' first two rows; a turn about z mixes just these two.
+        rows = poses[..., ROTATION_DIMS].reshape(*poses.shape[:-1], 2, 3)
+        turn = rotation[:, :2, :2].to(poses.dtype).reshape(len(poses), *(1,) * (poses.dim() - 2), 2, 2)
+        return torch.cat([position, (turn @ rows).flatten(-2), poses[..., GRIPPER_DIM:]], dim=-1)
+
+    def get_config(self) -> dict[str, Any]:
+        """JSON-able options."""
+        return {"translation": self.translation, "yaw": self.yaw, "center": list(self.center)}
+
+    def transform_features(self, features: Features) -> Features:
+        """Shapes stay."""
+        return features
+
+
+@ProcessorStepRegistry.register("adamanip_orthonormalise")
+@dataclass
+class OrthonormaliseStep(ProcessorStep):
+    """Makes the rotation 6D of an action (..., 10) a rotation again (Gram-Schmidt), and clips the gripper to [0, 1]."""
+
+    def __call__(self, transition: EnvTransition) -> EnvTransition:
+        """Acts on the action alone, and only if it is a pose."""
+        action = transition.get(TransitionKey.ACTION)
+        if not isinstance(action, Tensor) or action.shape[-1] != ACTION_DIM:
+            return transition
+        whole = torch.cat(
+            [
+                action[..., POSITION_DIMS],
+                orthonormal_6d(action[..., ROTATION_DIMS]),
+                action[..., GRIPPER_DIM:].clamp(0, 1),
+            ],
+            dim=-1,
+        )
+        return cast(EnvTransition, {**transition, TransitionKey.ACTION: whole})
+
+    def transform_features(self, features: Features) -> Features:
+        """Shapes stay."""
+        return features
+
+
+def orthonormal_6d(rotation_6d: Tensor) -> Tensor:
+    """Returns the nearest rotation's first two rows. (..., 6) -> (..., 6).
+
+    Rows that vanish or are parallel are completed with a unit axis, as `lerobot_adamanip.rotations` does, so that a
+    policy that is still untrained never commands something that is no rotation.
+    """
+    first, second = rotation_6d[..., :3], rotation_6d[..., 3:]
+    axes = torch.eye(3, dtype=rotation_6d.dtype, device=rotation_6d.device)
+    first = _unit(first, axes[0].expand_as(first))
+    helper = torch.where(first[..., :1].abs() < 0.9, axes[0], axes[1])
+    spare = _unit(torch.linalg.cross(first, helper), axes[1].expand_as(first))
+    second = _unit(second - (first * second).sum(-1, keepdim=True) * first, spare)
+    return torch.cat([first, second], dim=-1)
+
+
+def _unit(vector: Tensor, fallback: Tensor) -> Tensor:
+    norm = vector.norm(dim=-1, keepdim=True)
+    return torch.where(norm > 1e-6, vector / norm.clamp(min=1e-6), fallback)
+
+
+def _about_z(angle: Tensor) -> Tensor:
+    """(B,) [rad] -> (B, 3, 3)."""
+    cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    rows = [torch.stack(row, dim=-1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))]
+    return torch.stack(rows, dim=-2)
+
+
+def make_dp3_adaptive_pre_post_processors(
+    config: DP3AdaptiveConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
+) -> Pipelines:
+    """Returns the pipelines around the policy. Their steps' names are part of the checkpoint.
+
+    The two steps of this project join LeRobot's defaults where state and action are the contract's poses.
+    """
+    steps = make_default_policy_processor_steps(config, dataset_stats)
+    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, steps.to_device]
+    outputs: list[ProcessorStep] = [steps.unnormalize]
+    if config.has_pose_layout:
+        augmentation = (config.augmentation_translation, config.augmentation_yaw, config.augmentation_center)
+        inputs.append(RigidAugmentationStep(*augmentation))
+        outputs.append(OrthonormaliseStep())
+    return cast(Pipelines, make_policy_processor_pipelines([*inputs, steps.normalize], [*outputs, steps.to_cpu]))

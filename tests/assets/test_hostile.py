@@ -1,0 +1,244 @@
+"""What others wrote is not trusted: broken, hostile and incomplete folders end in one message that says what to do."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from asset_folders import adamanip_bottle, adamanip_safe, joint, link, partnet_safe, safe_annotation, write_urdf
+
+from lerobot_adamanip.assets import asset_objects, load_object
+from lerobot_adamanip.assets.annotation.file import save_annotation
+from lerobot_adamanip.errors import ConfigurationError
+
+LAUGHS = """<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><robot>&b;</robot>"""
+EXTERNAL = """<?xml version="1.0"?><!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>"""
+
+
+def refused(folder: Path, match: str, category: str = "safe") -> None:
+    with pytest.raises(ConfigurationError, match=match) as caught:
+        load_object(folder, category)
+    assert all(word in str(caught.value) for word in ("got:", "allowed:", "try:"))
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        (LAUGHS, "entities"),
+        (EXTERNAL, "entities"),
+        ("<robot", "not XML"),
+        ("", "not XML"),
+        ("<sdf/>", "not a URDF"),
+        ("<robot/>", "link names"),
+        ("<robot><link name='a'/><link name='a'/></robot>", "not unique"),
+        ("<robot><link name='a'/><link name='b'/></robot>", "one tree"),
+        ("<robot><link/></robot>", "no name"),
+        ("<robot><link name='a'/><joint name='j' type='floating'/></robot>", "type that is not known"),
+        ("<robot><link name='a'/><joint name='j' type='fixed'/></robot>", "link that does not exist"),
+        ("<robot><link name='a'><visual><geometry><box size='1 nan 1'/></geometry></visual></link></robot>", "finite"),
+        ("<robot><link name='a'><visual><geometry><box size='1 1'/></geometry></visual></link></robot>", "3 finite"),
+        ("<robot><link name='a'><visual><geometry><heap/></geometry></visual></link></robot>", "no shape"),
+        ("<robot><link name='a'><visual><geometry><box size='1 -1 1'/></geometry></visual></link></robot>", "extent"),
+        ("<robot><link name='a'><inertial><mass value='1e999'/></inertial></link></robot>", "finite"),
+    ],
+)
+def test_a_broken_urdf(tmp_path: Path, text: str, match: str) -> None:
+    (tmp_path / "mobility.urdf").write_text(text)
+    refused(tmp_path, match)
+
+
+def test_deep_nesting_is_no_crash(tmp_path: Path) -> None:
+    (tmp_path / "mobility.urdf").write_text("<robot>" + "<a>" * 100_000 + "</a>" * 100_000 + "</robot>")
+    refused(tmp_path, "link names")
+
+
+def test_a_circle_of_links(tmp_path: Path) -> None:
+    write_urdf(tmp_path, link("a"), link("b"), link("c"), joint("x", "fixed", "b", "c"), joint("y", "fixed", "c", "b"))
+    refused(tmp_path, "one tree")
+
+
+def test_no_urdf_and_no_directory(tmp_path: Path) -> None:
+    refused(tmp_path, "no such file")
+    with pytest.raises(ConfigurationError, match="does not exist"):
+        asset_objects(tmp_path / "nowhere", "safe")
+    with pytest.raises(ConfigurationError, match="Unknown category"):
+        asset_objects(tmp_path, "teapot")
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [
+        ("../outside.obj", "outside its folder"),
+        ("a/../../outside.obj", "outside its folder"),
+        ("..\\\\outside.obj", "outside its folder"),
+        ("/etc/passwd", "outside its folder"),
+        ("file:///etc/passwd", "outside its folder"),
+        ("https://example.com/x.obj", "outside its folder"),
+        ("package:///etc/passwd", "outside its folder|missing"),
+        ("package://x/../../outside.obj", "outside its folder"),
+        ("missing.obj", "missing"),
+        ("", "missing"),
+        ("linked.obj", "link out of its folder"),
+        ("mobility.urdf", "not a mesh"),
+        ("noise.obj", "cannot be read|left out|no triangles|nothing to be seen"),
+        ("noise.glb", "cannot be read"),
+    ],
+)
+def test_a_mesh_that_is_not_to_be_had(tmp_path: Path, name: str, match: str) -> None:
+    folder = adamanip_safe(tmp_path / "sa1")
+    (tmp_path / "outside.obj").write_text("v 0 0 0\n")
+    (folder / "linked.obj").symlink_to(tmp_path / "outside.obj")
+    for noise in ("noise.obj", "noise.glb"):
+        (folder / noise).write_bytes(np.random.default_rng(0).bytes(500))
+    path = folder / "mobility.urdf"
+    path.write_text(path.read_text().replace("knob.obj", name))
+    if name == "noise.obj":
+        load_object(folder, "safe")  # an .obj without a single face shows nothing, and is told in the log
+    else:
+        refused(folder, match)
+
+
+def test_a_material_cannot_lead_out_of_the_folder(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = adamanip_safe(tmp_path / "sa1")
+    (tmp_path / "secret.mtl").write_text("newmtl paint\nKd 1 0 0\n")
+    path = folder / "knob.obj"
+    path.write_text("mtllib ../secret.mtl\nusemtl paint\n" + path.read_text())
+    knob = next(link for link in load_object(folder, "safe").links if link.name == "link_2")
+    assert knob.shapes[0].material.color != (1.0, 0.0, 0.0)
+
+
+def test_a_collada_file_with_entities(tmp_path: Path) -> None:
+    folder = adamanip_safe(tmp_path / "sa1")
+    (folder / "knob.dae").write_text(LAUGHS)
+    path = folder / "mobility.urdf"
+    path.write_text(path.read_text().replace("knob.obj", "knob.dae"))
+    refused(folder, "entities")
+
+
+class Exploit:
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[str]]:
+        return os.system, ("touch exploited",)
+
+
+@pytest.mark.parametrize(
+    "thing", [Exploit(), {"a": 1}, [1.0, 2.0, 3.0], torch.zeros(4), torch.tensor([0.0, float("nan"), 0.0])]
+)
+def test_a_pickle_is_no_point(tmp_path: Path, thing: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = adamanip_safe(tmp_path / "sa1")
+    torch.save(thing, folder / "knob_pos.npy")
+    refused(folder, "point")
+    assert not (tmp_path / "exploited").exists()
+
+
+def test_numpy_objects_are_no_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = adamanip_bottle(tmp_path / "b1")
+    np.save(folder / "goal_pos.npy", np.array([Exploit(), 1, 2], dtype=object), allow_pickle=True)
+    refused(folder, "point", "bottle")
+    assert not (tmp_path / "exploited").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x93NUMPY\x01\x00", b"PK\x03\x04", b"\0" * 2_000_000])
+def test_noise_is_no_point(tmp_path: Path, content: bytes) -> None:
+    folder = adamanip_bottle(tmp_path / "b1")
+    (folder / "goal_pos.npy").write_bytes(content)
+    refused(folder, "point", "bottle")
+
+
+def test_an_archive_is_no_point(tmp_path: Path) -> None:
+    folder = adamanip_bottle(tmp_path / "b1")
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("goal_pos/data.pkl", b"cos\nsystem\n(S'touch exploited'\ntR.")
+    (folder / "goal_pos.npy").write_bytes(buffer.getvalue())
+    refused(folder, "point", "bottle")
+
+
+def test_joints_of_the_wrong_kind(tmp_path: Path) -> None:
+    refused(adamanip_bottle(tmp_path / "b1"), "cannot be the door|does not say", "safe")
+    folder = adamanip_safe(tmp_path / "sa1")
+    path = folder / "mobility.urdf"
+    path.write_text(path.read_text().replace('name="joint_1" type="revolute"', 'name="joint_1" type="prismatic"'))
+    refused(folder, "cannot be the door")
+    path.write_text(path.read_text().replace("prismatic", "fixed").replace("revolute", "fixed"))
+    refused(folder, "two joints that move")
+
+
+def with_annotation(folder: Path, **changes: object) -> Path:
+    partnet_safe(folder)
+    (folder / "adamanip.json").write_text(json.dumps(safe_annotation(**changes)))
+    return folder
+
+
+NAN = float("nan")
+SLANTED = [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+DOOR, KNOB = safe_annotation()["joints"]["door"], safe_annotation()["joints"]["knob"]
+HANDLE, KNOB_PART = safe_annotation()["parts"]["handle"], safe_annotation()["parts"]["knob"]
+FAR = np.block([[np.eye(3), np.full((3, 1), 2.0)], [np.zeros(3), 1]]).tolist()
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"format": "other"}, "not an annotation"),
+        ({"version": 2}, "not an annotation"),
+        ({"category": "lamp"}, "another category"),
+        ({"scale": NAN}, "cannot be"),
+        ({"scale": 0}, "cannot be"),
+        ({"scale": 30.0}, "of a size"),
+        ({"object_in_urdf": SLANTED}, "cannot be"),
+        ({"object_in_urdf": [[1, 2], [3, 4]]}, "cannot be"),
+        ({"joints": {"door": DOOR}}, "without knob"),
+        ({"joints": {"door": DOOR, "knob": {**KNOB, "open": 0.0}}}, "cannot be"),
+        ({"joints": {"door": DOOR, "knob": {**KNOB, "rest": NAN}}}, "cannot be"),
+        ({"joints": {"door": DOOR, "knob": DOOR}}, "not two of its own"),
+        ({"joints": {"door": DOOR, "knob": {**KNOB, "joint": "joint_9"}}}, "not two of its own"),
+        ({"joints": []}, "incomplete"),
+        ({"parts": {}}, "without handle, knob"),
+        ({"parts": {"handle": HANDLE, "knob": {**KNOB_PART, "link": "link_7"}}}, "does not exist"),
+        ({"parts": {"handle": {**HANDLE, "link": "link_1"}, "knob": KNOB_PART}}, "moves with nothing"),
+        ({"parts": {"handle": {**HANDLE, "grasp": FAR}, "knob": KNOB_PART}}, "outside of the object"),
+        ({"parts": {"handle": {**HANDLE, "rolls": []}, "knob": KNOB_PART}}, "cannot be"),
+        ({"parts": {"handle": {**HANDLE, "grasp": "here"}, "knob": KNOB_PART}}, "cannot be"),
+    ],
+)
+def test_a_wrong_annotation(tmp_path: Path, changes: dict[str, object], match: str) -> None:
+    refused(with_annotation(tmp_path / "101564", **changes), match)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, "null"])
+def test_an_annotation_that_is_none(tmp_path: Path, text: str) -> None:
+    folder = partnet_safe(tmp_path / "101564")
+    (folder / "adamanip.json").write_text(text)
+    refused(folder, "adamanip.json")
+
+
+def test_a_save_that_fails_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lerobot_adamanip.assets.annotation.file import read_annotation
+
+    path = with_annotation(tmp_path / "101564") / "adamanip.json"
+    before, annotation = path.read_text(), read_annotation(path, "safe")
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        save_annotation(path, annotation)
+    assert path.read_text() == before
+    assert sorted(p.name for p in path.parent.iterdir() if ".part" in p.name) == []
+
+
+@pytest.mark.parametrize("name", ["a:b", "a,b", "a;b"])
+def test_a_folder_whose_name_cannot_be_an_id(tmp_path: Path, name: str) -> None:
+    adamanip_safe(tmp_path / name)
+    with pytest.raises(ConfigurationError, match="rename"):
+        asset_objects(tmp_path, "safe")

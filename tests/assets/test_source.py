@@ -1,0 +1,233 @@
+"""Objects of others, in the layouts of AdaManip, UniDoorManip and PartNet-Mobility, become objects like ours."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, unidoormanip_door
+from solids import face_planes, solid
+
+from lerobot_adamanip.assets import AssetSource, asset_objects, is_asset_id, load_asset, load_object
+from lerobot_adamanip.assets.annotation.file import read_annotation, save_annotation
+from lerobot_adamanip.assets.meshes import Surface, cache_folder, convex_parts
+from lerobot_adamanip.assets.roles import ROLES
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.objects import ArticulatedObject
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def annotated_partnet_safe(folder: Path) -> Path:
+    partnet_safe(folder)
+    (folder / "adamanip.json").write_text(json.dumps(safe_annotation()))
+    return folder
+
+
+def closing(obj: ArticulatedObject, part: str) -> np.ndarray:
+    return np.abs(obj.part(part).grasp[:3, 1])
+
+
+def test_adamanip_s_safe_gets_our_frame_and_names(tmp_path: Path) -> None:
+    safe = load_object(adamanip_safe(tmp_path / "sa1"), "safe")
+    assert safe.object_id == "safe:sa1"
+    assert [joint.name for link in safe.links if (joint := link.joint)] == ["door", "knob"], "the third is frozen"
+    np.testing.assert_allclose(safe.size, (0.30, 0.35, 0.40), atol=1e-6)
+    door, knob = safe.joint("door"), safe.joint("knob")
+    # Hinge to the left of who stands behind the object, at its front's edge, at half its height.
+    np.testing.assert_allclose(door.origin, (0.0, 0.14, 0.20), atol=1e-9)
+    np.testing.assert_allclose(door.axis, (0, 0, 1), atol=1e-9)
+    assert door.limits == (0.0, 1.5)
+    np.testing.assert_allclose(knob.axis, (1, 0, 0), atol=1e-9)
+    assert knob.limits == (-1.4, 1.4), "turns either way"
+    assert next(link for link in safe.links if link.name == "link_2").mass == pytest.approx(0.2)
+    # Annotated points, as far before them as AdaManip's hand holds.
+    np.testing.assert_allclose(safe.part("handle").grasp[:3, 3], (0.0966, -0.08, 0.15), atol=1e-6)
+    np.testing.assert_allclose(safe.part("knob").grasp[:3, 3], (0.0846, 0.02, 0.25), atol=1e-6)
+    np.testing.assert_allclose(safe.part("knob").grasp[:3, 2], (-1, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(closing(safe, "knob"), (0, 0, 1), atol=1e-9)
+    assert [motion.joint for motion in safe.part("handle").motions] == ["door"]
+    assert [motion.joint for motion in safe.part("knob").motions] == ["door", "knob"]
+    assert safe.part("handle").moved({"door": 0.6})[0, 3] > 0.15, "opens towards the robot"
+
+
+def test_a_door_that_opens_to_the_negative_side_opens_all_the_same(tmp_path: Path) -> None:
+    safe = load_object(adamanip_safe(tmp_path / "sa2", limits=(-1.5, 0)), "safe")
+    assert safe.joint("door").limits == (0.0, 1.5)
+    np.testing.assert_allclose(safe.joint("door").axis, (0, 0, -1), atol=1e-9)
+
+
+def test_adamanip_s_bottle_is_held_from_above(tmp_path: Path) -> None:
+    bottle = load_object(adamanip_bottle(tmp_path / "b1"), "bottle")
+    lift, cap = bottle.joint("lift"), bottle.joint("cap")
+    assert (lift.kind, lift.limits) == ("prismatic", (0.0, 0.05)), "upstream sets the limits at run time"
+    assert (cap.kind, cap.limits) == ("revolute", (-2.35, 2.35))
+    grasp = bottle.part("cap").grasp
+    # The body is round and still: its front is 5 cm before its middle.
+    np.testing.assert_allclose(grasp[:3, 2], (0, 0, -1), atol=1e-9)
+    assert len(bottle.part("cap").rolls) > 2
+    np.testing.assert_allclose(bottle.part("cap").moved({"lift": 0.04})[2, 3] - grasp[2, 3], 0.04, atol=1e-9)
+
+
+def test_unidoormanip_s_door_is_read_with_collada(tmp_path: Path) -> None:
+    pytest.importorskip("collada")
+    door = load_object(unidoormanip_door(tmp_path / "99650089"), "door")
+    np.testing.assert_allclose(door.size[::2], (0.60, 0.90), atol=1e-4)
+    lever = door.part("lever")
+    assert [motion.joint for motion in lever.motions] == ["leaf", "lever"]
+    assert lever.moved({"leaf": 0.5})[0, 3] > lever.grasp[0, 3] + 0.1
+    np.testing.assert_allclose(closing(door, "lever"), (0, 0, 1), atol=1e-9)
+
+
+def test_partnet_mobility_needs_the_annotation_tool(tmp_path: Path) -> None:
+    folder = partnet_safe(tmp_path / "101564")
+    with pytest.raises(ConfigurationError, match=r"adamanip annotate 101564"):
+        load_object(folder, "safe")
+    (folder / "adamanip.json").write_text(json.dumps(safe_annotation()))
+    safe = load_object(folder, "safe")
+    np.testing.assert_allclose(safe.size[::2], (0.4, 0.4), atol=0.01)
+    assert safe.joint("knob").limits == (-1.4, 1.4)
+    np.testing.assert_allclose(safe.part("handle").grasp[:3, 3], (0.06, -0.12, 0.2))
+    assert safe.part("knob").rolls == (0.0,)
+    red, green, blue = safe.links[0].shapes[0].material.color
+    assert red > 2 * green > 0
+    assert green > blue
+
+
+def test_every_collision_shape_is_convex_and_unseen_and_near_what_is_seen(tmp_path: Path) -> None:
+    for obj in (
+        load_object(adamanip_safe(tmp_path / "sa1"), "safe"),
+        load_object(annotated_partnet_safe(tmp_path / "101564"), "safe"),
+    ):
+        assert not obj.self_collides
+        shapes = [shape for link in obj.links for shape in link.shapes]
+        assert {shape.visible for shape in shapes if shape.collides} == {False}
+        assert {shape.visible for shape in shapes if not shape.collides} == {True}
+        for shape in shapes:
+            if shape.collides:
+                normals, offsets = face_planes(shape)
+                assert shape.vertices is not None
+                assert (shape.vertices @ normals.T - offsets).max() < 1e-4
+        for part in obj.parts:
+            inward = part.grasp[:3, 3] + np.linspace(0, 0.06, 13)[:, None] * part.grasp[:3, 2]
+            assert solid(obj, inward).any(), part.name
+
+
+def test_an_angle_keeps_its_corner_free() -> None:
+    pytest.importorskip("coacd")
+    import trimesh
+
+    outline = [(0, 0), (0.3, 0), (0.3, 0.03), (0.03, 0.03), (0.03, 0.3), (0, 0.3)]
+    vertices = np.array([(x, y, z) for z in (0.0, 0.3) for x, y in outline])
+    caps = [(0, k, k + 1) for k in range(1, 5)]
+    sides = [(a, b, b + 6, a + 6) for a, b in zip(range(6), (1, 2, 3, 4, 5, 0), strict=True)]
+    faces = [(a, c, b) for a, b, c in caps] + [(a + 6, b + 6, c + 6) for a, b, c in caps]
+    faces += [(a, b, c) for a, b, c, _ in sides] + [(a, c, d) for a, _, c, d in sides]
+    surface = Surface(vertices, np.array(faces), (1.0, 1.0, 1.0))
+    for _ in range(2):  # the second time out of the cache
+        parts = convex_parts(surface)
+        assert len(parts) > 1
+        assert sum(trimesh.convex.convex_hull(part).volume for part, _ in parts) == pytest.approx(0.00513, rel=0.1)
+    assert len(list(cache_folder().glob("*.npz"))) == 1
+
+
+def test_a_sheet_gets_a_thickness() -> None:
+    vertices = np.array([(0, 0, 0), (1, 0, 1), (1, 1, 1), (0, 1, 0)], np.float64)
+    ((hull, faces),) = convex_parts(Surface(vertices, np.array([(0, 1, 2), (0, 2, 3)]), (1.0, 1.0, 1.0)))
+    assert len(faces) > 4
+    assert np.ptp(hull, axis=0).max() < 1.01
+
+
+def test_a_directory_is_listed_by_category(tmp_path: Path) -> None:
+    adamanip_safe(tmp_path / "safe" / "sa2")
+    adamanip_safe(tmp_path / "safe" / "sa1")
+    adamanip_bottle(tmp_path / "bottle" / "b1")
+    (tmp_path / "safe" / ".hidden").mkdir()
+    assert asset_objects(tmp_path, "safe") == ("safe:sa1", "safe:sa2")
+    assert asset_objects(tmp_path, "bottle") == ("bottle:b1",)
+    assert asset_objects(tmp_path / "safe", "safe") == ("safe:sa1", "safe:sa2"), "one category's folder alone"
+    assert load_asset(tmp_path, "safe:sa2").object_id == "safe:sa2"
+    source = AssetSource(tmp_path)
+    assert source.select("safe", "all") == source.select("safe", "seen") == ("safe:sa1", "safe:sa2")
+    assert source.select("safe", "1:5") == source.select("safe", "safe:sa2") == ("safe:sa2",)
+    assert is_asset_id("safe:sa1")
+    assert not is_asset_id("safe_001")
+
+
+def test_partnet_s_mixed_directory_is_sorted_by_what_the_folders_say(tmp_path: Path) -> None:
+    partnet_safe(tmp_path / "101564")
+    assert asset_objects(tmp_path, "safe") == ("safe:101564",)
+    with pytest.raises(ConfigurationError, match="No lamp found"):
+        asset_objects(tmp_path, "lamp")
+
+
+@pytest.mark.parametrize("selection", ["unseen", "7:9", "", "bottle:b1", "safe:nothing", "safe_001", "safe:../x"])
+def test_a_wrong_selection_is_refused(tmp_path: Path, selection: str) -> None:
+    adamanip_safe(tmp_path / "safe" / "sa1")
+    with pytest.raises(ConfigurationError, match="allowed"):
+        AssetSource(tmp_path).select("safe", selection)
+
+
+def test_an_edited_annotation_is_read_again(tmp_path: Path) -> None:
+    folder = annotated_partnet_safe(tmp_path / "101564")
+    before = load_object(folder, "safe")
+    assert load_object(folder, "safe") is before
+    (folder / "adamanip.json").write_text(json.dumps(safe_annotation(scale=0.41), indent=1))
+    assert load_object(folder, "safe").size[2] > before.size[2]
+
+
+def test_what_is_saved_is_what_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "adamanip.json"
+    path.write_text(json.dumps(safe_annotation()))
+    first = read_annotation(path, "safe")
+    save_annotation(path, first)
+    second = read_annotation(path, "safe")
+    assert first.joints == second.joints
+    for name, part in first.parts.items():
+        np.testing.assert_array_equal(part.grasp, second.parts[name].grasp)
+        assert part.rolls == second.parts[name].rolls
+    assert [p.name for p in tmp_path.iterdir() if p.is_file()] == ["adamanip.json"], "nothing half-written is left"
+
+
+def test_every_category_has_roles() -> None:
+    from lerobot_adamanip.categories import CATEGORIES
+
+    assert set(ROLES) == set(CATEGORIES)
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("make", [adamanip_safe, annotated_partnet_safe])
+def test_a_loaded_object_moves_in_the_simulator(tmp_path: Path, make: object) -> None:
+    import sapien
+    from mani_skill.envs.scene import ManiSkillScene
+    from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
+
+    from lerobot_env_adamanip.sim.building import build_object
+
+    assert callable(make)
+    safe = load_object(make(tmp_path / "x"), "safe")
+    backend = parse_sim_and_render_backend("physx_cpu", "cpu")
+    raw = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(backend.render_device)])
+    scene = ManiSkillScene([raw], device=backend.device, backend=backend)
+    articulation = build_object(scene, safe, np.eye(4))._objs[0]
+    assert [joint.name.rsplit("_", 1)[-1] for joint in articulation.active_joints] == ["door", "knob"]
+    for target in ((1.2, 0.0), (0.5, -1.0)):
+        articulation.set_qpos(np.asarray(target, np.float32))
+        leaf = articulation.active_joints[0].child_link.pose.to_transformation_matrix()
+        expected = safe.part("handle").moved({"door": target[0]})
+        hinge = np.asarray(safe.joint("door").origin)
+        np.testing.assert_allclose(leaf[:3, 3], hinge, atol=1e-5)
+        grasp = (
+            leaf @ np.linalg.inv(np.block([[np.eye(3), hinge[:, None]], [np.zeros(3), 1]])) @ safe.part("handle").grasp
+        )
+        np.testing.assert_allclose(grasp, expected, atol=1e-5)
+    articulation.set_qpos(np.asarray((0.4, 0.3), np.float32))
+    articulation.set_qvel(np.zeros(2, np.float32))
+    for _ in range(100):
+        raw.step()
+    np.testing.assert_allclose(articulation.qpos, (0.4, 0.3), atol=0.02)  # nothing jams and pushes itself apart

@@ -1,0 +1,225 @@
+"""Experts at what is turned and then opened: which way and how far is found out, and a try comes when it may."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kinematic import TWISTED, Episode, KinematicWorld, Move, adaptive, cached_object, object_names, run, static
+
+from lerobot_adamanip.catalog import seen_objects
+from lerobot_adamanip.experts import Phase
+from lerobot_adamanip.experts.turn_to_open import TURN_TO_OPEN, UPSTREAM_NOT_BEFORE
+from lerobot_adamanip.schema import MAX_KEY_FRAMES
+
+fast = settings(max_examples=8, deadline=None)
+seeds = st.integers(0, 2**31 - 1)
+fractions = st.floats(0.5, 1.0)
+directions = st.sampled_from([-1, 1])
+every_twist = pytest.mark.parametrize("category", TWISTED)
+LIFTED, SWUNG = ("bottle", "pen", "pressure_cooker", "coffee_maker"), ("window", "door")
+
+
+def first_object(category: str) -> str:
+    return seen_objects(category)[0]
+
+
+def hidden(name: str, direction: int, fraction: float) -> dict[str, Any]:
+    """A hidden state by the share of the object's range that an episode has."""
+    key = TURN_TO_OPEN[name.rsplit("_", 1)[0]].key
+    return {"direction": direction, "turn_range": fraction * cached_object(name).joint(key).limits[1]}
+
+
+def opens(episode: Episode) -> list[tuple[int, Move]]:
+    """Tries at the joint that opens: how many moves came before, and the move."""
+    return [(i, move) for i, move in enumerate(episode.moves) if move.joint == episode.world.final]
+
+
+@every_twist
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_any_direction_and_range_is_found(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction), layout=seed)
+    episode = run(world, adaptive(world, seed))
+    assert episode.key_frames <= MAX_KEY_FRAMES
+    assert episode.opened == pytest.approx(TURN_TO_OPEN[category].opening[-1], rel=0.1)
+    assert direction * world.joints[world.key] > 0.8 * world.hidden["turn_range"]
+
+
+@every_twist
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_a_direction_that_failed_is_not_tried_again(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction))
+    episode = run(world, adaptive(world, seed))
+    signs = [sign for sign, _ in episode.turns()]
+    wrong = [stalled for sign, stalled in episode.turns() if sign != direction]
+    assert wrong in ([], [True])
+    assert sum(a != b for a, b in pairwise(signs)) == len(wrong)
+    assert signs[-1] == direction
+
+
+@every_twist
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_which_direction_comes_first_is_left_to_chance_and_not_to_the_truth(category: str, direction: int) -> None:
+    name, firsts = first_object(category), []
+    for seed in range(100):
+        world = KinematicWorld(name, hidden(name, direction, 0.6))
+        firsts.append(run(world, adaptive(world, seed), until=world.key).turns()[0][0])
+    assert np.mean(np.array(firsts) == 1) == pytest.approx(0.5, abs=0.17)
+
+
+@every_twist
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_after_a_blocked_try_it_turns(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction))
+    episode = run(world, adaptive(world, seed))
+    for move, following in pairwise(episode.moves):
+        if move.joint == world.final and move.end == move.start:
+            assert move.stalled
+            assert following.joint == world.key
+    assert episode.moves[-1].joint == world.final
+    assert episode.failed_pulls() == sum(move.end == move.start for _, move in opens(episode))
+
+
+@every_twist
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_where_the_key_has_stopped_it_is_not_turned_on_but_tried(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction))
+    episode = run(world, adaptive(world, seed))
+    for move, following in pairwise(episode.moves):
+        if move.joint == world.key and move.sign == direction and move.stalled:
+            assert (following.joint, following.stalled) == (world.final, False)
+
+
+@pytest.mark.parametrize("category", LIFTED)
+def test_a_lift_comes_first_in_some_episodes_and_not_in_others(category: str) -> None:
+    name, first = first_object(category), []
+    for seed in range(60):
+        world = KinematicWorld(name, draw=seed)
+        first.append(run(world, adaptive(world, seed), until="any").moves[0].joint == world.final)
+    assert 0.25 < np.mean(first) < 0.75
+
+
+@pytest.mark.parametrize("category", SWUNG)
+@fast
+@given(st.data(), seeds, seeds)
+def test_a_window_or_door_is_turned_first(category: str, data: st.DataObject, draw: int, seed: int) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), draw=draw)
+    assert run(world, adaptive(world, seed), until="any").moves[0].joint == world.key
+
+
+@every_twist
+def test_after_a_turn_it_turns_on_or_tries_at_random(category: str) -> None:
+    name, tried = first_object(category), []
+    for seed in range(30):
+        world = KinematicWorld(name, hidden(name, 1, 1.0))
+        moves = run(world, adaptive(world, seed)).moves
+        followed = [b.joint == world.final for a, b in pairwise(moves) if a.end != a.start and not a.stalled]
+        turned = [a.joint == world.key for a, b in pairwise(moves) if a.end != a.start and not a.stalled]
+        tried += [hint for hint, turn in zip(followed, turned, strict=True) if turn]
+    assert np.mean(tried) == pytest.approx(TURN_TO_OPEN[category].p_open, abs=0.2)
+
+
+@every_twist
+@fast
+@given(st.data(), st.integers(1, 4), directions, seeds)
+def test_a_failed_try_is_repeated_as_often_as_asked_for(
+    category: str, data: st.DataObject, trials: int, direction: int, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, 0.7))
+    episode = run(world, adaptive(world, seed, trials))
+    runs, length = [], 0
+    for move in episode.moves:
+        blocked = move.joint == world.final and move.end == move.start
+        if length and not blocked:
+            runs.append(length)
+        length = length + 1 if blocked else 0
+    assert set(runs) <= {trials}
+    assert max(episode.world.successes)
+    assert episode.goals[-1].trial == trials * len(runs) + sum(sign != direction for sign, _ in episode.turns())
+
+
+@every_twist
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_sight_of_the_hidden_state_turns_just_far_enough_and_meets_no_stall(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction))
+    episode = run(world, static(world, seed))
+    assert not any(felt.failed for felt in episode.felt)
+    assert {sign for sign, _ in episode.turns()} == {direction}
+    assert 0.85 <= abs(world.joints[world.key]) / world.hidden["turn_range"] < 1.0
+    assert episode.phases.count(Phase.GRASP) == episode.phases.count(Phase.TRY) == 1
+
+
+@every_twist
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_upstream_s_expert_neither_tries_first_nor_before_its_angle(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction))
+    episode = run(world, adaptive(world, seed, preset="upstream"))
+    assert episode.moves[0].joint == world.key
+    turned = 0.0
+    for move in episode.moves:
+        if move.joint == world.key:
+            turned = move.end
+        else:
+            assert abs(turned) > UPSTREAM_NOT_BEFORE[category] - 0.01
+    assert episode.key_frames <= MAX_KEY_FRAMES
+
+
+@every_twist
+def test_upstream_s_angle_is_the_least_that_can_be_enough(category: str) -> None:
+    nominal = cached_object(first_object(category)).joint(TURN_TO_OPEN[category].key).limits[1]
+    assert UPSTREAM_NOT_BEFORE[category] == pytest.approx(0.5 * 0.85 * nominal, abs=1e-3)
+
+
+@every_twist
+@fast
+@given(st.data(), seeds, seeds)
+def test_the_hand_never_lets_go(category: str, data: st.DataObject, draw: int, seed: int) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), draw=draw)
+    episode = run(world, adaptive(world, seed))
+    assert episode.phases.count(Phase.GRASP) == 1
+    assert all(goal.gripper == 0.0 for goal in episode.goals[2:])
+
+
+@every_twist
+@fast
+@given(directions, fractions, st.integers(1, 2), seeds)
+def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(
+    category: str, direction: int, fraction: float, torn: int, seed: int
+) -> None:
+    name = first_object(category)
+    for kind in (adaptive, static):
+        world = KinematicWorld(name, hidden(name, direction, fraction), torn=torn)
+        episode = run(world, kind(world, seed))
+        lost = [k for k, felt in enumerate(episode.felt) if felt.gripper < 0.05]
+        assert len(lost) == torn
+        assert all(episode.phases[k + 1] is Phase.RELEASE for k in lost)
+        assert episode.opened == pytest.approx(TURN_TO_OPEN[category].opening[-1], rel=0.1)
