@@ -76,6 +76,26 @@ class Feedback:
         return self.outcome is not None and self.outcome is not Outcome.REACHED
 
 
+@dataclass(frozen=True)
+class KeyFrameLabels:
+    """What a key frame tried, and what came of it: written by the environment, for people and analysis.
+
+    A *try* is a key frame in which a hand that is at a part was sent far enough to move one of the part's joints. It
+    has *failed* if the joint covered less than half of the way it was sent. A label never is a policy's input.
+
+    Attributes:
+        tried: index of the joint that was tried in the mechanism's `joints` (0 the one that opens); -1 for none.
+        failed: whether the try failed; False where nothing was tried.
+        progress: how far the tried joint moved, in the direction it was sent [rad or m]; 0 where nothing was tried.
+        trial: failed tries of this episode before this key frame.
+    """
+
+    tried: int = -1
+    failed: bool = False
+    progress: float = 0.0
+    trial: int = 0
+
+
 KeyFrames = Generator[Goal, Feedback, None]
 """An expert at work. Prime it with ``next``; send each `Feedback`; it ends when it has nothing more to do."""
 

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.observation import Observation
 
@@ -30,6 +30,10 @@ class KeyframeEnvironment(Protocol):
         """What was felt after the latest key frame."""
 
     @property
+    def labels(self) -> KeyFrameLabels:
+        """What the latest key frame tried: not for policies or experts."""
+
+    @property
     def annotations(self) -> Mapping[str, PartAnnotation]:
         """The annotated part poses an expert may know, robot base frame."""
 
@@ -38,6 +42,12 @@ class KeyframeEnvironment(Protocol):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Drives the arm to one key frame, a (10,) action of the contract."""
+
+    def part_positions(self) -> dict[str, float]:
+        """Joint positions of the object as they stand now [rad or m]: what a camera sees of an open door."""
+
+    def fingerprint(self) -> dict[str, str]:
+        """Part -> hash or name of what decides how an episode comes out; see `lerobot_adamanip.fingerprint`."""
 
     def hidden_state(self) -> dict[str, Any]:
         """This episode's draw of the mechanism, JSON-able. Privileged."""

@@ -20,6 +20,11 @@ ACTION = "action"
 PHASE = "complementary_info.phase"
 TRIAL = "complementary_info.trial"
 OUTCOME = "complementary_info.outcome"
+TRIED = "complementary_info.tried"
+FAILED = "complementary_info.failed"
+PROGRESS = "complementary_info.progress"
+SUCCESS = "next.success"
+DONE = "next.done"
 
 POSE_NAMES = ("ee.x.pos", "ee.y.pos", "ee.z.pos", *(f"ee.r6d_{i}.pos" for i in range(6)), "gripper.pos")
 """Position [m], rotation 6D [-], gripper opening [0 closed, 1 open]: the action, and the state's first ten."""
