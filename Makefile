@@ -1,8 +1,11 @@
 # Each target does all set-up it needs, in .venv. `PYTHON=/path/to/python3.12 make setup` chooses the interpreter.
+# Where rendering or the browser for one test needs packages of the system, they are named and then installed if this user
+# may; `NO_SYSTEM=1 make ...` installs none and says what to install.
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup test check format bench demo clean
+.PHONY: help setup test nightly check format bench demo clean
+export NO_SYSTEM
 
 BIN := .venv/bin
 # Processes of the test runner; each simulator process takes about 2 GB.
@@ -27,16 +30,22 @@ setup: .venv/.renders  ## create .venv, install everything, see to a Vulkan devi
 .venv/.browser: .venv/.installed scripts/setup_browser.sh
 	bash scripts/setup_browser.sh
 
-test: setup .venv/.browser  ## all tests: first those without a simulator, then those with it
+test: setup .venv/.browser  ## all tests but the nightly ones: first those without a simulator, then those with it
 	@status=0; \
-	echo "== tests without the simulator"; $(PYTEST) -m "not sim" || status=$$?; \
-	echo "== tests with the simulator"; $(PYTEST) -m sim || status=$$?; \
+	echo "== 1/2  tests without the simulator, $(JOBS) at a time: some 4 minutes on two cores"; \
+	$(PYTEST) -m "not sim and not nightly" || status=$$?; \
+	echo "== 2/2  tests with the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
+	$(PYTEST) -m "sim and not nightly" || status=$$?; \
 	exit $$status
 
-check: .venv/.installed  ## format, lint, types
+nightly: setup  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
+	bash scripts/nightly.sh
+
+check: .venv/.installed  ## format, lint, types, layers
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
 
 format: .venv/.installed  ## rewrite the files as `make check` wants them
 	$(BIN)/ruff format .

@@ -1,17 +1,11 @@
 #!/usr/bin/env bash
 # Sees to a Chromium for the test of the annotation page. Does nothing where there is one; installs the distribution's as
-# root on Debian, else Playwright's own. Without any, that one test is skipped (and fails where CI is set): told, not fatal.
+# root on Debian, else Playwright's own into the user's cache. Without any, that one test is skipped (and fails where CI is
+# set): told, not fatal. NO_SYSTEM=1 installs none.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-say() { printf '== %s\n' "$*"; }
-has() { command -v "$1" >/dev/null 2>&1; }
-
-can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
-
-as_root() {
-    if [[ $EUID -eq 0 ]]; then DEBIAN_FRONTEND=noninteractive "$@"; else sudo -n env DEBIAN_FRONTEND=noninteractive "$@"; fi
-}
+source scripts/setup_common.sh
 
 # Asked for its version: Ubuntu has a command of that name that only says which snap to install.
 found() {
@@ -33,25 +27,30 @@ PYTHON
 
 # Debian's package; Ubuntu's of that name is a snap in disguise, or none.
 debian_chromium() {
-    has apt-get && can_be_root || return 1
+    can_install || return 1
     [[ "$(. /etc/os-release && printf '%s' "$ID")" == debian ]] || return 1
-    as_root apt-get update -qq || true
-    as_root apt-get install -y -qq --no-install-recommends chromium >/dev/null
+    announce chromium
+    update
+    install chromium >/dev/null
 }
 
 playwright_chromium() {
     local dependencies=()
-    if has apt-get && can_be_root; then dependencies=(--with-deps); fi
+    if can_install; then
+        announce "the libraries Playwright's Chromium needs"
+        dependencies=(--with-deps)
+    fi
+    say "installing Playwright's Chromium into this user's cache"
     .venv/bin/playwright install "${dependencies[@]}" --only-shell chromium
 }
 
 if ! browser=$(found); then
-    say "no Chromium for the test of the annotation page: installing one"
-    debian_chromium || playwright_chromium || true
+    say "no Chromium for the test of the annotation page"
+    no_system || debian_chromium || playwright_chromium || true
     browser=$(found) || browser=""
 fi
 if [[ -z "$browser" ]]; then
-    say "no Chromium could be installed: the test of the annotation page cannot run; try: apt-get install chromium"
+    say "that test is left out; to run it: apt-get install chromium, or .venv/bin/playwright install chromium"
     exit 0
 fi
 say "browser: $browser"

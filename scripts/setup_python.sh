@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Creates .venv with Python 3.12 and installs the project with the pinned packages of constraints.txt.
+# Creates .venv with Python 3.12 and installs the project with the pinned packages of constraints.txt. A Python that is
+# missing is the distribution's, installed as root; NO_SYSTEM=1 says what to install instead.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
@@ -7,8 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK=1
 WANTED=3.12
 VENV=.venv
 
-say() { printf '== %s\n' "$*"; }
-has() { command -v "$1" >/dev/null 2>&1; }
+source scripts/setup_common.sh
 
 # A pyenv shim exists for every Python ever installed and fails when called: run it, do not only look for it.
 is_wanted() { [[ "$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || true)" == "$WANTED" ]]; }
@@ -27,18 +27,13 @@ find_python() {
     return 1
 }
 
-as_root() {
-    if [[ $EUID -eq 0 ]]; then DEBIAN_FRONTEND=noninteractive "$@"; else sudo -n env DEBIAN_FRONTEND=noninteractive "$@"; fi
-}
-
-can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
-
 # Installs the distribution's own Python 3.12 (Ubuntu 24.04 has it), with the venv module that Debian ships apart.
 apt_python() {
-    has apt-get && can_be_root || return 1
-    as_root apt-get update -qq >&2 || true
+    can_install || return 1
+    announce "python$WANTED python$WANTED-venv, if this distribution has them"
+    update
     [[ -n "$(apt-cache pkgnames "python$WANTED-venv" 2>/dev/null)" ]] || return 1
-    as_root apt-get install -y -qq --no-install-recommends "python$WANTED" "python$WANTED-venv" >&2
+    install "python$WANTED" "python$WANTED-venv"
 }
 
 explain_missing() {

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Sees to a Vulkan device SAPIEN can render with: a GPU's, else Mesa's lavapipe (on the CPU; Mesa >= 24.3).
-# Does nothing where rendering works. Installs packages on Debian and Ubuntu as root; otherwise says what to install.
+# Does nothing where rendering works. Installs packages on Debian and Ubuntu as root, after saying which; with NO_SYSTEM=1,
+# and elsewhere, it says what to install.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -9,22 +10,10 @@ MIN_MESA=24.3
 LIBRARIES=(libvulkan1 libgl1 libegl1 libglib2.0-0 libx11-6 libxext6 libsm6)
 BACKPORTS_FILE=/etc/apt/sources.list.d/adamanip-backports.sources
 
-say() { printf '== %s\n' "$*"; }
-has() { command -v "$1" >/dev/null 2>&1; }
+source scripts/setup_common.sh
 
 # In a process of its own: a broken driver may segfault instead of raising.
 renders() { timeout 180 .venv/bin/python -m lerobot_adamanip.cli.doctor.render_probe; }
-
-can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
-
-as_root() {
-    if [[ $EUID -eq 0 ]]; then DEBIAN_FRONTEND=noninteractive "$@"; else sudo -n env DEBIAN_FRONTEND=noninteractive "$@"; fi
-}
-
-# Somebody else's broken source must not stop ours: a failed update is told, not fatal.
-update() { as_root apt-get update -qq || say "apt-get update reported errors; going on with what it has"; }
-
-install() { as_root apt-get install -y -qq --no-install-recommends "$@"; }
 
 # What is there already stays at its version: this machine's other programs are not ours to upgrade.
 install_libraries() { install --no-upgrade "${LIBRARIES[@]}"; }
@@ -77,10 +66,11 @@ advise() {
 }
 
 install_mesa() {
+    announce "mesa-vulkan-drivers ${LIBRARIES[*]}, and what they depend on"
     update
     if [[ "$(release ID) $(release VERSION_ID)" == "debian 12" ]]; then
         if ! has_backports; then
-            say "enabling bookworm-backports in $BACKPORTS_FILE"
+            announce "the package source bookworm-backports, in $BACKPORTS_FILE"
             backports_source | as_root tee "$BACKPORTS_FILE" >/dev/null
             update
         fi
@@ -101,8 +91,9 @@ done_if_found() {
 
 found=$(renders 2>/dev/null) || found=""
 if has nvidia-smi && nvidia-smi >/dev/null 2>&1 && [[ "$found" != *cuda* ]]; then
-    if has apt-get && can_be_root; then
-        say "NVIDIA GPU found that SAPIEN does not render with: installing the libraries its Vulkan driver needs"
+    if can_install; then
+        say "NVIDIA GPU found that SAPIEN does not render with; its Vulkan driver needs libraries"
+        announce "${LIBRARIES[*]}"
         update
         install_libraries || true
         found=$(renders 2>/dev/null) || found=""
@@ -111,8 +102,8 @@ if has nvidia-smi && nvidia-smi >/dev/null 2>&1 && [[ "$found" != *cuda* ]]; the
 fi
 done_if_found
 
-has apt-get && can_be_root || advise
-say "no Vulkan device to render with: installing Mesa's (on the CPU)"
+can_install || advise
+say "no Vulkan device to render with: Mesa's (on the CPU) will do"
 install_mesa
 install_libraries
 found=$(renders) || advise

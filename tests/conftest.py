@@ -1,4 +1,4 @@
-"""What every test shares: no network, no user cache, one thread, fixed seeds."""
+"""What every test shares: no network, no user cache, one thread, fixed seeds; and progress in logs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import random
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,3 +58,30 @@ def _scratch() -> Iterator[None]:
 # Machines are shared: how long an example takes says nothing about the code.
 hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
+
+
+class _Progress:
+    """Counts tests as they end and writes a line now and then: a log shows no row of dots before it is full."""
+
+    EVERY_SECONDS = 30.0
+
+    def __init__(self, reporter: pytest.TerminalReporter) -> None:
+        self._reporter = reporter
+        self._began = self._said = time.monotonic()
+        self._done = self._failed = 0
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._failed += report.failed
+        self._done += report.when == "teardown"
+        now = time.monotonic()
+        if now - self._said >= self.EVERY_SECONDS:
+            self._said = now
+            self._reporter.write_line(f"== {now - self._began:.0f} s: {self._done} tests, {self._failed} failed")
+
+
+@pytest.hookimpl(trylast=True)  # the terminal's plugin is there by then
+def pytest_configure(config: pytest.Config) -> None:
+    if not sys.stdout.isatty() and not hasattr(config, "workerinput"):
+        reporter = config.pluginmanager.get_plugin("terminalreporter")
+        if reporter is not None:
+            config.pluginmanager.register(_Progress(reporter), "progress-in-logs")

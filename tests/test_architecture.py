@@ -18,12 +18,11 @@ PACKAGES = {
 }
 MAX_FILE_LINES = 300
 MAX_FUNCTION_LINES = 60
-NOT_IN_CORE = ("sapien", "mani_skill", "diffusers", "franky", "lerobot_env_adamanip", "lerobot_policy_adamanip")
+NOT_IN_CORE = ("sapien", "mani_skill", "diffusers", "lerobot_env_adamanip", "lerobot_policy_adamanip")
 TOO_HEAVY_FOR_A_PLUGIN = (
     "sapien",
     "mani_skill",
     "diffusers",
-    "franky",
     "trimesh",
     "matplotlib",
     "scipy.spatial",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -14,6 +15,8 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+
+import lerobot_adamanip
 
 ROOT = Path(__file__).resolve().parents[1]
 SHOW_REGISTRATIONS = """
@@ -85,7 +88,8 @@ def test_wheel_holds_all_packages_and_no_tests(wheel: Path) -> None:
         "lerobot_env_adamanip",
         "lerobot_policy_adamanip",
     }
-    assert "lerobot_adamanip/py.typed" in names
+    packages = ("lerobot_adamanip", "lerobot_env_adamanip", "lerobot_policy_adamanip")
+    assert {f"{package}/py.typed" for package in packages} <= names
     assert not [name for name in names if "test" in Path(name).name or "/tests/" in name]
     cards = {p.relative_to(ROOT).as_posix() for p in (ROOT / "hub_cards").rglob("*") if p.is_file()}
     assert cards
@@ -127,9 +131,26 @@ def test_constraints_pin_every_dependency() -> None:
     assert {Requirement(w).name.lower().replace("_", "-") for w in wanted} <= pinned
 
 
-@pytest.mark.parametrize(
-    "script", ["scripts/setup_python.sh", "scripts/setup_vulkan.sh", "scripts/setup_browser.sh", ".ci/run"]
-)
-def test_scripts_are_executable_bash(script: str) -> None:
-    assert os.access(ROOT / script, os.X_OK)
-    run(["bash", "-n", str(ROOT / script)])
+def test_one_version() -> None:
+    """In the distribution, the package and the citation."""
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert lerobot_adamanip.__version__ == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_every_extra_is_imported_by_something() -> None:
+    """An extra that no line imports promises what is not there."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    modules = {"mani-skill": "mani_skill", "opencv-python": "cv2", "pycollada": "collada"}
+    packages = ("lerobot_adamanip", "envs", "policies")
+    text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
+    for extra in set(extras) - {"dev"}:
+        for name in (Requirement(line).name for line in extras[extra]):
+            assert re.search(rf"\b(import|from) {modules.get(name, name)}\b", text), f"{extra}: {name}"
+
+
+@pytest.mark.parametrize("script", [*(ROOT / "scripts").glob("*.sh"), ROOT / ".ci" / "run"], ids=lambda p: p.name)
+def test_scripts_are_bash(script: Path) -> None:
+    assert os.access(script, os.X_OK) or script.name == "setup_common.sh"  # sourced
+    run(["bash", "-n", str(script)])
