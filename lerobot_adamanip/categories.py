@@ -2,7 +2,7 @@
 
 Pure data, light to import. Everything else about a category stands in a module named after it: its objects in
 `lerobot_adamanip.objects`, its rules in `lerobot_adamanip.mechanisms`, its experts in `lerobot_adamanip.experts`, its
-ManiSkill task in `lerobot_env_adamanip.sim.tasks`.
+ManiSkill task a row of `lerobot_env_adamanip.sim.tasks.categories`.
 """
 
 from __future__ import annotations

@@ -73,13 +73,13 @@ def _drive(env: Any, episode: Episode) -> Episode:
     expert = make_expert(
         episode.category,
         episode.kind,
-        env.layout.annotations,
+        env.placement.annotations,
         generator=np.random.default_rng(episode.seed),
         hidden=hidden if episode.kind == "static" else None,
     )
     success, count, goal = False, 0, next(expert)
     while not success and count < MAX_KEY_FRAMES:
-        felt = env.driver.execute(goal.action())
+        felt = env.execute(goal.action())
         count, success = count + 1, bool(env.evaluate()["success"][0])
         try:
             goal = expert.send(felt)

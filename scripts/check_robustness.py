@@ -67,11 +67,11 @@ def through(env: Any, seed: int) -> list[str]:
     env.reset(seed=seed, options={"reconfigure": True})
     rng, wrong = np.random.default_rng(seed), []
     for action in (*random_actions(rng), *wild_actions(rng)):
-        felt = env.driver.execute(action)
+        felt = env.execute(action)
         wrong += [f"seed {seed}, action {np.array2string(action, precision=3)}: {each}" for each in _broken(env, felt)]
     for action in malformed_actions():
         try:
-            env.driver.execute(action)
+            env.execute(action)
         except ConfigurationError as error:
             if not all(word in str(error) for word in ("got:", "allowed:", "try:")):
                 wrong.append(f"seed {seed}: unclear error {error}")
@@ -81,8 +81,8 @@ def through(env: Any, seed: int) -> list[str]:
 
 
 def _broken(env: Any, felt: Any) -> Iterator[str]:
-    arm = env._arm_state()
-    numbers = (felt.tcp_in_base, arm.qpos, arm.qvel, env.driver.effort, np.array(list(env.joint_positions().values())))
+    arm = env.arm_state()
+    numbers = (felt.tcp_in_base, arm.qpos, arm.qvel, env.effort, np.array(list(env.joint_positions().values())))
     if not all(np.isfinite(each).all() for each in numbers):
         yield "not finite"
         return

@@ -39,30 +39,30 @@ class EpisodeMonitor:
         self.key_moved = False
         self._final, *self._keys = sim.mechanism.joints
         self._kinds = {name: sim.obj.joint(name).kind for name in sim.mechanism.joints}
-        self._tcp: NDArray[np.float64] = sim.driver.feedback.tcp_in_base
+        self._tcp: NDArray[np.float64] = sim.feedback.tcp_in_base
 
     def after_key_frame(self, feedback: Feedback) -> bool:
         """Takes note of a key frame's end. Returns whether the episode has succeeded; once true, it stays so."""
         self.key_frames += 1
         joints = self._sim.joint_positions()
-        goal, grip = self._sim.driver.goal
+        goal, grip = self._sim.goal
         part = self._held(joints, feedback)
         if grip < 0.5 and part is not None:
             self.first_part = self.first_part or part.name
             if feedback.outcome is Outcome.STALLED and self._was_try(goal):
                 self._count(meant(part, self._tcp, goal), joints)
         self.key_moved |= any(abs(joints[name]) > TURNED[self._kinds[name]] for name in self._keys)
-        self.success |= bool(self._sim.evaluate()["success"][0])
+        self.success |= self._sim.succeeded()
         self._tcp = feedback.tcp_in_base
         return self.success
 
     def _held(self, joints: dict[str, float], feedback: Feedback) -> PartAnnotation | None:
         """Returns the part the tool is at, where the part is now."""
         tool = feedback.tcp_in_base[:3, 3]
-        parts = self._sim.layout.annotations.values()
+        parts = self._sim.placement.annotations.values()
         near = [(float(np.linalg.norm(tool - part.moved(joints)[:3, 3])), part.name) for part in parts]
         distance, name = min(near)
-        return self._sim.layout.annotations[name] if distance < NEAR_PART else None
+        return self._sim.placement.annotations[name] if distance < NEAR_PART else None
 
     def _was_try(self, goal: NDArray[np.float64]) -> bool:
         far = np.linalg.norm(goal[:3, 3] - self._tcp[:3, 3]) > TRIED_DISTANCE

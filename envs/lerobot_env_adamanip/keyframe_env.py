@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -36,6 +36,9 @@ from lerobot_adamanip.schema import (
 )
 from lerobot_env_adamanip.episode_log import EpisodeMonitor
 from lerobot_env_adamanip.sim.placement import randomization
+
+if TYPE_CHECKING:  # the simulator is imported at the first reset
+    from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 Observation = dict[str, Any]
 
@@ -101,7 +104,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             "image_size": image_size,
             "hidden_overrides": hidden_overrides,
         }
-        self._sim: Any = None
+        self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
         self._image: NDArray[np.uint8] = np.zeros((image_size, image_size, 3), np.uint8)
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
@@ -134,7 +137,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         sim, monitor = self._running(), self._episode()
-        feedback = sim.driver.execute(np.asarray(action))
+        feedback = sim.execute(np.asarray(action))
         had_ended = monitor.success or monitor.key_frames >= self._max_episode_steps
         success = monitor.after_key_frame(feedback)
         truncated = not success and monitor.key_frames >= self._max_episode_steps
@@ -157,19 +160,16 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     @property
     def feedback(self) -> Feedback:
         """What was felt at the latest key frame."""
-        feedback: Feedback = self._running().driver.feedback
-        return feedback
+        return self._running().feedback
 
     @property
     def annotations(self) -> dict[str, PartAnnotation]:
         """Annotated part poses at the episode's start, robot base frame."""
-        annotations: dict[str, PartAnnotation] = self._running().layout.annotations
-        return annotations
+        return self._running().placement.annotations
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden state: privileged; for the static expert and records only."""
-        hidden: dict[str, Any] = self._running().hidden_state()
-        return hidden
+        return self._running().hidden_state()
 
     def episode_record(self) -> dict[str, Any]:
         """Returns what is worth keeping of the episode so far, JSON-able; see `EpisodeMonitor.record`."""
@@ -177,20 +177,11 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
-        camera = self._running()._sensors["front"]
-        parameters = camera.get_params()
-        opencv_from_gl = np.diag([1.0, -1.0, -1.0, 1.0])
-        camera_in_base = parameters["cam2world_gl"][0].cpu().numpy() @ opencv_from_gl
-        return {
-            "intrinsics": parameters["intrinsic_cv"][0].cpu().numpy().tolist(),
-            "extrinsics": camera_in_base.tolist(),
-            "width": self._image.shape[1],
-            "height": self._image.shape[0],
-        }
+        return self._running().camera_parameters().to_json()
 
     # Inside -----------------------------------------------------------------------------------------------------
 
-    def _started(self) -> Any:
+    def _started(self) -> AdaManipTask:
         if self._sim is None:
             self._sim = make_task(self.category, **self._task_options)
         return self._sim
@@ -200,20 +191,18 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             raise gym.error.ResetNeeded("No episode is running: call reset() first.")
         return self._monitor
 
-    def _running(self) -> Any:
+    def _running(self) -> AdaManipTask:
         self._episode()
+        assert self._sim is not None
         return self._sim
 
     def _observe(self) -> Observation:
-        from lerobot_env_adamanip.sim.camera import capture
-
-        sim = self._running()
-        self._image, points = capture(sim.scene, sim._sensors["front"])
-        arm = sim._arm_state()
+        seen = self._running().observe()
+        self._image = seen.image
         observation: Observation = {
-            "agent_pos": state_vector(sim.driver.feedback, arm.qpos, arm.qvel),
-            "effort": sim.driver.effort.astype(np.float32),
-            "point_cloud": workspace_cloud(points, self.workspace, self.num_points),
+            "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
+            "effort": seen.effort.astype(np.float32),
+            "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
         if self._observe_images:
             observation["pixels"] = {"front": self._image}
@@ -236,7 +225,7 @@ def _check_range(what: str, got: int, lowest: int, highest: int, hint: str) -> N
         raise ConfigurationError(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", hint=hint)
 
 
-def make_task(category: str, **options: Any) -> Any:
+def make_task(category: str, **options: Any) -> AdaManipTask:
     """Builds the ManiSkill task of a category, without observations of its own.
 
     Raises:
@@ -254,10 +243,11 @@ def make_task(category: str, **options: Any) -> Any:
             hint="pip install 'lerobot_env_adamanip[sim]'",
         ) from error
     try:
-        return gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
+        made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
     except RuntimeError as error:
         if isinstance(error, AdaManipError) or not any(
             word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")
         ):
             raise
         raise no_vulkan_device(error) from error
+    return cast("AdaManipTask", made)

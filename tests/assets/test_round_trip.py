@@ -56,10 +56,10 @@ def test_an_expert_opens_an_object_of_others_as_it_was_proposed(tmp_path: Path, 
         env.reset(seed=5_000_000, options={"reconfigure": True})
         assert env.obj.object_id == f"{category}:x1"
         generator, hidden = np.random.default_rng(0), env.hidden_state()
-        expert = make_expert(category, "static", env.layout.annotations, generator=generator, hidden=hidden)
+        expert = make_expert(category, "static", env.placement.annotations, generator=generator, hidden=hidden)
         goal = next(expert)
         for _ in range(MAX_KEY_FRAMES):
-            felt = env.driver.execute(goal.action())
+            felt = env.execute(goal.action())
             if env.evaluate()["success"][0]:
                 break
             goal = expert.send(felt)  # StopIteration: the expert gave up

@@ -37,12 +37,12 @@ def reset(env: Any, seed: int, *, object_id: str | None = None, **hidden: Any) -
 def play(env: Any, kind: str) -> list[tuple[Goal, Outcome, float]]:
     """Runs an expert until the safe is open: goal, outcome and joint speed of each key frame."""
     hidden = env.hidden_state() if kind == "static" else None
-    expert = make_expert("safe", kind, env.layout.annotations, generator=np.random.default_rng(0), hidden=hidden)
+    expert = make_expert("safe", kind, env.placement.annotations, generator=np.random.default_rng(0), hidden=hidden)
     done, goal = [], next(expert)
     while len(done) < 45:
-        felt = env.driver.execute(goal.action())
+        felt = env.execute(goal.action())
         assert felt.outcome is not None
-        done.append((goal, felt.outcome, float(np.abs(env._arm_state().qvel).max())))
+        done.append((goal, felt.outcome, float(np.abs(env.arm_state().qvel).max())))
         if env.evaluate()["success"][0]:
             break
         try:
@@ -85,10 +85,10 @@ def test_the_static_expert_needs_fewer_key_frames_when_locked(env: Any) -> None:
 
 
 def grasp(env: Any, part: str) -> Any:
-    annotation = env.layout.annotations[part]
+    annotation = env.placement.annotations[part]
     before = annotation.grasp @ transform((0.0, 0.0, -0.10))
     for pose, gripper in ((before, 1.0), (annotation.grasp, 1.0), (annotation.grasp, 0.0)):
-        env.driver.execute(Goal(pose, gripper, Phase.APPROACH).action())
+        env.execute(Goal(pose, gripper, Phase.APPROACH).action())
     return annotation
 
 
@@ -99,9 +99,9 @@ def test_a_lock_never_opens_by_force(env: Any, seed: int) -> None:
     pulls = [handle.moved({"door": np.deg2rad(angle)}) for angle in (10, 30, 45, 80, -20)]
     pulls += [handle.grasp @ transform((0.0, 0.0, -distance)) for distance in (0.05, 0.2, 0.4, -0.05, 0.3)]
     for pose in pulls:
-        felt = env.driver.execute(Goal(pose, 0.0, Phase.TRY).action())
+        felt = env.execute(Goal(pose, 0.0, Phase.TRY).action())
         assert np.isfinite(felt.tcp_in_base).all()
-        assert np.isfinite(env.driver.effort).all()
+        assert np.isfinite(env.effort).all()
         assert abs(np.degrees(env.joint_positions()["door"])) < 1.0
     assert not env.evaluate()["success"][0]
 
@@ -112,15 +112,15 @@ def test_the_knob_turns_one_way_to_its_end_and_frees_the_door(env: Any, directio
     limit, slack = env.hidden_state()["knob_range"], np.deg2rad(1.5)
     assert limit <= env.obj.joint("knob").limits[1]
     knob = grasp(env, "knob")
-    blocked = env.driver.execute(Goal(knob.moved({"knob": -direction * np.deg2rad(40)}), 0.0, Phase.UNLOCK).action())
+    blocked = env.execute(Goal(knob.moved({"knob": -direction * np.deg2rad(40)}), 0.0, Phase.UNLOCK).action())
     assert blocked.outcome is Outcome.STALLED
     assert -slack < direction * env.joint_positions()["knob"] < slack
-    assert env.mechanism.step(env.mechanism_state, readings(env))[1]["door"].upper.item() == 0.0
+    assert env.mechanism.step(env.mechanism_driver.state, readings(env))[1]["door"].upper.item() == 0.0
     for turn in (40, 80, 120, 160):
-        env.driver.execute(Goal(knob.moved({"knob": direction * np.deg2rad(turn)}), 0.0, Phase.UNLOCK).action())
+        env.execute(Goal(knob.moved({"knob": direction * np.deg2rad(turn)}), 0.0, Phase.UNLOCK).action())
         assert -slack < direction * env.joint_positions()["knob"] < limit + slack
     assert direction * env.joint_positions()["knob"] > 0.85 * limit
-    freed = env.mechanism.step(env.mechanism_state, readings(env))[1]["door"].upper.item()
+    freed = env.mechanism.step(env.mechanism_driver.state, readings(env))[1]["door"].upper.item()
     assert freed == pytest.approx(DOOR_UPPER)
 
 
@@ -169,7 +169,7 @@ def test_maniskills_state_is_the_arm_alone() -> None:
             assert observation.shape == (1, 18)  # positions and velocities of seven joints and two fingers
             seen.append(observation.clone())
         assert torch.equal(*seen)
-        arm = made.unwrapped._arm_state()
+        arm = made.unwrapped.arm_state()
         np.testing.assert_allclose(seen[1][0, :7].numpy(), arm.qpos, atol=1e-6)
     finally:
         made.close()

@@ -58,7 +58,7 @@ class KeyframeDriver:
         self._target: Array = read().qpos.copy()
         self._finger = self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
-        self.closing = False  # whether this key frame only closes the fingers: see `AdaManipTask`, detent
+        self.closing = False  # whether this key frame only closes the fingers: see `AdaManipTask._tick`
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)

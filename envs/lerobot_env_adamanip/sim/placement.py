@@ -22,7 +22,7 @@ PATH_STEPS = 6
 
 @dataclass(frozen=True)
 class Randomization:
-    """Half widths of uniform draws around the nominal layout.
+    """Half widths of uniform draws around the nominal placement.
 
     Attributes:
         object_x, object_y: [m].
@@ -84,7 +84,7 @@ def draw_placement(
     obj: ArticulatedObject,
     kinematics: ArmKinematics,
     reaches: tuple[ReachRequirement, ...],
-    spread: Randomization,
+    randomization: Randomization,
     *,
     nominal_x: float,
     floor_z: float,
@@ -93,11 +93,11 @@ def draw_placement(
     """Draws poses until the arm reaches every part, held and turned; one draw decides everything.
 
     Args:
-        rng: generator of this episode's layout.
+        rng: generator of this episode's placement.
         obj: the object.
         kinematics: of the arm.
         reaches: part motions to check.
-        spread: half widths.
+        randomization: half widths.
         nominal_x: distance of the object's front from the robot's base [m].
         floor_z: height of the surface it stands on [m].
         tries: draws at most.
@@ -106,10 +106,10 @@ def draw_placement(
         UnreachableError: none of the draws could be reached.
     """
     for _ in range(tries):
-        x, y = nominal_x + rng.uniform(-1, 1) * spread.object_x, rng.uniform(-1, 1) * spread.object_y
-        yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
+        x, y = nominal_x + rng.uniform(-1, 1) * randomization.object_x, rng.uniform(-1, 1) * randomization.object_y
+        yaw = np.pi + rng.uniform(-1, 1) * randomization.object_yaw
         pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
-        start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
+        start = np.clip(kinematics.rest + rng.normal(size=7) * randomization.joint, kinematics.lower, kinematics.upper)
         annotations = _reachable(obj, pose, kinematics, reaches)
         if annotations is not None:
             return Placement(pose, start, annotations)

@@ -64,8 +64,6 @@ def simulation(*, category: str, repeats: int) -> tuple[dict[str, float], dict[s
 
 
 def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
-    from lerobot_env_adamanip.sim.camera import capture
-
     still = np.zeros(task.action_space.shape, np.float32)
     workspace = Workspace()
 
@@ -75,7 +73,7 @@ def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
 
     def step_and_look() -> None:
         task.step(still)
-        workspace_cloud(capture(task.scene, task._sensors["front"])[1], workspace, DEFAULT_NUM_POINTS)
+        workspace_cloud(task.observe().points_in_base, workspace, DEFAULT_NUM_POINTS)
 
     plain = per_second(repeat_ms(step, repeats) / STEPS_PER_REPEAT)
     seen = per_second(repeat_ms(step_and_look, repeats))
@@ -105,13 +103,11 @@ def _key_frame_ms(options: CollectionSpec) -> float:
 
 
 def _observation(task: Any, repeats: int) -> dict[str, float]:
-    from lerobot_env_adamanip.sim.camera import capture
-
-    watch, workspace, camera = Stopwatch(), Workspace(), task._sensors["front"]
+    watch, workspace = Stopwatch(), Workspace()
     for _ in range(1 + repeats):
         with watch.stage("total"):
             with watch.stage("render"):
-                points = capture(task.scene, camera)[1]
+                points = task.observe().points_in_base
             with watch.stage(f"crop_fps_{DEFAULT_NUM_POINTS}"):
                 workspace_cloud(points, workspace, DEFAULT_NUM_POINTS)
         with watch.stage(f"crop_fps_{PAPER_NUM_POINTS}"):

@@ -1,17 +1,17 @@
-"""Plain ManiSkill: importing this registers every task; then ``gymnasium.make("AdaManip-Safe-v1")`` makes one."""
+"""Plain ManiSkill: importing this registers every task; then ``gymnasium.make("AdaManip-Safe-v1")`` makes one.
+
+The classes, `SafeTask` and so on, are made from the table in `categories` and can be imported from here.
+"""
 
 from lerobot_env_adamanip.sim.tasks.base import AdaManipTask
-from lerobot_env_adamanip.sim.tasks.bottle import BottleTask
-from lerobot_env_adamanip.sim.tasks.coffee_maker import CoffeeMakerTask
-from lerobot_env_adamanip.sim.tasks.door import DoorTask
-from lerobot_env_adamanip.sim.tasks.lamp import LampTask
-from lerobot_env_adamanip.sim.tasks.microwave import MicrowaveTask
-from lerobot_env_adamanip.sim.tasks.pen import PenTask
-from lerobot_env_adamanip.sim.tasks.pressure_cooker import PressureCookerTask
-from lerobot_env_adamanip.sim.tasks.safe import SafeTask
-from lerobot_env_adamanip.sim.tasks.window import WindowTask
+from lerobot_env_adamanip.sim.tasks.categories import CLASSES, TASKS
 
-__all__ = [
-    "AdaManipTask", "BottleTask", "CoffeeMakerTask", "DoorTask", "LampTask", "MicrowaveTask", "PenTask",
-    "PressureCookerTask", "SafeTask", "WindowTask",
-]  # fmt: skip
+
+def __getattr__(name: str) -> type[AdaManipTask]:
+    """Lets the classes be imported by name."""
+    if name in CLASSES:
+        return CLASSES[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+__all__ = ["TASKS", "AdaManipTask", *CLASSES]  # noqa: PLE0604  (names of classes, made from the table)

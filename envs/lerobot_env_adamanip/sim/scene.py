@@ -1,0 +1,85 @@
+"""The scene around the arm: an object on a plinth, lights, one camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import sapien
+from mani_skill.envs.scene import ManiSkillScene
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils import sapien_utils
+from mani_skill.utils.building.ground import build_ground
+from mani_skill.utils.structs import Articulation
+from numpy.typing import NDArray
+
+from lerobot_adamanip.objects import ArticulatedObject
+from lerobot_env_adamanip.sim.building import build_object, sapien_pose
+
+CAMERA = "front"
+CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
+"""Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
+FIELD_OF_VIEW = float(np.deg2rad(52))
+PERSON_VIEW = 512
+"""Side of the picture that ManiSkill renders for people [px]."""
+
+
+class ObjectScene:
+    """An object, and the plinth under it.
+
+    Args:
+        scene: ManiSkill's, to build in.
+        obj: what to build.
+        part_height: where the plinth lifts the first part to [m].
+        plinth_least: half of the plinth's least width and depth [m].
+    """
+
+    def __init__(
+        self, scene: ManiSkillScene, obj: ArticulatedObject, *, part_height: float, plinth_least: float
+    ) -> None:
+        self.obj = obj
+        self.floor_z = float(np.clip(part_height - obj.parts[0].grasp[2, 3], 0.04, 0.7))
+        """Height of the surface the object stands on [m]."""
+        build_ground(scene)
+        self._plinth = self._build_plinth(scene, plinth_least)
+        self.articulation: Articulation = build_object(scene, obj, np.eye(4))
+
+    def _build_plinth(self, scene: ManiSkillScene, least: float) -> Any:
+        builder = scene.create_actor_builder()
+        depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
+        half = [max(depth, least), max(width, least), self.floor_z / 2]
+        material = sapien.render.RenderMaterial(base_color=[0.45, 0.36, 0.27, 1.0], roughness=0.8)
+        builder.add_box_visual(half_size=half, material=material)
+        builder.add_box_collision(half_size=half)
+        builder.initial_pose = sapien.Pose([2.0, 0, self.floor_z / 2])
+        return builder.build_kinematic(name="plinth")
+
+    def place(self, object_in_base: NDArray[np.float64]) -> None:
+        """Puts the object's root at (4, 4) with its joints at zero, and the plinth under it."""
+        self.articulation.set_pose(sapien_pose(object_in_base))
+        self.articulation.set_qpos(np.zeros((1, self.articulation.max_dof), np.float32))
+        plinth = object_in_base.copy()
+        plinth[:3, 3] += object_in_base[:3, :3] @ (-self.obj.size[1] / 2, 0.0, 0.0)
+        plinth[2, 3] = self.floor_z / 2
+        self._plinth.set_pose(sapien_pose(plinth))
+
+
+def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:
+    """Lights the scene from the front and one side."""
+    scene.set_ambient_light([0.35, 0.35, 0.36])
+    scene.add_directional_light([0.9, 0.5, -1.0], [1.5, 1.45, 1.4], shadow=shadow)
+    scene.add_directional_light([0.6, -0.8, -0.6], [0.6, 0.62, 0.7])
+
+
+def front_camera(rng: np.random.Generator, shift: float, *, size: int, shader: str) -> CameraConfig:
+    """Returns the camera that observes: eye and target drawn within ``shift`` [m] of their places along each axis."""
+    eye = np.asarray(CAMERA_EYE) + rng.uniform(-shift, shift, 3)
+    target = np.asarray(CAMERA_TARGET) + rng.uniform(-shift, shift, 3)
+    pose = sapien_utils.look_at(eye, target)
+    return CameraConfig(CAMERA, pose, size, size, FIELD_OF_VIEW, 0.01, 10, shader_pack=shader)
+
+
+def person_camera() -> CameraConfig:
+    """Returns the camera of ManiSkill's videos."""
+    pose = sapien_utils.look_at(CAMERA_EYE, CAMERA_TARGET)
+    return CameraConfig("render_camera", pose, PERSON_VIEW, PERSON_VIEW, FIELD_OF_VIEW, 0.01, 10)

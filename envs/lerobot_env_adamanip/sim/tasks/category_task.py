@@ -1,0 +1,92 @@
+"""What a task's category decides: where its objects stand, what the arm has to reach, and how it moves there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.keyframes import DEFAULT_MOTION, MotionLimits
+from lerobot_adamanip.objects import ArticulatedObject
+from lerobot_env_adamanip.sim.kinematics import LEVEL_REST
+from lerobot_env_adamanip.sim.placement import ReachRequirement
+
+Reaches = Callable[[ArticulatedObject], tuple[ReachRequirement, ...]]
+SWING_REACH = float(np.deg2rad(44))
+"""The arm must be able to swing a door this far [rad]: past success, with room for a slack grip."""
+LIFT_REACH = 0.045
+"""The arm must be able to take a cap or lid this far [m]: past success."""
+
+
+@dataclass(frozen=True)
+class CategoryTask:
+    """One row of the table of tasks.
+
+    Attributes:
+        category: ``safe``.
+        description: of the task, for ManiSkill's documentation.
+        draws: what is randomised beyond what `AdaManipTask` says.
+        success: conditions, in words.
+        reaches: the part motions the arm has to be able to make, of an object.
+        nominal_x: distance of the object's front from the robot's base [m].
+        part_height: where the plinth lifts the first part to [m].
+        plinth_least: half of the plinth's least width and depth [m].
+        motion: how the arm moves, and when it gives up.
+        solver_iterations: of the physics engine for positions: how hard what touches is, not how exactly joints are
+            driven.
+        rest: the arm's posture at the start, and the one its elbow is drawn to (7,) [rad].
+    """
+
+    category: str
+    description: str
+    draws: str
+    success: str
+    reaches: Reaches
+    nominal_x: float = 0.66
+    part_height: float = 0.72
+    plinth_least: float = 0.02
+    motion: MotionLimits = DEFAULT_MOTION
+    solver_iterations: int = 15
+    rest: NDArray[np.float64] = field(default_factory=lambda: LEVEL_REST)
+
+    @property
+    def documentation(self) -> str:
+        """The task's docstring, as ManiSkill writes them."""
+        return (
+            f"{CATEGORIES[self.category].instruction}\n\n"
+            f"Task Description: {self.description}\n\n"
+            f"Randomizations: as `AdaManipTask`; {self.draws}\n\n"
+            f"Success Conditions: {self.success}\n"
+        )
+
+
+def turn_then_open(part: str, key: str, final: str, far: float) -> Reaches:
+    """Returns the reach of a part that turns through all of its key joint's range, and opens by ``far`` from there."""
+
+    def reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
+        paths = [({key: turn}, {key: turn, final: far}) for turn in obj.joint(key).limits if turn]
+        return (ReachRequirement(part, *paths),)
+
+    return reaches
+
+
+def safe_reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
+    """The handle swings with the door, the knob turns both ways."""
+    turn = obj.joint("knob").limits[1]
+    knob = ReachRequirement("knob", ({"knob": -turn},), ({"knob": turn},))
+    return ReachRequirement("handle", ({"door": SWING_REACH},)), knob
+
+
+def microwave_reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
+    """The handle swings with the door, the button goes in."""
+    button = ReachRequirement("button", ({"button": obj.joint("button").limits[1]},))
+    return ReachRequirement("handle", ({"door": SWING_REACH},)), button
+
+
+def lamp_reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
+    """The knob turns both ways, and goes down."""
+    turn, travel = obj.joint("knob").limits[1], obj.joint("button").limits[1]
+    return (ReachRequirement("knob", ({"knob": -turn},), ({"knob": turn},), ({"button": travel},)),)
