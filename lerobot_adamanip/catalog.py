@@ -1,6 +1,8 @@
 """Which objects there are: ids, selections of them, and the object an id stands for, generated or external.
 
-``safe_000`` ... ``safe_035`` are seen in demonstrations; higher numbers are unseen.
+Generated objects come in three splits: *seen* (``safe_000`` ... ``safe_035``: demonstrations are collected on them),
+*unseen* (higher numbers: new draws of the same kinds) and *novel* (``safe_n000`` and up: kinds, combinations and
+proportions that no seen object has). External assets (``safe:sa1``) belong to no split.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import importlib
 import os
 import re
 from pathlib import Path
+from typing import Literal
 
 from lerobot_adamanip.assets import AssetSource, is_asset_id
 from lerobot_adamanip.categories import CATEGORIES
@@ -18,6 +21,9 @@ from lerobot_adamanip.objects.base import ArticulatedObject
 
 SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""
+UNSEEN_COUNT = 20
+"""Unseen, and novel, objects per category that ``unseen`` and ``novel`` stand for."""
+ObjectSplit = Literal["seen", "unseen", "novel"]
 
 
 def categories() -> tuple[str, ...]:
@@ -25,30 +31,52 @@ def categories() -> tuple[str, ...]:
     return tuple(CATEGORIES)
 
 
-def object_id(category: str, number: int) -> str:
-    """Returns ``safe_007`` for ("safe", 7)."""
-    return f"{require_choice('category', category, categories())}_{number:03d}"
+def object_id(category: str, number: int, *, novel: bool = False) -> str:
+    """Returns ``safe_007`` for ("safe", 7), and ``safe_n007`` for the novel object of that number."""
+    return f"{require_choice('category', category, categories())}_{'n' if novel else ''}{number:03d}"
 
 
 def parse_object_id(identifier: str) -> tuple[str, int]:
-    """Returns ("safe", 7) for ``safe_007``; raises `ConfigurationError` for anything else."""
-    match = re.fullmatch(r"([a-z_]+)_([0-9]{3}|[1-9][0-9]{3,5})", identifier)  # one object, one id
+    """Returns ("safe", 7) for ``safe_007`` and for ``safe_n007``; raises `ConfigurationError` for anything else.
+
+    Which split it belongs to is told by `object_split`, not by the number.
+    """
+    match = re.fullmatch(r"([a-z_]+)_n?([0-9]{3}|[1-9][0-9]{3,5})", identifier)  # one object, one id
     if match is None or match[1] not in CATEGORIES:
         raise ConfigurationError(
             "Unknown object id.",
             got=repr(identifier),
-            allowed=f"<category>_<number>, category one of {', '.join(CATEGORIES)}",
+            allowed=f"<category>_<number> or <category>_n<number>, category one of {', '.join(CATEGORIES)}",
             hint="safe_000",
         )
     return match[1], int(match[2])
+
+
+def object_split(identifier: str) -> ObjectSplit | None:
+    """Returns the split of a generated object; None for an external asset, which is of none.
+
+    Raises:
+        ConfigurationError: the id is none.
+    """
+    if is_asset_id(identifier):
+        return None
+    category, number = parse_object_id(identifier)
+    if _is_novel(identifier):
+        return "novel"
+    return "seen" if number < SEEN_COUNTS[category] else "unseen"
+
+
+def _is_novel(identifier: str) -> bool:
+    return identifier.rpartition("_")[2].startswith("n")
 
 
 @functools.lru_cache(maxsize=64)
 def make_object(identifier: str) -> ArticulatedObject:
     """Builds an object by id. Deterministic: one id is one object, everywhere."""
     category, number = parse_object_id(identifier)
-    generator = importlib.import_module(f"lerobot_adamanip.objects.{category}")
-    made: ArticulatedObject = getattr(generator, f"make_{category}")(number)
+    folder, prefix = ("objects.novel", "make_novel") if _is_novel(identifier) else ("objects", "make")
+    generator = importlib.import_module(f"lerobot_adamanip.{folder}.{category}")
+    made: ArticulatedObject = getattr(generator, f"{prefix}_{category}")(number)
     return made
 
 
@@ -58,35 +86,49 @@ def seen_objects(category: str) -> tuple[str, ...]:
     return tuple(object_id(category, number) for number in range(count))
 
 
-def unseen_objects(category: str, count: int = 20) -> tuple[str, ...]:
-    """Returns the ids of the first ``count`` objects beyond the seen ones."""
+def unseen_objects(category: str, count: int = UNSEEN_COUNT) -> tuple[str, ...]:
+    """Returns the ids of the first ``count`` objects beyond the seen ones: new draws of the same kinds."""
     start = SEEN_COUNTS[require_choice("category", category, categories())]
     return tuple(object_id(category, number) for number in range(start, start + count))
 
 
+def novel_objects(category: str, count: int = UNSEEN_COUNT) -> tuple[str, ...]:
+    """Returns the ids of the first ``count`` objects of kinds and combinations that no seen object has."""
+    return tuple(object_id(category, number, novel=True) for number in range(count))
+
+
 def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
-    """Returns object ids for ``seen``, ``unseen``, ``0:4`` (a range of numbers), or ``safe_000,safe_007``."""
+    """Returns object ids for a selection.
+
+    Args:
+        category: of the objects.
+        selection: ``seen``, ``unseen``, ``novel``, ``0:4`` (a range of numbers; of novel ones, ``n0:n4``), or
+            ``safe_000,safe_n007``.
+
+    Raises:
+        ConfigurationError: the selection is none of these, or empty, or of another category.
+    """
     require_choice("category", category, categories())
-    if selection == "seen":
-        return seen_objects(category)
-    if selection == "unseen":
-        return unseen_objects(category)
-    if match := re.fullmatch(r"(\d+):(\d+)", selection):
-        ids = tuple(object_id(category, number) for number in range(int(match[1]), int(match[2])))
+    splits = {"seen": seen_objects, "unseen": unseen_objects, "novel": novel_objects}
+    if selection in splits:
+        return splits[selection](category)
+    if match := re.fullmatch(r"(n?)(\d+):\1(\d+)", selection):
+        numbers = range(int(match[2]), int(match[3]))
+        ids = tuple(object_id(category, number, novel=bool(match[1])) for number in numbers)
     else:
         ids = tuple(name.strip() for name in selection.split(",") if name.strip())
     if not ids or any(parse_object_id(name)[0] != category for name in ids):
         raise ConfigurationError(
             f"Wrong selection of objects for category {category!r}.",
             got=repr(selection),
-            allowed="seen | unseen | FIRST:END | id,id,...",
+            allowed="seen | unseen | novel | FIRST:END | nFIRST:nEND | id,id,...",
             hint="0:4",
         )
     return ids
 
 
 def select_objects(category: str, selection: str, assets: str | os.PathLike[str] | None = None) -> tuple[str, ...]:
-    """Returns the ids of generated objects, or of those in the folder ``assets``; see `AssetSource.select` there."""
+    """Returns the ids of generated objects, or of external assets in the folder ``assets`` (`AssetSource`)."""
     return (
         parse_object_selection(category, selection)
         if assets is None
@@ -95,7 +137,7 @@ def select_objects(category: str, selection: str, assets: str | os.PathLike[str]
 
 
 def get_object(identifier: str, assets: str | os.PathLike[str] | None = None) -> ArticulatedObject:
-    """Makes a generated object, or loads one of the folder ``assets``, by id."""
+    """Makes a generated object, or loads an external asset of the folder ``assets``, by id."""
     return make_object(identifier) if assets is None else AssetSource(Path(assets)).load(identifier)
 
 
@@ -105,6 +147,7 @@ def category_of(identifier: str) -> str:
 
 
 __all__ = [
-    "SEEN_COUNTS", "categories", "category_of", "get_object", "is_asset_id", "make_object", "object_id",
-    "parse_object_id", "parse_object_selection", "seen_objects", "select_objects", "unseen_objects",
+    "SEEN_COUNTS", "UNSEEN_COUNT", "ObjectSplit", "categories", "category_of", "get_object", "is_asset_id",
+    "make_object", "novel_objects", "object_id", "object_split", "parse_object_id", "parse_object_selection",
+    "seen_objects", "select_objects", "unseen_objects",
 ]  # fmt: skip

@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 
 from lerobot_adamanip.catalog import (
     categories,
+    category_of,
     make_object,
+    novel_objects,
     object_id,
+    object_split,
     parse_object_id,
     parse_object_selection,
     seen_objects,
@@ -37,7 +40,8 @@ def test_an_object_carries_the_id_it_was_made_by(number: int) -> None:
     "name",
     [
         "", "safe", "safe_", "safe_7", "safe_07", "safe_0007", "safe_1234567", "safe_-01", "safe_abc", "SAFE_001",
-        " safe_001", "safe_001 ", "safe_001\n", "safe-001", "safe_٠٠١", "fridge_001", "safe_001/../safe_002",
+        " safe_001", "safe_001 ", "safe_001\n", "safe-001",
+        "safe_n1", "safe_n01", "safe_nn001", "safe_٠٠١", "fridge_001", "safe_001/../safe_002",
     ],
 )  # fmt: skip
 def test_what_is_no_id_is_refused(name: str) -> None:
@@ -54,7 +58,28 @@ def test_any_text_is_an_id_or_refused_and_no_object_has_two(name: str) -> None:
         category, number = parse_object_id(name)
     except ConfigurationError:
         return
-    assert object_id(category, number) == name
+    assert object_id(category, number, novel=object_split(name) == "novel") == name
+
+
+@given(st.sampled_from(categories()), numbers)
+@settings(max_examples=60, deadline=None)
+def test_a_novel_id_is_another_object_s_of_the_same_category(category: str, number: int) -> None:
+    name = object_id(category, number, novel=True)
+    assert name != object_id(category, number)
+    assert parse_object_id(name) == (category, number)
+    assert (object_split(name), category_of(name)) == ("novel", category)
+
+
+def test_an_id_tells_its_split() -> None:
+    splits = {"seen": seen_objects, "unseen": unseen_objects, "novel": novel_objects}
+    for category in categories():
+        for split, listed in splits.items():
+            assert {object_split(name) for name in listed(category)} == {split}
+            assert parse_object_selection(category, split) == listed(category)
+    assert len(novel_objects("safe")) == 20
+    assert object_split("safe:sa1") is None
+    with pytest.raises(ConfigurationError):
+        object_split("safe_n1")
 
 
 def test_seen_objects_are_the_paper_s_count_and_no_unseen_one_is_among_them() -> None:
@@ -79,6 +104,7 @@ def test_an_unknown_category_is_refused_with_those_there_are(call: object) -> No
         ("seen", seen_objects("safe")), ("unseen", unseen_objects("safe")), ("0:2", ("safe_000", "safe_001")),
         ("35:37", ("safe_035", "safe_036")), ("safe_004", ("safe_004",)),
         (" safe_007, safe_003,", ("safe_007", "safe_003")), ("999:1001", ("safe_999", "safe_1000")),
+        ("n2:n4", ("safe_n002", "safe_n003")), ("safe_n001,safe_001", ("safe_n001", "safe_001")),
     ],
 )  # fmt: skip
 def test_a_selection_names_objects_in_the_order_it_says(selection: str, expected: tuple[str, ...]) -> None:
@@ -86,7 +112,22 @@ def test_a_selection_names_objects_in_the_order_it_says(selection: str, expected
 
 
 @pytest.mark.parametrize(
-    "selection", ["", ",", "3:3", "4:2", "0-4", ":4", "2:", "all", "safe_000,fridge_001", "safe_000;safe_001", "0:4,7"]
+    "selection",
+    [
+        "",
+        ",",
+        "3:3",
+        "4:2",
+        "0-4",
+        ":4",
+        "2:",
+        "all",
+        "safe_000,fridge_001",
+        "safe_000;safe_001",
+        "0:4,7",
+        "n0:4",
+        "0:n4",
+    ],
 )
 def test_a_selection_of_nothing_or_of_no_objects_is_refused(selection: str) -> None:
     with pytest.raises(ConfigurationError) as caught:

@@ -1,21 +1,23 @@
-"""Objects of others: folders with a ``mobility.urdf``, in AdaManip's, UniDoorManip's or PartNet-Mobility's layout.
+"""External assets: folders with a ``mobility.urdf``, in AdaManip's, UniDoorManip's or PartNet-Mobility's layout.
 
-A foreign object's id is ``<category>:<folder name>``, ``safe:sa1``; a generated one's, ``safe_001``, has no colon.
+An external asset's id is ``<category>:<folder name>``, ``safe:sa1``; a generated one's, ``safe_001``, has no colon.
 Nothing of those collections is shipped: whoever has them points ``--env.assets=DIR`` at their folder.
 """
 
 from __future__ import annotations
 
+from lerobot_adamanip.assets.loading import load_object
 from lerobot_adamanip.assets.source import (
+    AssetReport,
     AssetSource,
     asset_id,
     asset_objects,
     is_asset_id,
     load_asset,
-    load_object,
     parse_asset_id,
 )
 
 __all__ = [
-    "AssetSource", "asset_id", "asset_objects", "is_asset_id", "load_asset", "load_object", "parse_asset_id",
+    "AssetReport", "AssetSource", "asset_id", "asset_objects", "is_asset_id", "load_asset", "load_object",
+    "parse_asset_id",
 ]  # fmt: skip

@@ -15,6 +15,7 @@ from lerobot_adamanip.assets.meshes import Surface, convex_parts
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import check_kind, find_annotation
 from lerobot_adamanip.assets.urdf import Urdf, broken, read_urdf
+from lerobot_adamanip.mechanisms.feasibility import MARGIN, infeasible
 from lerobot_adamanip.objects.base import (
     ArticulatedObject,
     Joint,
@@ -40,9 +41,18 @@ MASSES = (0.005, 200.0)
 
 def convert_asset(folder: Path, category: str) -> ArticulatedObject:
     """Reads a folder and builds its object; see `load_object`."""
+    return _converted(folder, category, solid=True)
+
+
+def inspect_asset(folder: Path, category: str) -> ArticulatedObject:
+    """Reads a folder and builds its object without collision shapes, which may take long; all else is checked."""
+    return _converted(folder, category, solid=False)
+
+
+def _converted(folder: Path, category: str, *, solid: bool) -> ArticulatedObject:
     urdf = read_urdf(folder / "mobility.urdf")
     annotation = find_annotation(urdf, category)
-    return assemble(urdf, annotation, posed(urdf, annotation))
+    return assemble(urdf, annotation, posed(urdf, annotation), solid=solid)
 
 
 def assemble(
@@ -55,16 +65,27 @@ def assemble(
         annotation: of the URDF.
         found: the URDF at rest.
         solid: with collision shapes; to look at it, they are not needed.
-        checked: whether size and parts have to be plausible; while somebody still annotates, they may not be.
+        checked: whether size, parts and the way to the goal have to be plausible; while somebody still annotates, they
+            may not be.
 
     Raises:
-        ConfigurationError: its joints, or, if checked, its parts or size cannot be what the category needs.
+        ConfigurationError: its joints, or, if checked, its parts, size or range cannot be what the category needs.
     """
     check_joints(urdf, annotation)
     to_object: Pose = np.linalg.inv(object_frame(found, annotation)).astype(np.float64)
     leaders = groups(urdf, annotation.joints)
     origins = {name: (to_object @ pose)[:3, 3] for name, pose in found.poses.items()} | {urdf.root: np.zeros(3)}
-    return _Assembly(urdf, annotation, found, to_object, leaders, origins, solid, checked).build()
+    obj = _Assembly(urdf, annotation, found, to_object, leaders, origins, solid, checked).build()
+    reason = infeasible(obj) if checked else None
+    if reason is not None:
+        raise broken(
+            urdf.path,
+            f"a {annotation.category} like this can never be opened.",
+            got=reason,
+            allowed=f"joints that go {MARGIN:g} times as far as the goal, or farther",
+            hint=f"adamanip annotate {urdf.path.parent.name}, and set how far the joint goes",
+        )
+    return obj
 
 
 def check_joints(urdf: Urdf, annotation: Annotation) -> None:
@@ -116,7 +137,7 @@ class _Assembly:
             links,
             tuple(self._part(role, links, lower, upper) for role in roles),
             (width, depth, height),
-            f"foreign, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
+            f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
             self_collides=False,
         )
 

@@ -1,4 +1,4 @@
-"""Meshes of foreign objects: read from inside their folder only, coloured, and cut into convex parts for collisions."""
+"""Meshes of external assets: read from inside their folder only, coloured, and cut into convex parts for collisions."""
 
 from __future__ import annotations
 
@@ -52,37 +52,34 @@ def inside(folder: Path, name: str) -> Path:
     Raises:
         ConfigurationError: the path leads elsewhere (``..``, absolute, another scheme, a link), or to no file.
     """
-    text, root = name.strip().replace("\\", "/"), folder.resolve()
+    root = folder.resolve()
+    rest = _relative(folder, name)
+    path = next((root / each for each in rest if each and (root / each).is_file()), None)
+    if path is None:
+        raise _refused(folder, name, "a file that is missing", "unpack the whole archive")
+    if not path.resolve().is_relative_to(root):
+        raise _refused(folder, name, "a link out of its folder, which is not followed", "copy the file into the folder")
+    return path.resolve()
+
+
+def _relative(folder: Path, name: str) -> list[str]:
+    """The relative paths that a name may stand for; refused if it leads out of the folder."""
+    text = name.strip().replace("\\", "/")
     rest = text.removeprefix("package://")
     tries = [rest] if rest == text else [rest.partition("/")[2], rest]
-    where = folder / "mobility.urdf"
     if "://" in rest or "\0" in rest or any(PurePosixPath(t).is_absolute() or ".." in t.split("/") for t in tries):
-        raise broken(
-            where,
-            "names a file outside its folder, which is not read.",
-            got=repr(name[:120]),
-            allowed=f"a path inside {folder.name}/",
-            hint="copy the file into the folder",
-        )
-    found = [root / each for each in tries if each and (root / each).is_file()]
-    if not found:
-        raise broken(
-            where,
-            "names a file that is missing.",
-            got=repr(name[:120]),
-            allowed=f"a file inside {folder.name}/",
-            hint="unpack the whole archive",
-        )
-    path = found[0].resolve()
-    if not path.is_relative_to(root):
-        raise broken(
-            where,
-            "names a link out of its folder, which is not followed.",
-            got=repr(name[:120]),
-            allowed=f"files inside {folder.name}/",
-            hint="copy the file into the folder",
-        )
-    return path
+        raise _refused(folder, name, "a file outside its folder, which is not read", "copy the file into the folder")
+    return tries
+
+
+def _refused(folder: Path, name: str, what: str, hint: str) -> Exception:
+    return broken(
+        folder / "mobility.urdf",
+        f"names {what}.",
+        got=repr(name[:120]),
+        allowed=f"files inside {folder.name}/",
+        hint=hint,
+    )
 
 
 def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:

@@ -1,4 +1,4 @@
-"""What a foreign object's joints and parts are called here, per category, and how its annotated points are held."""
+"""What an external asset's joints and parts are called here, per category, and how its annotated points are held."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ ROLES: dict[str, Roles] = {
         ("door",), ("Door",),
     ),
     "lamp": Roles(
-        JointRole("button", "prismatic", False, 0.01, 0.5, 2.0),
+        JointRole("button", "prismatic", False, 0.1, 0.5, 2.0),
         JointRole("knob", "revolute", True, 1.57, 0.03, 0.01),
         (PartRole("knob", ("button", "knob"), HANDLE_FILES, "from_above", QUARTER, 0.0034, round=True),),
         ("lamp",), ("Lamp",),

@@ -1,17 +1,21 @@
-"""Which foreign objects a directory holds, and loading them by id."""
+"""External assets: which ones a folder holds, which of them can be used, and loading them by id."""
 
 from __future__ import annotations
 
 import functools
 import json
+import logging
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from lerobot_adamanip.assets.loading import inspect_object, load_object, problem_of
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import ArticulatedObject
+
+logger = logging.getLogger(__name__)
 
 URDF_NAME = "mobility.urdf"
 """What every layout calls its description."""
@@ -20,7 +24,7 @@ ANNOTATION_NAME = "adamanip.json"
 
 
 def is_asset_id(identifier: str) -> bool:
-    """Whether an id names a foreign object (``safe:sa1``) rather than a generated one (``safe_001``)."""
+    """Whether an id names an external asset (``safe:sa1``) rather than a generated one (``safe_001``)."""
     return ":" in identifier
 
 
@@ -56,7 +60,7 @@ def _checked_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class AssetSource:
-    """The foreign objects under a directory.
+    """The external assets under a directory.
 
     Objects of a category are the folders with a ``mobility.urdf`` in ``DIR/<category>`` (or AdaManip's own name for
     it, as ``coffee_machine``), or, if there is none of those, in ``DIR`` itself. A folder whose ``adamanip.json`` (or
@@ -98,19 +102,28 @@ class AssetSource:
         """Loads an object by id; see `load_object`."""
         return load_object(self.folder(identifier), parse_asset_id(identifier)[0])
 
+    def inspect(self, identifier: str) -> ArticulatedObject:
+        """Loads an object without the shapes it collides as: quick, to look at it; errors as `load_object`."""
+        return inspect_object(self.folder(identifier), parse_asset_id(identifier)[0])
+
     def select(self, category: str, selection: str) -> tuple[str, ...]:
         """Returns ids for ``seen`` or ``all`` (every folder), ``0:4`` (a range of them, sorted), or ``id,id``.
 
+        Folders that cannot be used are left out of ``seen``, ``all`` and ranges, with one warning that lists them;
+        an id that is named is kept, and loading it says what is wrong.
+
         Raises:
-            ConfigurationError: the selection is none of these, or empty. ``unseen`` is refused: which of somebody's
-                objects were seen is theirs to say.
+            ConfigurationError: the selection is none of these, or empty, or nothing in it can be used. ``unseen`` and
+                ``novel`` are refused: which of somebody's objects were seen is theirs to say.
         """
         if selection in ("seen", "all"):
-            return self.ids(category)
+            return self._usable(category, self.ids(category))
         chosen: tuple[str, ...] = ()
         if match := re.fullmatch(r"(\d+):(\d+)", selection):
             chosen = self.ids(category)[int(match[1]) : int(match[2])]
-        elif selection != "unseen":
+            if chosen:
+                return self._usable(category, chosen)
+        elif selection not in ("unseen", "novel"):
             chosen = tuple(name.strip() for name in selection.split(",") if name.strip())
         if not chosen or any(parse_asset_id(name)[0] != category for name in chosen):
             raise ConfigurationError(
@@ -123,6 +136,44 @@ class AssetSource:
             self.folder(name)
         return chosen
 
+    def holds(self, category: str) -> bool:
+        """Returns whether there is a folder of that category, usable or not."""
+        folders = _folders(Path(self.directory), require_choice("category", category, ROLES))
+        return any(_category_of(folder) in (None, category) for folder in folders)
+
+    def check(self, category: str) -> tuple[AssetReport, ...]:
+        """Returns, per folder of a category, whether it can be used, and why not; see `ids` for errors."""
+        return tuple(AssetReport(name, problem_of(self.folder(name), category)) for name in self.ids(category))
+
+    def _usable(self, category: str, ids: tuple[str, ...]) -> tuple[str, ...]:
+        problems = {name: problem_of(self.folder(name), category) for name in ids}
+        usable = tuple(name for name, problem in problems.items() if not problem)
+        listed = "\n".join(f"  {name}: {problem}" for name, problem in problems.items() if problem)
+        check = f"adamanip objects --assets {self.directory} --category {category}"
+        if not usable:
+            raise ConfigurationError(
+                f"No {category} under {self.directory} can be used.",
+                got=f"\n{listed}",
+                allowed="a folder that can be loaded, with a goal that its joints reach",
+                hint=check,
+            )
+        if listed:
+            _warn_once(f"{len(ids) - len(usable)} of {len(ids)} external assets are left out ({check}):\n{listed}")
+        return usable
+
+
+@dataclass(frozen=True)
+class AssetReport:
+    """What a check of one folder found: the asset's id, and what keeps it from being used (empty: nothing)."""
+
+    asset_id: str
+    problem: str
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing keeps it from being used."""
+        return not self.problem
+
 
 def asset_objects(directory: str | Path, category: str) -> tuple[str, ...]:
     """Returns the ids of the objects of a category under a directory; see `AssetSource.ids`."""
@@ -134,39 +185,16 @@ def load_asset(directory: str | Path, identifier: str) -> ArticulatedObject:
     return AssetSource(Path(directory)).load(identifier)
 
 
-def load_object(folder: str | Path, category: str) -> ArticulatedObject:
-    """Loads ``folder/mobility.urdf`` and its annotation as an object of ``category``, in our object frame.
-
-    Joints and parts get the category's own names (`ROLES`); joints that play no role are frozen at zero. The grasp
-    comes from ``adamanip.json`` or, if there is none, from AdaManip's or UniDoorManip's annotated point.
-
-    Args:
-        folder: of one object.
-        category: that it is of.
-
-    Raises:
-        ConfigurationError: anything is missing, broken, or not allowed; the message says what to do.
-    """
-    from lerobot_adamanip.assets.convert import convert_asset
-
-    path = Path(folder).resolve()
-    stamps = tuple(
-        (file.name, file.stat().st_mtime_ns) for file in sorted(path.glob("*")) if file.is_file()
-    )  # an object edited by the annotation tool is another object
-    return _load_cached(convert_asset, path, require_choice("category", category, ROLES), stamps)
-
-
-@functools.lru_cache(maxsize=64)
-def _load_cached(build: object, folder: Path, category: str, stamps: object) -> ArticulatedObject:
-    del stamps
-    return build(folder, category)  # type: ignore[operator, no-any-return]
+@functools.cache
+def _warn_once(text: str) -> None:
+    logger.warning("%s", text)
 
 
 def _folders(directory: Path, category: str) -> list[Path]:
     """The object folders in ``directory/<category>``, else in ``directory``; sorted by name."""
     if not directory.is_dir():
         raise ConfigurationError(
-            "The directory of foreign objects does not exist.",
+            "The folder of external assets does not exist.",
             got=str(directory),
             allowed="a directory of folders that hold a mobility.urdf",
             hint="--env.assets=DIR",

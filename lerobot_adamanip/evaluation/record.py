@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.assets import parse_asset_id
-from lerobot_adamanip.catalog import SEEN_COUNTS, category_of, is_asset_id, parse_object_id
+from lerobot_adamanip.catalog import category_of, is_asset_id, object_split, parse_object_id
 from lerobot_adamanip.errors import AdaManipError, DatasetError
 
 
@@ -50,11 +50,10 @@ class EpisodeRecord:
 
     @property
     def unseen(self) -> bool | None:
-        """Whether the object is none of those that demonstrations are collected on; None of a foreign object."""
+        """Whether the object is none of those that demonstrations are collected on; None of an external asset."""
         if is_asset_id(self.object_id):
             return None
-        category, number = parse_object_id(self.object_id)
-        return number >= SEEN_COUNTS[category]
+        return object_split(self.object_id) != "seen"
 
     @property
     def identity(self) -> tuple[object, ...]:

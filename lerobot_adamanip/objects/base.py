@@ -200,8 +200,8 @@ class ArticulatedObject:
         parts: annotations in the object frame, joints at zero.
         size: (width, depth, height) of the bounding box [m].
         description: the drawn parameters, for labels and cards.
-        self_collides: whether its links stop each other. Those of a generated object never meet; a foreign one's
-            meshes often overlap a little, and must not jam.
+        self_collides: whether its links stop each other. Those of a generated object never meet; an external
+            asset's meshes often overlap a little, and must not jam.
     """
 
     object_id: str

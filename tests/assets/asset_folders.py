@@ -1,4 +1,4 @@
-"""Small foreign objects, written in the layouts of the collections they stand for. No asset of theirs is in here."""
+"""Small external assets, written in the layouts of the collections they stand for. No asset of theirs is in here."""
 
 from __future__ import annotations
 

@@ -1,20 +1,24 @@
-"""Objects of others, in the layouts of AdaManip, UniDoorManip and PartNet-Mobility, become objects like ours."""
+"""External assets, in the layouts of AdaManip, UniDoorManip and PartNet-Mobility, become objects like ours."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, unidoormanip_door
+from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, unidoormanip_door, write_box
 from solids import face_planes, solid
 
 from lerobot_adamanip.assets import AssetSource, asset_objects, is_asset_id, load_asset, load_object
 from lerobot_adamanip.assets.annotation.file import read_annotation, save_annotation
+from lerobot_adamanip.assets.annotation.session import Draft
 from lerobot_adamanip.assets.meshes import Surface, cache_folder, convex_parts
 from lerobot_adamanip.assets.roles import ROLES
+from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.mechanisms.feasibility import infeasible
 from lerobot_adamanip.objects import ArticulatedObject
 
 
@@ -166,7 +170,9 @@ def test_partnet_s_mixed_directory_is_sorted_by_what_the_folders_say(tmp_path: P
         asset_objects(tmp_path, "lamp")
 
 
-@pytest.mark.parametrize("selection", ["unseen", "7:9", "", "bottle:b1", "safe:nothing", "safe_001", "safe:../x"])
+@pytest.mark.parametrize(
+    "selection", ["unseen", "novel", "7:9", "", "bottle:b1", "safe:nothing", "safe_001", "safe:../x"]
+)
 def test_a_wrong_selection_is_refused(tmp_path: Path, selection: str) -> None:
     adamanip_safe(tmp_path / "safe" / "sa1")
     with pytest.raises(ConfigurationError, match="allowed"):
@@ -179,6 +185,70 @@ def test_an_edited_annotation_is_read_again(tmp_path: Path) -> None:
     assert load_object(folder, "safe") is before
     (folder / "adamanip.json").write_text(json.dumps(safe_annotation(scale=0.41), indent=1))
     assert load_object(folder, "safe").size[2] > before.size[2]
+
+
+def test_an_edited_mesh_in_a_folder_below_is_read_again(tmp_path: Path) -> None:
+    folder = annotated_partnet_safe(tmp_path / "101564")
+    before = load_object(folder, "safe")
+    write_box(folder / "textured_objs" / "original-0.obj", (1.0, 0.05, 1.2), (0, -0.475, 0.15))
+    assert load_object(folder, "safe").size[1] > before.size[1]
+
+
+def test_one_bad_folder_is_left_out_and_told_and_its_id_is_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("sa1", "sa3"):
+        adamanip_safe(tmp_path / "safe" / name)
+    (adamanip_safe(tmp_path / "safe" / "sa2") / "door.obj").unlink()
+    adamanip_safe(tmp_path / "safe" / "sa4", limits=(0, 0.17))
+    source = AssetSource(tmp_path)
+    assert [report.asset_id for report in source.check("safe") if not report.usable] == ["safe:sa2", "safe:sa4"]
+    for _ in range(2):
+        assert source.select("safe", "all") == source.select("safe", "seen") == ("safe:sa1", "safe:sa3")
+    assert source.select("safe", "1:3") == ("safe:sa3",)
+    warnings = [record.getMessage() for record in caplog.records if "2 of 4" in record.getMessage()]
+    assert len(warnings) == 1, "told once, not with every selection"
+    assert "safe:sa2: mobility.urdf: names a file that is missing. ('door.obj')" in warnings[0]
+    assert "joint door goes 0.17 rad" in warnings[0]
+    assert str(tmp_path / "safe") not in warnings[0], "reasons name files, not places"
+    for name in ("safe:sa2", "safe:sa4"):
+        assert source.select("safe", name) == (name,)
+        with pytest.raises(ConfigurationError):
+            source.load(name)
+    with pytest.raises(ConfigurationError, match="can be used") as caught:
+        source.select("safe", "3:4")
+    assert "0.17" in str(caught.value)
+
+
+@pytest.mark.parametrize(("upper", "usable"), [(0.17, False), (0.44, False), (0.48, False), (0.51, True)])
+def test_a_goal_beyond_the_joint_s_limit_is_refused_at_load_and_at_save(
+    tmp_path: Path, upper: float, usable: bool
+) -> None:
+    folder = adamanip_safe(tmp_path / "sa1", limits=(0, upper))
+    draft = Draft(folder, "safe")
+    if usable:
+        assert infeasible(load_object(folder, "safe")) is None
+        assert draft.problem() == ""
+        return
+    for use in (lambda: load_object(folder, "safe"), draft.save):
+        with pytest.raises(ConfigurationError, match="can never be opened"):
+            use()
+    assert "its goal is beyond 0.449 rad" in draft.problem()
+    draft.set_range("door", 0.0, 1.4)
+    draft.save()
+    assert load_object(folder, "safe").joint("door").limits == (0.0, 1.4)
+
+
+def test_every_generated_object_and_every_range_that_urdfs_leave_open_reaches_its_goal() -> None:
+    for category, roles in ROLES.items():
+        obj = make_object(f"{category}_000")
+        assert infeasible(obj) is None
+        joints = {role.name: replace(obj.joint(role.name), limits=(0.0, role.upper)) for role in roles.joints}
+        links = tuple(
+            replace(link, joint=joints.get(link.joint.name, link.joint)) if link.joint is not None else link
+            for link in obj.links
+        )
+        assert infeasible(replace(obj, links=links)) is None, category
 
 
 def test_what_is_saved_is_what_is_read(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe
 from PIL import Image
 
 from lerobot_adamanip.catalog import make_object
@@ -18,9 +19,32 @@ def test_the_list_needs_no_simulator(capsys: pytest.CaptureFixture[str]) -> None
     assert cli.main(["objects", "--objects", "34:38", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert [row["object_id"] for row in listed["objects"]] == ["safe_034", "safe_035", "safe_036", "safe_037"]
-    assert [row["seen"] for row in listed["objects"]] == [True, True, False, False]
+    assert [row["split"] for row in listed["objects"]] == ["seen", "seen", "unseen", "unseen"]
     assert all({"door", "knob"} == set(row["joints"]) and row["description"] for row in listed["objects"])
     assert listed["sheet"] is None
+
+
+def test_a_folder_of_external_assets_is_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    adamanip_safe(tmp_path / "safe" / "sa1")
+    adamanip_safe(tmp_path / "safe" / "sa2", limits=(0, 0.17))
+    partnet_safe(tmp_path / "safe" / "101564")
+    adamanip_bottle(tmp_path / "bottle" / "b1")
+    assert cli.main(["objects", "--assets", str(tmp_path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [(row["object_id"], row["split"]) for row in told["objects"]] == [("safe:sa1", None)]
+    reasons = {row["object_id"]: row["reason"] for row in told["unusable"]}
+    assert "does not say where its handle is held" in reasons["safe:101564"]
+    assert "joint door goes 0.17 rad" in reasons["safe:sa2"]
+    assert cli.main(["objects", "--assets", str(tmp_path), "--category", "all"]) == 0
+    text = capsys.readouterr().out
+    assert "bottle:b1" in text
+    assert "safe:sa2  cannot be used" in text
+    assert "2 usable, 2 not" in text
+    assert cli.main(["objects", "--assets", str(tmp_path / "nowhere")]) == 2
+    assert "does not exist" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

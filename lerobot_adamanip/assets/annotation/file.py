@@ -1,4 +1,4 @@
-"""What is known about a foreign object beside its URDF, and ``adamanip.json``, the annotation tool's file."""
+"""What is known about an external asset beside its URDF, and ``adamanip.json``, the annotation tool's file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`adamanip objects`: draw a contact sheet of the objects of a category."""
+"""`adamanip objects`: list the objects of a category, check external assets, draw a contact sheet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.catalog import SEEN_COUNTS, make_object, parse_object_id, parse_object_selection
+from lerobot_adamanip.assets import AssetReport, AssetSource
+from lerobot_adamanip.catalog import make_object, object_split, parse_object_selection
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet, sheet_suffix
 from lerobot_adamanip.errors import ConfigurationError
@@ -22,7 +23,10 @@ _SIZES = (64, 1024)
 
 @dataclass
 class Objects:
-    """Lists the objects of a category, and draws a contact sheet: each photographed alone, every second one ajar."""
+    """Lists the objects of a category, and draws a contact sheet: each photographed alone, every second one ajar.
+
+    Given a folder of external assets, it checks them: which can be used, and what is wrong with the others.
+    """
 
     sheet: Path | None = None
     """Picture to write (.png, .jpg or .webp)."""
@@ -30,8 +34,11 @@ class Objects:
     category: str = "safe"
     """Which kind of object; all for every one."""
 
+    assets: Path | None = None
+    """Folder of external assets to check and list instead of generated objects."""
+
     objects: str = "seen"
-    """seen, unseen, FIRST:END (0:36), or ids separated by commas (safe_000,safe_007)."""
+    """seen, unseen, novel, FIRST:END (0:36), or ids separated by commas (safe_000,safe_n007); without --assets."""
 
     columns: int = 9
     """Portraits beside each other."""
@@ -44,8 +51,6 @@ class Objects:
 
     def run(self) -> int:
         """Lists and draws; 0."""
-        wanted = CATEGORIES if self.category == ALL else (self.category,)
-        chosen = [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)]
         if self.columns < 1 or not _SIZES[0] <= self.size <= _SIZES[1]:
             raise ConfigurationError(
                 "A sheet cannot be drawn like that.",
@@ -55,11 +60,28 @@ class Objects:
             )
         if self.sheet is not None:
             sheet_suffix(self.sheet)
+        chosen, unusable = self._chosen()
+        if self.sheet is not None and chosen:
             with contextlib.redirect_stdout(sys.stderr):  # what the simulator prints must not get into the JSON
                 portraits = self._portraits(chosen)
             compose_sheet(portraits, columns=self.columns, path=self.sheet)
-        self._print(chosen)
+        self._print(chosen, unusable)
         return 0
+
+    def _chosen(self) -> tuple[list[ArticulatedObject], list[AssetReport]]:
+        """Returns the objects, and which external assets cannot be used."""
+        wanted = CATEGORIES if self.category == ALL else (self.category,)
+        if self.assets is None:
+            return [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)], []
+        source = AssetSource(self.assets)
+        reports = [report for each in wanted for report in self._reports(source, each)]
+        usable = [source.inspect(report.asset_id) for report in reports if report.usable]
+        return usable, [report for report in reports if not report.usable]
+
+    def _reports(self, source: AssetSource, category: str) -> tuple[AssetReport, ...]:
+        if self.category == ALL and self.assets is not None and self.assets.is_dir() and not source.holds(category):
+            return ()
+        return source.check(category)
 
     def _portraits(self, chosen: list[ArticulatedObject]) -> list[Thumbnail]:
         from rich.console import Console
@@ -74,25 +96,31 @@ class Objects:
             made.append(Thumbnail(image, obj.object_id, obj.description))
         return made
 
-    def _print(self, chosen: list[ArticulatedObject]) -> None:
+    def _print(self, chosen: list[ArticulatedObject], unusable: list[AssetReport]) -> None:
         if self.json:
             sheet = None if self.sheet is None else str(self.sheet)
-            print(json.dumps({"category": self.category, "objects": list(map(to_json, chosen)), "sheet": sheet}))
+            rows = [to_json(obj) for obj in chosen]
+            refused = [{"object_id": report.asset_id, "reason": report.problem} for report in unusable]
+            told = {"category": self.category, "objects": rows, "unusable": refused, "sheet": sheet}
+            print(json.dumps(told))
             return
         for obj in chosen:
             size = " x ".join(f"{100 * length:.0f}" for length in obj.size)
             print(f"{obj.object_id}  {size} cm  {obj.description}")
-        if self.sheet is not None:
+        for report in unusable:
+            print(f"{report.asset_id}  cannot be used: {report.problem}")
+        if self.assets is not None:
+            print(f"{len(chosen)} usable, {len(unusable)} not")
+        if self.sheet is not None and chosen:
             print(f"{len(chosen)} objects on {self.sheet}")
 
 
 def to_json(obj: ArticulatedObject) -> dict[str, Any]:
-    """The machine's version of an object: id, seen, size [m], description, parts and joints."""
-    category, number = parse_object_id(obj.object_id)
+    """The machine's version of an object: id, split, size [m], description, parts and joints."""
     joints = [link.joint for link in obj.links if link.joint is not None]
     return {
         "object_id": obj.object_id,
-        "seen": number < SEEN_COUNTS[category],
+        "split": object_split(obj.object_id),
         "size": [round(float(length), 4) for length in obj.size],
         "description": obj.description,
         "parts": [part.name for part in obj.parts],
