@@ -13,6 +13,10 @@ from lerobot_adamanip.rotations import pose_vector
 
 PRE_GRASP = 0.10
 """Distance from a grasp, along its approach, at which a part is approached and left [m]."""
+FOLLOWED = 0.5
+"""A part that has covered this share of a commanded motion follows; one that has not is blocked."""
+EMPTY_HAND = 0.05
+"""Finger opening below which nothing is between them: the grip was torn off, or closed on nothing."""
 
 
 class Outcome(enum.IntEnum):
@@ -80,14 +84,16 @@ class Feedback:
 class KeyFrameLabels:
     """What a key frame tried, and what came of it: written by the environment, for people and analysis.
 
-    A *try* is a key frame in which a hand that is at a part was sent far enough to move one of the part's joints. It
-    has *failed* if the joint covered less than half of the way it was sent. A label never is a policy's input.
+    A *try* is a key frame in which a closed hand that is at a part was sent far enough to move one of the part's
+    joints; the joint is the one that leads the hand nearest to where it was sent. It has *failed* if the joint covered
+    less than half of the way it was sent (of the way that its nominal range leaves: a button is pushed past its stop).
+    A label never is a policy's input. `lerobot_adamanip.evaluation.labels` finds them.
 
     Attributes:
         tried: index of the joint that was tried in the mechanism's `joints` (0 the one that opens); -1 for none.
         failed: whether the try failed; False where nothing was tried.
         progress: how far the tried joint moved, in the direction it was sent [rad or m]; 0 where nothing was tried.
-        trial: failed tries of this episode before this key frame.
+        trial: failed tries of this episode before this key frame: it counts up right after each failed one.
     """
 
     tried: int = -1

@@ -56,6 +56,8 @@ class AdaManipEnvConfig(EnvConfig):
     episode_length: int = MAX_KEY_FRAMES
     # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.
     episode_log: str | None = None
+    # What to call these episodes in the log, for instance the policy.
+    run_label: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
 
@@ -96,13 +98,20 @@ class AdaManipEnvConfig(EnvConfig):
             "max_key_frames": self.episode_length,
             "hidden_overrides": self.hidden_overrides,
             "episode_log": self.episode_log,
+            "run_label": self.run_label,
         }
+
+    def evaluation_kwargs(self) -> dict[str, Any]:
+        """Returns `gym_kwargs` with the id that all environments of an evaluation share."""
+        from lerobot_adamanip.evaluation.log import new_run_id
+
+        return {**self.gym_kwargs, "run_id": new_run_id() if self.episode_log else None}
 
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
-        return {self.type: {0: make_vector_env(self.category, self.gym_kwargs, n_envs, use_async_envs)}}
+        return {self.type: {0: make_vector_env(self.category, self.evaluation_kwargs(), n_envs, use_async_envs)}}
 
 
 def make_vector_env(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip import __version__
 from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import (
@@ -20,7 +20,9 @@ from lerobot_adamanip.errors import (
     no_vulkan_device,
     require_choice,
 )
-from lerobot_adamanip.keyframes import Feedback
+from lerobot_adamanip.evaluation.log import new_run_id
+from lerobot_adamanip.evaluation.record import Provenance
+from lerobot_adamanip.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.observation import state_vector, workspace_cloud
@@ -34,7 +36,8 @@ from lerobot_adamanip.schema import (
     NUM_JOINTS,
     STATE_DIM,
 )
-from lerobot_env_adamanip.episode_log import EpisodeMonitor
+from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
+from lerobot_env_adamanip.fingerprint import present_fingerprint
 from lerobot_env_adamanip.sim.placement import randomization
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
@@ -64,6 +67,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         max_key_frames: length limit.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         episode_log: a file to which each ended episode's record is appended as a line of JSON.
+        run_id: of the evaluation that those records belong to; drawn anew if left out.
+        run_label: what to call it in reports, for instance the policy.
         workspace: what of the scene the cloud keeps.
     """
 
@@ -83,6 +88,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         max_key_frames: int = MAX_KEY_FRAMES,
         hidden_overrides: dict[str, Any] | None = None,
         episode_log: str | os.PathLike[str] | None = None,
+        run_id: str | None = None,
+        run_label: str | None = None,
         workspace: Workspace = DEFAULT_WORKSPACE,
     ) -> None:
         select_objects(category, objects, assets)
@@ -95,7 +102,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.render_mode = "rgb_array"
         self._max_episode_steps = self.max_key_frames = max_key_frames
         self._observe_images = observe_images
-        self._episode_log = Path(episode_log) if episode_log else None
+        self._episode_log = EpisodeLog(Path(episode_log)) if episode_log else None
+        run_id = (run_id or new_run_id()) if episode_log else None  # a recorded episode belongs to no evaluation
+        self._provenance = Provenance(present_fingerprint(), __version__, run_id, run_label)
         self._task_options = {
             "objects": objects,
             "assets": None if assets is None else str(assets),
@@ -131,18 +140,18 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._monitor = None  # a reset that fails leaves no episode to go on with
         wanted = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim.reset(seed=episode_seed, options={"reconfigure": True, **wanted})
-        self._monitor = EpisodeMonitor(sim, episode_seed)
+        self._monitor = EpisodeMonitor(sim, sim.placement.annotations, seed=episode_seed, provenance=self._provenance)
         return self._observe(), {"is_success": False}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         sim, monitor = self._running(), self._episode()
-        feedback = sim.execute(np.asarray(action))
+        sim.execute(np.asarray(action))
         had_ended = monitor.success or monitor.key_frames >= self._max_episode_steps
-        success = monitor.after_key_frame(feedback)
+        success = monitor.after_key_frame()
         truncated = not success and monitor.key_frames >= self._max_episode_steps
         if (success or truncated) and not had_ended and self._episode_log is not None:
-            self._append_record()
+            self._episode_log.append(monitor.record())
         return self._observe(), float(success), success, truncated, {"is_success": success}
 
     def render(self) -> NDArray[np.uint8]:
@@ -163,6 +172,11 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._running().feedback
 
     @property
+    def labels(self) -> KeyFrameLabels:
+        """What the latest key frame tried, and what came of it: not for policies or experts."""
+        return self._episode().labels
+
+    @property
     def annotations(self) -> dict[str, PartAnnotation]:
         """Annotated part poses at the episode's start, robot base frame."""
         return self._running().placement.annotations
@@ -172,8 +186,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._running().hidden_state()
 
     def episode_record(self) -> dict[str, Any]:
-        """Returns what is worth keeping of the episode so far, JSON-able; see `EpisodeMonitor.record`."""
-        return self._episode().record()
+        """Returns what is worth keeping of the episode so far, JSON-able; see `EpisodeRecord`."""
+        return self._episode().record().to_json()
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
@@ -207,17 +221,6 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._observe_images:
             observation["pixels"] = {"front": self._image}
         return observation
-
-    def _append_record(self) -> None:
-        assert self._episode_log is not None
-        self._episode_log.parent.mkdir(parents=True, exist_ok=True)
-        line = json.dumps(self.episode_record()) + "\n"
-        # One write to a file opened for appending is atomic, so workers may share a log.
-        descriptor = os.open(self._episode_log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            os.write(descriptor, line.encode())
-        finally:
-            os.close(descriptor)
 
 
 def _check_range(what: str, got: int, lowest: int, highest: int, hint: str) -> None:

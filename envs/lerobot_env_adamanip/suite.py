@@ -49,4 +49,5 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
         """Returns ``{category: {0: vector environment}}``."""
-        return {name: {0: make_vector_env(name, self.gym_kwargs, n_envs, use_async_envs)} for name in self.chosen()}
+        kwargs = self.evaluation_kwargs()
+        return {name: {0: make_vector_env(name, kwargs, n_envs, use_async_envs)} for name in self.chosen()}

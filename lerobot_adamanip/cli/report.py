@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import tyro
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import EvaluationSummary, Rate, difference_interval, rate, summarise
-from lerobot_adamanip.evaluation.record import read_log
 
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
 _FILE_WIDTH = 200

@@ -129,13 +129,13 @@ def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
 
 def tried_locked_door_first(record: EpisodeRecord) -> bool:
     """Whether a robot took the handle first and pulled at a door that was locked."""
-    return bool(record.locked) and record.first_part == "handle" and record.blocked_pulls >= 1
+    return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
 
 
 def best_tries(record: EpisodeRecord) -> float:
     """Returns the tries in vain that the best strategy under the same uncertainty makes in this episode, on average."""
-    hidden = dict(record.hidden)
-    if hidden.get("locked") is False:
+    hidden = record.hidden_state
+    if record.locked is False:
         return 0.0
     return sum(cost for name, cost in BEST_TRIES.items() if name in hidden)
 
@@ -170,8 +170,8 @@ def summarise(records: Sequence[EpisodeRecord]) -> EvaluationSummary:
         overall=success(lambda _: True),
         locked=success(lambda record: record.locked is True),
         unlocked=success(lambda record: record.locked is False),
-        seen=success(lambda record: record.unseen is False),
-        unseen=success(lambda record: record.unseen is True),
+        seen=success(lambda record: record.object_split == "seen"),
+        unseen=success(lambda record: record.object_split == "unseen"),
         categories={
             name: success(lambda record, name=name: record.category == name)  # type: ignore[misc]
             for name in dict.fromkeys(record.category for record in kept)

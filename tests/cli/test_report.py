@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from records import record
 
 from lerobot_adamanip.cli import main as cli
 
@@ -17,17 +18,15 @@ def write_log(path: Path, locked_successes: int, episodes: int = 20) -> Path:
         locked = seed % 2 == 0
         success = not locked or seed // 2 < locked_successes
         lines.append(
-            {
-                "seed": seed,
-                "object_id": f"safe_{seed % 4:03d}",
-                "success": success,
-                "key_frames": 9 + 11 * locked,
-                "hidden_state": {"locked": locked, "direction": 1, "knob_range": 1.2},
-                "first_part": "handle",
-                "blocked_pulls": int(locked),
-                "key_moved": locked,
-                "wrong_turns": 0,
-            }
+            record(
+                seed=seed,
+                object_id=f"safe_{seed % 4:03d}",
+                success=success,
+                key_frames=9 + 11 * locked,
+                locked=locked,
+                blocked_pulls=int(locked),
+                key_moved=locked,
+            ).to_json()
         )
     path.write_text("".join(json.dumps(line) + "\n" for line in lines))
     return path

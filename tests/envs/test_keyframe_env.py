@@ -11,9 +11,10 @@ import pytest
 from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.record import read_log
+from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.experts import Outcome, Phase
 from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_env_adamanip.episode_log import EpisodeLog
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 pytestmark = pytest.mark.sim
@@ -232,7 +233,7 @@ def test_out_of_reach_is_told_and_the_arm_comes_back(env: KeyframeEnv, position:
 
 def test_each_ended_episode_is_logged_once(env: KeyframeEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "logs" / "episodes.jsonl"
-    monkeypatch.setattr(env, "_episode_log", path)
+    monkeypatch.setattr(env, "_episode_log", EpisodeLog(path))
     expert_episode(env, 5, hidden_overrides={"locked": False})
     env.step(stay(env))  # stepping on after the end is no second episode
     env.reset(seed=6)

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from records import record
 
 from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.evaluation.record import read_log
+from lerobot_adamanip.evaluation.log import append_record, new_run_id, read_log
+from lerobot_adamanip.evaluation.record import EpisodeRecord
 
-GOOD: dict[str, Any] = {
-    "seed": 1000, "object_id": "safe_003", "hidden_state": {"locked": True, "direction": -1, "knob_range": 1.2},
-    "success": True, "key_frames": 19, "first_part": "handle", "blocked_pulls": 1, "key_moved": True,
-    "wrong_turns": 0, "joints": {"door": 0.5, "knob": 1.1}, "category": "safe",
-}  # fmt: skip
+GOOD: dict[str, Any] = record(locked=True, seed=1000, blocked_pulls=1, object_id="safe_003").to_json()
 
 
 def write(path: Path, *lines: object) -> Path:
@@ -23,14 +23,28 @@ def write(path: Path, *lines: object) -> Path:
     return path
 
 
-def test_records_come_back_in_order(tmp_path: Path) -> None:
-    path = write(tmp_path / "log.jsonl", GOOD, "", {**GOOD, "seed": 1001, "object_id": "safe_036", "first_part": None})
-    first, second = read_log(path)
-    assert (first.seed, first.locked, first.unseen, first.blocked_pulls) == (1000, True, False, 1)
-    assert (second.seed, second.unseen, second.first_part) == (1001, True, None)
+def test_records_come_back_as_they_were_and_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "logs" / "log.jsonl"
+    records = [
+        record(seed=7, locked=True),
+        record(object_id="lamp_003", success=False, run_id=None, tries=0, first_part=None),
+    ]
+    for each in records:
+        append_record(path, each)
+    assert read_log(path) == records
+    assert len(path.read_text().splitlines()) == 2
 
 
-@pytest.mark.parametrize("key", [key for key in GOOD if key not in ("first_part", "joints", "category")])
+@given(st.builds(
+    record, seed=st.integers(0, 2**31), object_id=st.sampled_from(["safe_000", "lamp_041", "pressure_cooker_002"]),
+    success=st.booleans(), blocked_pulls=st.integers(0, 3), wrong_turns=st.integers(0, 3), key_moved=st.booleans(),
+    run_label=st.none() | st.text(min_size=1, max_size=20), evaluation=st.integers(0, 5),
+))  # fmt: skip
+def test_json_there_and_back_is_the_same_record(one: EpisodeRecord) -> None:
+    assert EpisodeRecord.from_json(json.loads(json.dumps(one.to_json()))) == one
+
+
+@pytest.mark.parametrize("key", GOOD)
 def test_a_record_that_lacks_something_names_line_and_key(key: str, tmp_path: Path) -> None:
     damaged = {name: value for name, value in GOOD.items() if name != key}
     with pytest.raises(DatasetError, match=rf"line 2: no '{key}'"):
@@ -38,15 +52,39 @@ def test_a_record_that_lacks_something_names_line_and_key(key: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "line",
+    "changes",
     [
-        '{"seed": 1000, "object', "[1, 2]", "text", {**GOOD, "success": "yes"}, {**GOOD, "blocked_pulls": True},
-        {**GOOD, "object_id": "spoon_001"}, {**GOOD, "hidden_state": {"locked": 1}}, {**GOOD, "first_part": 3},
+        {"success": "yes"}, {"blocked_pulls": True}, {"object_id": "spoon_001"}, {"object_id": 3}, {"seed": -1},
+        {"hidden_state": {"locked": 1}}, {"hidden_state": {"mode": "push"}}, {"hidden_state": []}, {"first_part": 3},
+        {"split": "holdout"}, {"object_split": "old"}, {"joints": {"door": "open"}}, {"joints": {"door": 1e999}},
+        {"category": "lamp"}, {"blocked_pulls": 9}, {"tries": 40}, {"first_part": None}, {"fingerprint": ""},
+        {"fingerprint": "x" * 1000}, {"run_id": 5}, {"evaluation": None}, {"colour": "red"},
     ],
+    ids=str,
 )  # fmt: skip
-def test_garbled_lines_are_one_clear_error(line: object, tmp_path: Path) -> None:
+def test_a_value_that_cannot_be_is_one_clear_error(changes: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"garbled[\s\S]*line 2"):
+        read_log(write(tmp_path / "log.jsonl", GOOD, {**GOOD, **changes}))
+
+
+@pytest.mark.parametrize("line", ['{"seed": 1000, "object', "[1, 2]", "text", "NaN", "[" * 100_000])
+def test_garbled_lines_are_one_clear_error(line: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"garbled[\s\S]*line 3"):
         read_log(write(tmp_path / "log.jsonl", GOOD, GOOD, line))
+
+
+def test_a_log_of_another_version_is_told(tmp_path: Path) -> None:
+    old = {"seed": 1000, "object_id": "safe_003", "hidden_state": {"locked": True}, "success": True}
+    with pytest.raises(DatasetError, match="another version"):
+        read_log(write(tmp_path / "log.jsonl", old))
+
+
+def test_an_evaluation_is_run_label_and_round_and_ids_differ() -> None:
+    assert record().evaluation == record(seed=9, locked=True).evaluation
+    for change in ({"run_id": "other"}, {"run_label": "act"}, {"evaluation": 1}):
+        assert record(**change).evaluation != record().evaluation
+        assert record(**change).identity == record().identity
+    assert len({new_run_id() for _ in range(100)}) == 100
 
 
 def test_missing_empty_and_binary_logs_are_told(tmp_path: Path) -> None:

@@ -1,0 +1,59 @@
+"""The episode log (``--env.episode_log=FILE``): one `EpisodeRecord` per line of JSON, written by many processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from pathlib import Path
+
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+
+
+def new_run_id() -> str:
+    """Returns a random id for the episodes of one evaluation, whatever number of processes runs them."""
+    return uuid.uuid4().hex[:12]
+
+
+def append_record(path: Path, record: EpisodeRecord) -> None:
+    """Appends a record as one line; the folder is made if it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = json.dumps(record.to_json()) + "\n"
+    # One write to a file opened for appending is atomic, so workers may share a log.
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        os.write(descriptor, line.encode())
+    finally:
+        os.close(descriptor)
+
+
+def read_log(path: Path) -> list[EpisodeRecord]:
+    """Reads a log.
+
+    Raises:
+        DatasetError: it is missing, empty, or a line of it is not an episode's record.
+    """
+    advice = f"lerobot-eval --env.type=adamanip_safe --env.episode_log={path} ..."
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(
+            "Cannot read the episode log.", got=f"{path}: {error}", allowed="a file of JSON lines", hint=advice
+        ) from error
+    records = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            records.append(EpisodeRecord.from_json(json.loads(line)))
+        except (ValueError, RecursionError) as error:
+            raise DatasetError(
+                "The episode log is garbled, or was written by another version.",
+                got=f"{path}, line {number}: {error}",
+                allowed="one JSON object per line, as the environments of this version write",
+                hint=f"delete line {number}, or {advice}",
+            ) from error
+    if not records:
+        raise DatasetError("The episode log is empty.", got=path, allowed="at least one episode", hint=advice)
+    return records
