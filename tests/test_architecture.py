@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import ast
+import functools
+import io
 import json
+import re
 import subprocess
 import sys
+import tokenize
 from pathlib import Path
+from token import COMMENT
 
 import pytest
 
@@ -16,8 +21,11 @@ PACKAGES = {
     "lerobot_env_adamanip": ROOT / "envs" / "lerobot_env_adamanip",
     "lerobot_policy_adamanip": ROOT / "policies" / "lerobot_policy_adamanip",
 }
-MAX_FILE_LINES = 300
-MAX_FUNCTION_LINES = 60
+CLI = PACKAGES["lerobot_adamanip"] / "cli"
+MAX_FILE_LINES, MAX_TABLE_LINES, MAX_FUNCTION_LINES = 300, 350, 60
+MODULE_OF_OTHERS = re.compile(r"(lerobot_env_adamanip|lerobot_policy_adamanip|sapien|mani_skill|diffusers)[.:]\w")
+IMPORTS_FROM_TABLES = {"lerobot_adamanip/cli/main.py"}
+"""Files that import what a table of constants in the same file names."""
 NOT_IN_CORE = ("sapien", "mani_skill", "diffusers", "lerobot_env_adamanip", "lerobot_policy_adamanip")
 TOO_HEAVY_FOR_A_PLUGIN = (
     "sapien",
@@ -130,12 +138,144 @@ print(json.dumps([m for m in ("torch", "lerobot", "numpy", "tyro", "sapien", "ma
     assert in_fresh_process(code) == []
 
 
+# House rules that a graph of imports cannot tell -------------------------------------------------------------------
+
+
+@functools.cache
+def trees() -> tuple[tuple[Path, ast.Module], ...]:
+    return tuple((path, ast.parse(path.read_text(encoding="utf-8"))) for path in SOURCES)
+
+
+def module_of(path: Path) -> str:
+    (home,) = [folder for folder in PACKAGES.values() if path.is_relative_to(folder)]
+    parts = path.relative_to(home.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Module -> modules of ours it imports, in functions and for type checkers too."""
+    found = {module_of(path): (path, tree) for path, tree in trees()}
+    graph: dict[str, set[str]] = {}
+    for name, (path, tree) in found.items():
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        wanted: set[str] = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                wanted |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                base = package.rsplit(".", node.level - 1)[0] + "." if node.level else ""
+                source = f"{base}{node.module or ''}".rstrip(".")
+                # `from package import module` imports the module, `from module import name` the module it is from.
+                each = {f"{source}.{alias.name}" for alias in node.names}
+                wanted |= {name if name in found else source for name in each}
+        graph[name] = {each for each in wanted if each in found} - {name}
+    return graph
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """Returns the modules of one import circle, empty if there is none."""
+    done: set[str] = set()
+
+    def visit(name: str, trail: list[str]) -> list[str]:
+        if name in trail:
+            return [*trail[trail.index(name) :], name]
+        if name in done:
+            return []
+        done.add(name)
+        return next((found for each in sorted(graph[name]) if (found := visit(each, [*trail, name]))), [])
+
+    return next((found for name in sorted(graph) if (found := visit(name, []))), [])
+
+
+def test_a_circle_would_be_found() -> None:
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert circle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_no_import_circle() -> None:
+    graph = import_graph()
+    assert sum(map(len, graph.values())) > 200  # it sees something
+    assert circle(graph) == []
+
+
+def rooms() -> dict[str, set[str]]:
+    """Folder or file right under the core -> those that it imports."""
+
+    def room(name: str) -> str:
+        return ".".join(name.split(".")[:2])
+
+    found: dict[str, set[str]] = {}
+    for name, imported in import_graph().items():
+        if name.startswith("lerobot_adamanip."):
+            there = {room(each) for each in imported if each.startswith("lerobot_adamanip.")}
+            found.setdefault(room(name), set()).update(there - {room(name)})
+    return found
+
+
+def docstrings(tree: ast.Module) -> set[ast.expr]:
+    return {
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    }
+
+
+def is_table(value: ast.expr | None) -> bool:
+    """Whether an expression is a display: rows written out, not something computed."""
+    return isinstance(value, ast.Dict | ast.Tuple | ast.List | ast.Set)
+
+
+def is_table_statement(node: ast.AST) -> bool:
+    """Whether a table is all there is to a statement: a named one, or the cases of a test."""
+    if isinstance(node, ast.Assign | ast.AnnAssign):
+        return is_table(node.value)
+    return isinstance(node, ast.Call) and ast.unparse(node.func).endswith("parametrize") and is_table(node.args[1])
+
+
+def test_the_formatter_is_kept_off_tables_only() -> None:
+    wrong = []
+    for path in [*SOURCES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "scripts").glob("*.py")]:
+        text = path.read_text(encoding="utf-8")
+        tables = {node.end_lineno for node in ast.walk(ast.parse(text)) if is_table_statement(node)}
+        comments = (token for token in tokenize.generate_tokens(io.StringIO(text).readline) if token.type == COMMENT)
+        for token in comments:
+            if "fmt: off" in token.string or ("fmt: skip" in token.string and token.start[0] not in tables):
+                wrong.append(f"{path.relative_to(ROOT)}:{token.start[0]}")
+    assert wrong == []
+
+
+def table_lines(tree: ast.Module) -> int:
+    """Lines of a file's tables, wherever they stand in it."""
+    rows = [node for node in ast.walk(tree) if isinstance(node, ast.Assign | ast.AnnAssign) and is_table(node.value)]
+    return len({line for node in rows for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)})
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_files_and_functions_stay_short(path: Path) -> None:
+    """The one bar: see CONTRIBUTING.md."""
     if path.name.startswith("modeling_"):
         return  # networks: one file per policy is LeRobot's rule
-    text = path.read_text()
-    assert len(text.splitlines()) < MAX_FILE_LINES
-    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    text = path.read_text(encoding="utf-8")
+    tree, lines = ast.parse(text), len(text.splitlines())
+    assert lines < (MAX_TABLE_LINES if 2 * table_lines(tree) > lines else MAX_FILE_LINES)
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
     too_long = {f.name: n for f in functions if (n := (f.end_lineno or f.lineno) - f.lineno + 1) >= MAX_FUNCTION_LINES}
     assert too_long == {}
+
+
+def test_a_package_that_has_a_face_says_which() -> None:
+    """`__all__` in every package that offers names of its modules, of names that are there."""
+    for path, tree in trees():
+        if path.name != "__init__.py":
+            continue
+        offers = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module != "__future__"]
+        stated = [
+            node for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+        ]
+        assert bool(stated) == bool(offers), path.relative_to(ROOT)
+        if stated:
+            bound = {alias.asname or alias.name for node in offers for alias in node.names}
+            bound |= {name.id for node in tree.body for name in ast.walk(node) if isinstance(name, ast.Name)}
+            bound |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+            names = {n.value for n in ast.walk(stated[0].value) if isinstance(n, ast.Constant)}
+            assert names <= bound, path.relative_to(ROOT)

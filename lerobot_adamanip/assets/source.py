@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from lerobot_adamanip.assets.annotation.file import ANNOTATION_NAME
 from lerobot_adamanip.assets.loading import inspect_object, load_object, problem_of
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
@@ -19,8 +20,6 @@ logger = logging.getLogger(__name__)
 
 URDF_NAME = "mobility.urdf"
 """What every layout calls its description."""
-ANNOTATION_NAME = "adamanip.json"
-"""What `adamanip annotate` saves beside it."""
 
 
 def is_asset_id(identifier: str) -> bool:

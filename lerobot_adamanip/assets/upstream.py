@@ -10,9 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice, PartChoice, read_annotation
+from lerobot_adamanip.assets.annotation.file import (
+    ANNOTATION_NAME,
+    Annotation,
+    JointChoice,
+    PartChoice,
+    read_annotation,
+)
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
-from lerobot_adamanip.assets.source import ANNOTATION_NAME
 from lerobot_adamanip.assets.urdf import HUGE, Urdf, UrdfJoint, broken
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, from_above

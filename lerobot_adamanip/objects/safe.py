@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
@@ -124,51 +125,33 @@ def make_safe(number: int) -> ArticulatedObject:
 def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
     """Builds the links and annotations of a design: joints ``door`` and ``knob``, parts ``handle`` and ``knob``."""
     foot = 0.015 if design.feet else 0.0
-    hinge_y = design.hinge_side * (design.width / 2 - WALL)
-    door_z = foot + design.height / 2
-    door_origin = (0.0, hinge_y, door_z)
-    door_axis = (0.0, 0.0, float(design.hinge_side))
+    origin = np.asarray((0.0, design.hinge_side * (design.width / 2 - WALL), foot + design.height / 2))
+    links = _links(design, foot, origin)
     knob_y, knob_z = design.on_door(design.knob_uv)
     handle_y, handle_z = design.on_door(design.handle_uv)
-    links = (
-        Link("body", _body_shapes(design, foot), mass=40.0),
-        Link(
-            "leaf",
-            _door_shapes(design) + _handle_shapes(design, handle_y, handle_z),
-            mass=4.0,
-            parent="body",
-            joint=Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), friction=0.3, damping=1.0),
-        ),
-        Link(
-            "knob",
-            _knob_shapes(design),
-            mass=0.15,
-            parent="leaf",
-            # Positive turns clockwise as seen by who stands in front: about -x, into the door.
-            joint=Joint(
-                "knob",
-                "revolute",
-                (-1.0, 0.0, 0.0),
-                (0.0, knob_y, knob_z),
-                (-design.knob_range, design.knob_range),
-                0.06,
-                0.02,
-            ),
-        ),
-    )
-    origin = np.asarray(door_origin)
     parts = (
         annotate(links, "leaf", "handle", facing(origin + np.array((GRASP_REACH, handle_y, handle_z)))),
         annotate(links, "knob", "knob", facing(origin + np.array((GRASP_REACH, knob_y, knob_z)))),
     )
     side = "left" if design.hinge_side < 0 else "right"
-    return ArticulatedObject(
-        object_id,
-        "safe",
-        links,
-        parts,
-        (design.width, design.depth, design.height + foot),
-        f"{design.handle_style}, {design.knob_style}, hinge {side}",
+    description = f"{design.handle_style}, {design.knob_style}, hinge {side}"
+    size = (design.width, design.depth, design.height + foot)
+    return ArticulatedObject(object_id, "safe", links, parts, size, description)
+
+
+def _links(design: SafeDesign, foot: float, hinge: NDArray[np.float64]) -> tuple[Link, ...]:
+    door_axis = (0.0, 0.0, float(design.hinge_side))
+    door_origin = (float(hinge[0]), float(hinge[1]), float(hinge[2]))
+    knob_y, knob_z = design.on_door(design.knob_uv)
+    turn = (-design.knob_range, design.knob_range)
+    door = Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), friction=0.3, damping=1.0)
+    # Positive turns clockwise as seen by who stands in front: about -x, into the door.
+    knob = Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), turn, friction=0.06, damping=0.02)
+    door_shapes = _door_shapes(design) + _handle_shapes(design, *design.on_door(design.handle_uv))
+    return (
+        Link("body", _body_shapes(design, foot), mass=40.0),
+        Link("leaf", door_shapes, mass=4.0, parent="body", joint=door),
+        Link("knob", _knob_shapes(design), mass=0.15, parent="leaf", joint=knob),
     )
 
 

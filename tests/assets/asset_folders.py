@@ -119,10 +119,17 @@ def partnet_safe(folder: Path) -> Path:
     """PartNet-Mobility: about one unit large, names of its own, several meshes a link with materials, no grasps."""
     meshes = folder / "textured_objs"
     for number, (extents, center) in enumerate(
-        [((1.0, 0.05, 0.9), (0, -0.475, 0)), ((1.0, 0.05, 0.9), (0, 0.475, 0)), ((0.05, 0.9, 0.9), (-0.475, 0, 0)),
-         ((0.05, 0.9, 0.9), (0.475, 0, 0)), ((1.0, 1.0, 0.05), (0, 0, -0.45)),
-         ((0.9, 0.9, 0.06), (-0.45, 0, 0)), ((0.08, 0.3, 0.15), (-0.75, 0, 0.1)), ((0.12, 0.12, 0.15), (0, 0, 0.075))]
-    ):  # fmt: skip
+        [
+            ((1.0, 0.05, 0.9), (0, -0.475, 0)),
+            ((1.0, 0.05, 0.9), (0, 0.475, 0)),
+            ((0.05, 0.9, 0.9), (-0.475, 0, 0)),
+            ((0.05, 0.9, 0.9), (0.475, 0, 0)),
+            ((1.0, 1.0, 0.05), (0, 0, -0.45)),
+            ((0.9, 0.9, 0.06), (-0.45, 0, 0)),
+            ((0.08, 0.3, 0.15), (-0.75, 0, 0.1)),
+            ((0.12, 0.12, 0.15), (0, 0, 0.075)),
+        ]
+    ):
         path = meshes / f"original-{number}.obj"
         write_box(path, extents, center)
         text = "\n".join(row for row in path.read_text().splitlines() if not row.startswith(("mtllib", "usemtl")))

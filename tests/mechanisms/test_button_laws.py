@@ -146,8 +146,10 @@ def test_an_impossible_lock_is_refused(overrides: dict[str, Any]) -> None:
 @pytest.mark.parametrize("size", [0.0, -0.01, math.nan, math.inf])
 def test_what_cannot_move_is_refused(size: float) -> None:
     for build in (
-        lambda: LampMechanism(size, 1.4), lambda: LampMechanism(0.02, size),
-        lambda: MicrowaveMechanism(size, 0.01, 0.4), lambda: MicrowaveMechanism(1.5, size, 0.4),
-    ):  # fmt: skip
+        lambda: LampMechanism(size, 1.4),
+        lambda: LampMechanism(0.02, size),
+        lambda: MicrowaveMechanism(size, 0.01, 0.4),
+        lambda: MicrowaveMechanism(1.5, size, 0.4),
+    ):
         with pytest.raises(ConfigurationError, match="allowed:"):
             build()

@@ -30,8 +30,22 @@ def test_all_machines_differ_and_the_seen_ones_show_what_there_is() -> None:
     assert len({fingerprint(tuple(link.shapes for link in each.links)) for each in MACHINES.values()}) == len(MACHINES)
     assert len({tuple(np.round(each.size, 4)) for each in MACHINES.values()}) == len(MACHINES)
     descriptions = ", ".join(MACHINES[name].description for name in SEEN)
-    for word in ("box body", "column body", "rounded body", "gauge", "buttons", "dial", "display", "cups", "rail",
-                 "hopper", "plain", "double", "single", "bottomless"):  # fmt: skip
+    for word in (
+        "box body",
+        "column body",
+        "rounded body",
+        "gauge",
+        "buttons",
+        "dial",
+        "display",
+        "cups",
+        "rail",
+        "hopper",
+        "plain",
+        "double",
+        "single",
+        "bottomless",
+    ):
         assert descriptions.count(word) >= 2
 
 

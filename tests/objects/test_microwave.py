@@ -73,8 +73,21 @@ def named(microwave: ArticulatedObject, name: str) -> Link:
 def test_all_microwaves_differ_in_size_and_between_them_show_everything() -> None:
     assert len({tuple(np.round(each.size, 4)) for each in MICROWAVES.values()}) == len(MICROWAVES)
     descriptions = ", ".join(MICROWAVES[name].description for name in SEEN)
-    for word in ("round bar", "flat bar", "bow", "pull", "bar button", "round button", "square button", "hinge left",
-                 "hinge right", "keypad", "dials", "touch", "retro"):  # fmt: skip
+    for word in (
+        "round bar",
+        "flat bar",
+        "bow",
+        "pull",
+        "bar button",
+        "round button",
+        "square button",
+        "hinge left",
+        "hinge right",
+        "keypad",
+        "dials",
+        "touch",
+        "retro",
+    ):
         assert descriptions.count(word) >= 2, word
     assert descriptions.count("hinge right") < 0.3 * len(SEEN)
 

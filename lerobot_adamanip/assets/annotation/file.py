@@ -19,6 +19,8 @@ from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
 from lerobot_adamanip.rotations import transform
 
+ANNOTATION_NAME = "adamanip.json"
+"""What `adamanip annotate` saves beside a URDF."""
 FORMAT, VERSION = "adamanip-annotation", 1
 
 

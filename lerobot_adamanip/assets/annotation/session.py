@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_adamanip.assets.annotation.file import (
+    ANNOTATION_NAME,
     Annotation,
     JointChoice,
     PartChoice,
@@ -18,7 +19,6 @@ from lerobot_adamanip.assets.annotation.proposal import propose, propose_part
 from lerobot_adamanip.assets.convert import assemble
 from lerobot_adamanip.assets.kinematics import Posed, object_frame, posed
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
-from lerobot_adamanip.assets.source import ANNOTATION_NAME
 from lerobot_adamanip.assets.upstream import default_choice, upstream_annotation
 from lerobot_adamanip.assets.urdf import Urdf, read_urdf
 from lerobot_adamanip.errors import ConfigurationError

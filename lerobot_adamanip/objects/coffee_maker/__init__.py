@@ -1,11 +1,10 @@
 """Coffee makers; see `make_coffee_maker`."""
 
+from lerobot_adamanip.objects.coffee_maker.design import CoffeeMakerDesign, draw_design
 from lerobot_adamanip.objects.coffee_maker.generator import (
     DROP_UPPER,
     PORTAFILTER_RANGE,
-    CoffeeMakerDesign,
     build_coffee_maker,
-    draw_design,
     make_coffee_maker,
 )
 

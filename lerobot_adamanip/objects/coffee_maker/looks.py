@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign
 from lerobot_adamanip.objects.geometry.revolved import revolved
 from lerobot_adamanip.objects.geometry.rounded import round_cornered, upright
 from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
 
-if TYPE_CHECKING:
-    from lerobot_adamanip.objects.coffee_maker.generator import CoffeeMakerDesign
-
-BLACK = Material((0.022, 0.022, 0.025), 0.5)
 GLASS = Material((0.01, 0.012, 0.015), 0.12)
 WHITE = Material((0.85, 0.85, 0.83), 0.4)
 RED = Material((0.65, 0.03, 0.02), 0.4)
@@ -30,9 +25,15 @@ def machine_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
 
 
 def _slab(
-    design: CoffeeMakerDesign, front: float, low: float, high: float, material: Material, *, inset: float = 0.0,
+    design: CoffeeMakerDesign,
+    front: float,
+    low: float,
+    high: float,
+    material: Material,
+    *,
+    inset: float = 0.0,
     collides: bool = True,
-) -> Shape:  # fmt: skip
+) -> Shape:
     """A part of the housing from ``front`` to the back, between two heights."""
     corner, bevel = _CORNERS[design.body_style]
     half = ((design.depth + front) / 2 - inset, design.width / 2 - inset, (high - low) / 2)

@@ -17,27 +17,42 @@ _FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def slab(
-    center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.0,
+    center: ArrayLike,
+    half: Sequence[float],
+    radius: float,
+    material: Material,
+    *,
+    bevel: float = 0.0,
     collides: bool = True,
-) -> Shape:  # fmt: skip
+) -> Shape:
     """A lying plate: corners rounded about z by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
     points = _rounded(half, radius, upper_bevel=bevel)
     return convex_mesh(points, transform(center), material, collides=collides)
 
 
 def plate(
-    center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.0,
+    center: ArrayLike,
+    half: Sequence[float],
+    radius: float,
+    material: Material,
+    *,
+    bevel: float = 0.0,
     collides: bool = True,
-) -> Shape:  # fmt: skip
+) -> Shape:
     """A standing plate, the twin of `slab`: corners rounded about x, the front rim cut, half extents x, y, z [m]."""
     points = _rounded((half[1], half[2], half[0]), radius, upper_bevel=bevel) @ _FRONT.T
     return convex_mesh(points, transform(center), material, collides=collides)
 
 
 def round_cornered(
-    center: ArrayLike, half: Sequence[float], radius: float, material: Material, *, bevel: float = 0.003,
+    center: ArrayLike,
+    half: Sequence[float],
+    radius: float,
+    material: Material,
+    *,
+    bevel: float = 0.003,
     collides: bool = True,
-) -> Shape:  # fmt: skip
+) -> Shape:
     """A box with vertical edges rounded by ``radius`` and both rims cut by ``bevel``, half extents x, y, z [m]."""
     radius = min(radius, 0.98 * min(half[0], half[1]))
     cut = min(bevel, 0.45 * half[2], 0.9 * radius)

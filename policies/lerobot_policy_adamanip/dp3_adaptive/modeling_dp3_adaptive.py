@@ -320,9 +320,13 @@ class PoseFrames(nn.Module):
         super().__init__()
         self.relative = bool(config.tcp_relative) and config.has_pose_layout
         for name, size, value in (
-            ("cloud_center", 3, 0.0), ("cloud_scale", 1, 1.0),
-            ("state_center", 3, 0.0), ("state_half", 3, 1.0), ("action_center", 3, 0.0), ("action_half", 3, 1.0),
-        ):  # fmt: skip
+            ("cloud_center", 3, 0.0),
+            ("cloud_scale", 1, 1.0),
+            ("state_center", 3, 0.0),
+            ("state_half", 3, 1.0),
+            ("action_center", 3, 0.0),
+            ("action_half", 3, 1.0),
+        ):
             self.register_buffer(name, torch.full((size,), value))
         if stats and POINT_CLOUD in stats:
             lower, upper = _range(stats, POINT_CLOUD)

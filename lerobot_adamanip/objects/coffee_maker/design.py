@@ -1,0 +1,113 @@
+"""The parameters of a coffee maker, and how they are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lerobot_adamanip.objects.base import Material
+
+BODY_STYLES = ("box", "column", "rounded")
+PANEL_STYLES = ("gauge", "buttons", "dial", "display")
+TOP_STYLES = ("cups", "rail", "hopper", "plain")
+HANDLE_STYLES = ("tapered", "straight", "waisted")
+SPOUT_STYLES = ("double", "single", "bottomless")
+
+BLACK = Material((0.022, 0.022, 0.025), 0.5)
+_BODY_COLORS = (
+    Material((0.70, 0.71, 0.73), 0.25, 0.95),
+    Material((0.58, 0.59, 0.61), 0.38, 0.95),
+    Material((0.035, 0.036, 0.04), 0.4, 0.2),
+    Material((0.50, 0.02, 0.025), 0.28, 0.1),
+    Material((0.72, 0.66, 0.52), 0.35),
+    Material((0.36, 0.58, 0.52), 0.35),
+    Material((0.78, 0.78, 0.77), 0.35),
+    Material((0.06, 0.12, 0.24), 0.3, 0.1),
+    Material((0.12, 0.125, 0.13), 0.45, 0.4),
+)
+_GRIPS = (
+    Material((0.02, 0.02, 0.022), 0.45),
+    Material((0.02, 0.02, 0.022), 0.45),
+    Material((0.23, 0.10, 0.035), 0.5),
+    Material((0.38, 0.22, 0.10), 0.5),
+    Material((0.70, 0.66, 0.55), 0.4),
+)
+
+
+@dataclass(frozen=True)
+class CoffeeMakerDesign:
+    """The parameters of one machine [m]. ``x`` values are measured from the group's axis, forwards.
+
+    Attributes:
+        width, height, depth: of the housing.
+        tray_height: of the base with the drip tray.
+        group_z: height of the group head's lower face.
+        axis_x: where the group's axis is, behind the tray's front.
+        head_x: front face of the upper housing.
+        column_x: front face of the back wall behind the cups.
+        grip_radius: of the grip, from the axis.
+        handle_length: from the axis to the handle's end.
+        handle_half: half width and height of the handle.
+        wand_side: side of the steam wand, -1 or 1.
+    """
+
+    width: float
+    height: float
+    depth: float
+    tray_height: float
+    group_z: float
+    axis_x: float
+    head_x: float
+    column_x: float
+    grip_radius: float
+    handle_length: float
+    handle_half: tuple[float, float]
+    wand_side: int
+    body_style: str
+    panel_style: str
+    top_style: str
+    handle_style: str
+    spout_style: str
+    body: Material
+    base: Material
+    chrome: Material
+    grip: Material
+
+    @property
+    def head_face(self) -> float:
+        """The upper housing's front in the object's frame [m]."""
+        return self.axis_x + self.head_x
+
+
+def draw_design(rng: np.random.Generator) -> CoffeeMakerDesign:
+    """Draws the parameters of one machine. Nothing but group and tray comes farther forward than the group's axis."""
+    body_style = str(rng.choice(BODY_STYLES))
+    tray_height = rng.uniform(0.045, 0.062)
+    group_z = tray_height + rng.uniform(0.145, 0.165)
+    grip_radius = rng.uniform(0.155, 0.175)
+    body = _BODY_COLORS[rng.integers(len(_BODY_COLORS))]
+    dark_base = rng.random() < 0.5
+    return CoffeeMakerDesign(
+        width=rng.uniform(0.20, 0.30),
+        height=group_z + rng.uniform(0.115, 0.155),
+        depth=rng.uniform(0.25, 0.33),
+        tray_height=tray_height,
+        group_z=group_z,
+        axis_x=-rng.uniform(0.055, 0.070),
+        head_x=-rng.uniform(0.058, 0.068) if body_style == "box" else -rng.uniform(0.022, 0.034),
+        column_x=-rng.uniform(0.066, 0.078),
+        grip_radius=grip_radius,
+        handle_length=grip_radius + rng.uniform(0.040, 0.052),
+        handle_half=(rng.uniform(0.012, 0.015), rng.uniform(0.012, 0.0145)),
+        wand_side=int(rng.choice([-1, 1])),
+        body_style=body_style,
+        panel_style=str(rng.choice(PANEL_STYLES)),
+        top_style=str(rng.choice(TOP_STYLES)),
+        handle_style=str(rng.choice(HANDLE_STYLES)),
+        spout_style=str(rng.choice(SPOUT_STYLES)),
+        body=body,
+        base=BLACK if dark_base else body,
+        chrome=Material((0.80, 0.81, 0.83), rng.uniform(0.12, 0.25), 0.95),
+        grip=_GRIPS[rng.integers(len(_GRIPS))],
+    )
