@@ -1,0 +1,160 @@
+"""JSON that somebody else may have written: parsed strictly, every field checked, one clear error.
+
+Nothing that is read here is ever imported, called or used as a path.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import reprlib
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+MAX_BYTES = 8_000_000
+"""No description of ours is larger."""
+
+Check = Callable[[str, object], Any]
+"""Takes a field's name and value; returns the value, or raises ValueError that names the field."""
+
+
+def parse(content: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
+    """Parses JSON text; raises ValueError for what is too large or too deep, NaN, or a key that occurs twice."""
+    if len(content) > max_bytes:
+        raise ValueError(f"{len(content)} bytes, more than {max_bytes}")
+    try:
+        return json.loads(content, object_pairs_hook=_each_once, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
+def read(path: Path, max_bytes: int = MAX_BYTES) -> Any:
+    """Parses a file; raises OSError or ValueError."""
+    with open(path, "rb") as file:
+        return parse(file.read(max_bytes + 1), max_bytes)
+
+
+def integer(lowest: int, highest: int) -> Check:
+    """Returns a check for a whole number from ``lowest`` to ``highest``."""
+
+    def check(name: str, value: object) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
+            raise _wrong(name, value, f"a whole number, {lowest} ... {highest}")
+        return value
+
+    return check
+
+
+def number(lowest: float, highest: float) -> Check:
+    """Returns a check for a finite number from ``lowest`` to ``highest``."""
+
+    def check(name: str, value: object) -> float:
+        plain = isinstance(value, int | float) and not isinstance(value, bool)
+        if not plain or not lowest <= value <= highest or not math.isfinite(value):  # type: ignore[operator, arg-type]
+            raise _wrong(name, value, f"a number, {lowest:g} ... {highest:g}")
+        return value  # type: ignore[return-value]
+
+    return check
+
+
+def flag(name: str, value: object) -> bool:
+    """Checks for true or false."""
+    if not isinstance(value, bool):
+        raise _wrong(name, value, "true or false")
+    return value
+
+
+def choice(choices: Collection[str]) -> Check:
+    """Returns a check for one of some words."""
+
+    def check(name: str, value: object) -> str:
+        if not isinstance(value, str) or value not in choices:
+            raise _wrong(name, value, " | ".join(choices))
+        return value
+
+    return check
+
+
+def text(pattern: str, meaning: str) -> Check:
+    """Returns a check for text that matches a pattern as a whole."""
+
+    def check(name: str, value: object) -> str:
+        if not isinstance(value, str) or re.fullmatch(pattern, value) is None:
+            raise _wrong(name, value, meaning)
+        return value
+
+    return check
+
+
+def listing(each: Check, lowest: int, highest: int) -> Check:
+    """Returns a check for a list of ``lowest`` to ``highest`` entries; gives a tuple."""
+
+    def check(name: str, value: object) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or not lowest <= len(value) <= highest:
+            raise _wrong(name, value, f"a list of {lowest} ... {highest} entries")
+        return tuple(each(f"{name}[{place}]", entry) for place, entry in enumerate(value))
+
+    return check
+
+
+def mapping(key: Check, each: Check, highest: int) -> Check:
+    """Returns a check for at most ``highest`` named values."""
+
+    def check(name: str, value: object) -> dict[str, Any]:
+        if not isinstance(value, Mapping) or len(value) > highest:
+            raise _wrong(name, value, f"at most {highest} named values")
+        return {key(f"a name in {name}", known): each(f"{name}.{known}", entry) for known, entry in value.items()}
+
+    return check
+
+
+def table(fields: Mapping[str, Check]) -> Check:
+    """Returns a check for exactly these fields."""
+
+    def check(name: str, value: object) -> dict[str, Any]:
+        if not isinstance(value, Mapping):
+            raise _wrong(name, value, "named fields")
+        if unknown := sorted(map(str, set(value) - set(fields))):
+            raise ValueError(f"{name} has an unknown field {reprlib.repr(unknown[0])}; known are {', '.join(fields)}")
+        if missing := [field for field in fields if field not in value]:
+            raise ValueError(f"{name} lacks {', '.join(missing)}")
+        return {field: each(field, value[field]) for field, each in fields.items()}
+
+    return check
+
+
+def optional(each: Check) -> Check:
+    """Returns a check that takes null as well."""
+    return lambda name, value: None if value is None else each(name, value)
+
+
+def either(*checks: Check) -> Check:
+    """Returns a check that takes what one of several takes."""
+
+    def check(name: str, value: object) -> Any:
+        told = []
+        for each in checks:
+            try:
+                return each(name, value)
+            except ValueError as error:
+                told.append(str(error).rpartition(", not ")[2])
+        raise _wrong(name, value, " or ".join(told))
+
+    return check
+
+
+def _wrong(name: str, value: object, wanted: str) -> ValueError:
+    return ValueError(f"{name} is {reprlib.repr(value)}, not {wanted}")
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name occurs twice")
+    return found
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number")

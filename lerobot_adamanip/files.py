@@ -1,0 +1,89 @@
+"""Files that survive a power cut: written atomically, synced with their folders, moved into place when whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+CRASH_POINTS = (
+    "collection prepared", "shard written", "shard in place", "all recorded", "assembly begun", "episode assembled",
+    "dataset written", "dataset described", "dataset synced", "dataset verified", "dataset renamed", "dataset in place",
+    "shards partly removed", "cleaned",
+)  # fmt: skip
+"""Moments between the first episode and a finished dataset at which a test may end the process."""
+on_crash_point: Callable[[str], None] | None = None
+"""Told of every crash point that is passed; set by tests alone."""
+
+
+def crash_point(name: str) -> None:
+    """Marks a moment at which a crash must lose nothing. Does nothing unless a test has set `on_crash_point`."""
+    assert name in CRASH_POINTS
+    if on_crash_point is not None:
+        on_crash_point(name)
+
+
+def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str] | None = None) -> None:
+    """Writes a file that is either there in full after a crash, or not there (or as it was).
+
+    Args:
+        path: of the file; its folder exists.
+        content: of the file.
+        crash_points: names of the moments before and after it takes its place.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with open(temporary, "wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    if crash_points is not None:
+        crash_point(crash_points[0])
+    os.replace(temporary, path)
+    sync(path.parent)
+    if crash_points is not None:
+        crash_point(crash_points[1])
+
+
+def sync(path: Path) -> None:
+    """Makes a file's content, or the names in a folder, durable."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_tree(folder: Path) -> None:
+    """Makes a folder with everything in it durable: files first, then the folders that name them, inner ones first."""
+    for parent, _, names in os.walk(folder, topdown=False):
+        for name in names:
+            sync(Path(parent) / name)
+        sync(Path(parent))
+
+
+def move_durably(source: Path, target: Path) -> None:
+    """Renames a synced file or folder to ``target``, whose old content, if any, has to be an empty folder or a file."""
+    os.replace(source, target)
+    crash_point("dataset renamed")
+    sync(target.parent)
+    if source.parent != target.parent:
+        sync(source.parent)
+
+
+def remove_tree(folder: Path) -> None:
+    """Removes a folder, if it is there, and makes that durable."""
+    if folder.exists():
+        shutil.rmtree(folder)
+        sync(folder.parent)
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Removes what a process that died in `write_atomically` left in a folder."""
+    for path in folder.glob(".*.tmp"):
+        path.unlink(missing_ok=True)
+
+
+def tree_bytes(folder: Path) -> int:
+    """Returns the size of all files of a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
