@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from doc_data import collect_fake_demos, write_asset_safe
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import load
@@ -32,7 +33,7 @@ def blocks(language: str) -> list[Block]:
     found = []
     for document in DOCUMENTS:
         text = (ROOT / document).read_text(encoding="utf-8")
-        pattern = r"(?:<!-- test: ([^>]*) -->\n)?^```(\w+)\n(.*?)^```$"
+        pattern = r"(?:<!-- (?:test: )?([^>]*) -->\n)?^```(\w+)\n(.*?)^```$"
         for number, match in enumerate(re.finditer(pattern, text, re.MULTILINE | re.DOTALL)):
             if match[2] == language:
                 found.append(Block(document, number, language, match[1] or "", match[3]))
@@ -62,6 +63,7 @@ def python_blocks() -> list[Any]:
             block, id=f"{block.document}-{block.number}", marks=[pytest.mark.sim] * block.mark.startswith("sim")
         )
         for block in blocks("python")
+        if not block.mark.startswith(("new: ", "edit: "))  # tests/test_extending.py has these
     ]
 
 
@@ -143,32 +145,12 @@ def run_block(code: str, folder: Path) -> None:
     assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
 
 
-def collect_fake_demos(root: Path) -> None:
-    """A dataset of the same columns, without a simulator."""
-    sys.path.insert(0, str(ROOT / "tests" / "demos"))
-    from demos_helpers import ATTEMPTS, OPTIONS
-
-    from lerobot_adamanip.demos.collect import collect
-    from lerobot_adamanip.demos.collection import CollectionSpec
-
-    root.parent.mkdir()
-    collect(root, CollectionSpec(**OPTIONS), max_attempts=ATTEMPTS)
-
-
-def write_foreign_safe(folder: Path) -> None:
-    """A small object in AdaManip's layout."""
-    sys.path.insert(0, str(ROOT / "tests" / "objects"))
-    from asset_folders import adamanip_safe
-
-    adamanip_safe(folder)
-
-
 @pytest.mark.parametrize("block", python_blocks())
 def test_python_runs(block: Block, tmp_path: Path) -> None:
     if block.mark == "outputs/demos":
         collect_fake_demos(tmp_path / "outputs" / "demos")
     if block.mark == "assets":
-        write_foreign_safe(tmp_path / "assets" / "safe" / "sa1")
+        write_asset_safe(tmp_path / "assets" / "safe" / "sa1")
     run_block(block.code, tmp_path)
 
 

@@ -1,0 +1,45 @@
+"""An expert at work, as a video: `python examples/watch_an_expert.py --category microwave --seed 3`.
+
+The adaptive expert sees part poses and what the arm felt, never what is hidden; it tries, and changes its mind.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.demos.video import write_video
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.rollout import KeyFrame, rollout
+from lerobot_adamanip.schema import FPS
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--category", choices=CATEGORIES, default="safe")
+    parser.add_argument("--seed", type=int, default=5, help="decides object, poses and hidden state")
+    parser.add_argument("--video", default="outputs/expert.mp4")
+    options = parser.parse_args()
+
+    env = KeyframeEnv(options.category)
+    observation, _ = env.reset(seed=options.seed)
+    print("hidden:", env.hidden_state())
+    frames = [env.render()]
+
+    def watch(key_frame: KeyFrame) -> None:
+        frames.append(env.render())
+        labels = env.labels
+        tried = f", tried joint {labels.tried}: {'failed' if labels.failed else 'it gave'}" if labels.tried >= 0 else ""
+        print(f"{len(frames) - 1:2}  {key_frame.goal.phase.name:8} {key_frame.feedback.outcome.name}{tried}")
+
+    expert = make_expert(options.category, "adaptive", env.annotations, generator=np.random.default_rng(options.seed))
+    result = rollout(env, observation, expert, watch)
+    env.close()
+    print(result.reason, "->", write_video(options.video, frames, FPS))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""What documents and examples work on, made without a simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def collect_fake_demos(root: Path) -> None:
+    """A dataset of the same columns as a real one."""
+    from demos_helpers import ATTEMPTS, OPTIONS
+
+    from lerobot_adamanip.demos.collect import collect
+    from lerobot_adamanip.demos.collection import CollectionSpec
+
+    root.parent.mkdir()
+    collect(root, CollectionSpec(**OPTIONS), max_attempts=ATTEMPTS)
+
+
+def write_asset_safe(folder: Path) -> None:
+    """A small object in AdaManip's layout."""
+    from asset_folders import adamanip_safe
+
+    adamanip_safe(folder)

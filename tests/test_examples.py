@@ -1,0 +1,101 @@
+"""Every example runs, shows what it says it shows, and stays short."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from doc_data import collect_fake_demos
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+TESTED = {"watch_an_expert", "hidden_state", "load_dataset", "own_expert", "evaluate_a_policy"}
+
+
+Run = Callable[..., str]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Runs an example as its command would be; in this process, where the simulator's shaders are compiled once."""
+
+    def run(name: str, *arguments: str) -> str:
+        path = ROOT / "examples" / f"{name}.py"
+        monkeypatch.setattr(sys, "argv", [str(path), *arguments])
+        monkeypatch.chdir(tmp_path)
+        runpy.run_path(str(path), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_every_example_is_run_here_and_named_in_the_readme() -> None:
+    assert {path.stem for path in EXAMPLES} == TESTED
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(f"examples/{path.name}" in readme for path in EXAMPLES)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_one_idea(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) < 60
+
+
+def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:
+    collect_fake_demos(tmp_path / "outputs" / "demos")
+    said = run("load_dataset", "outputs/demos")
+    assert "observation.point_cloud" in said
+    assert "failed tries so far" in said
+
+
+@pytest.mark.sim
+def test_an_expert_is_watched(tmp_path: Path, run: Run) -> None:
+    said = run("watch_an_expert")
+    assert "success" in said
+    assert (tmp_path / "outputs" / "expert.mp4").stat().st_size > 1000
+
+
+@pytest.mark.sim
+def test_hidden_states_look_the_same_until_something_is_tried(run: Run) -> None:
+    lines = run("hidden_state").splitlines()
+    assert "they differ" in lines[-1]
+    same = [line for line in lines if "the same to the bit" in line]
+    assert len(same) >= 3
+    assert any("TRY" in line for line in same)  # up to and including what is seen before the first try
+
+
+@pytest.mark.sim
+def test_an_expert_of_ones_own_opens_either_way(run: Run) -> None:
+    lines = run("own_expert").splitlines()
+    assert [line.split(":")[1].split()[0] for line in lines if line.startswith("locked")] == ["success", "success"]
+
+
+@pytest.mark.sim
+def test_a_policy_is_evaluated(tmp_path: Path, run: Run) -> None:
+    from lerobot.configs.types import FeatureType, PolicyFeature
+    from lerobot.policies.factory import make_pre_post_processors
+
+    from lerobot_adamanip import schema
+    from lerobot_policy_adamanip import DP3AdaptiveConfig
+    from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
+
+    config = DP3AdaptiveConfig(
+        num_points=64,
+        encoder_dims=(16, 24),
+        encoder_out_dim=16,
+        down_dims=(32, 64),
+        num_inference_steps=2,
+        device="cpu",
+        input_features={
+            schema.POINT_CLOUD: PolicyFeature(FeatureType.ENV, (64, 3)),
+            schema.STATE: PolicyFeature(FeatureType.STATE, (schema.STATE_DIM,)),
+        },
+        output_features={schema.ACTION: PolicyFeature(FeatureType.ACTION, (schema.ACTION_DIM,))},
+    )
+    policy = DP3AdaptivePolicy(config)
+    for part in (policy, *make_pre_post_processors(config)):
+        part.save_pretrained(tmp_path / "checkpoint")
+    said = run("evaluate_a_policy", "checkpoint", "--episodes", "1", "--key-frames", "2")
+    assert "/1, 95 % interval" in said
