@@ -41,39 +41,63 @@ def articulation() -> FakeArticulation:
     return FakeArticulation()
 
 
-def driver(articulation: FakeArticulation, **hidden: Any) -> MechanismDriver:
+def driver(articulation: FakeArticulation, *, hold: bool = True, **hidden: Any) -> MechanismDriver:
     mechanism = make_mechanism(make_object("safe_000"))
     state = mechanism.draw(1, torch.Generator().manual_seed(0), {"locked": True, "direction": 1, **hidden})
-    return MechanismDriver(mechanism, state, articulation)
+    made = MechanismDriver(mechanism, state, articulation, hold=hold)
+    made.apply()
+    return made
 
 
-def test_limits_are_the_mechanisms(articulation: FakeArticulation) -> None:
+def test_limits_are_the_mechanisms_once_joints_are_tried(articulation: FakeArticulation) -> None:
     made = driver(articulation, knob_range=1.0)
-    made.apply(hold=False)
+    made.update(detent=False, tried={"door", "knob"})
     assert articulation.limits == {"door": (0.0, 0.0), "knob": (0.0, 1.0)}
     articulation.qpos = np.array([0.0, 0.9])
-    made.apply(hold=False)
+    made.apply()
     assert articulation.limits["door"][1] > 0.5
     assert made.joint_positions() == {"door": 0.0, "knob": 0.9}
 
 
-def test_a_held_object_stays_where_it_was_when_the_hold_began(articulation: FakeArticulation) -> None:
-    made = driver(articulation)
+@pytest.mark.parametrize("locked", [True, False])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_what_nobody_has_tried_is_held_whatever_is_hidden(
+    articulation: FakeArticulation, locked: bool, direction: int
+) -> None:
+    made = driver(articulation, locked=locked, direction=direction)
+    for drift in (1e-4, 0.3):
+        articulation.qpos = np.array([drift, -drift])
+        made.apply()
+        made.update(detent=False)
+        assert articulation.limits == {"door": (0.0, 0.0), "knob": (0.0, 0.0)}
+    assert [joint.writes for joint in articulation.active_joints] == [1, 1]
+
+
+def test_one_joint_is_tried_and_the_other_still_held(articulation: FakeArticulation) -> None:
+    made = driver(articulation, locked=False, direction=-1, knob_range=1.0)
+    made.update(detent=False, tried={"knob"})
+    assert made.untried == {"door"}
+    assert articulation.limits == {"door": (0.0, 0.0), "knob": (-1.0, 0.0)}
+    made.update(detent=False, tried={"door"})
+    assert articulation.limits["door"][1] > 0.5
+
+
+def test_a_detent_holds_what_has_been_tried_where_it_is(articulation: FakeArticulation) -> None:
+    made = driver(articulation, knob_range=1.0)
+    made.update(detent=False, tried={"door", "knob"})
     articulation.qpos = np.array([0.0, 0.3])
-    made.apply(hold=True)
+    made.update(detent=True)
     articulation.qpos = np.array([0.001, 0.31])
-    made.apply(hold=True)
-    assert made.held
+    made.apply()
     assert articulation.limits == {"door": (0.0, 0.0), "knob": (0.3, 0.3)}
-    made.apply(hold=False)
-    assert not made.held
-    assert articulation.limits["knob"][1] > 0.9
+    made.update(detent=False)
+    assert articulation.limits["knob"] == (0.0, 1.0)
 
 
 def test_limits_are_written_only_when_they_change(articulation: FakeArticulation) -> None:
-    made = driver(articulation)
+    made = driver(articulation, hold=False)
     for _ in range(5):
-        made.apply(hold=False)
+        made.apply()
     assert [joint.writes for joint in articulation.active_joints] == [1, 1]
 
 

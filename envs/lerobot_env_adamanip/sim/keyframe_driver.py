@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 
 FINGER_OPEN, FINGER_CLOSED = 0.04, -0.01
 """Finger targets [m]. Closed lies past contact, so that the fingers press on what is thin."""
+FINGER_HALF = 0.5 * (FINGER_OPEN + FINGER_CLOSED)
+"""A hand sent to less than this is a closed one [m]."""
+MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
+"""A goal nearer than this is where the hand is already [m, rad]."""
 
 
 @dataclass
@@ -58,7 +62,8 @@ class KeyframeDriver:
         self._target: Array = read().qpos.copy()
         self._finger = self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
-        self.closing = False  # whether this key frame only closes the fingers: see `AdaManipTask._tick`
+        # Whether this key frame only closes the fingers, or moves a hand that is closed: see `MechanismDriver`.
+        self.closing = self.moving_closed = False
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
@@ -73,7 +78,11 @@ class KeyframeDriver:
         self._ticks = self._strained = 0
         finger_goal = self._finger_goal(gripper)
         gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
-        self.closing = finger_goal < self._finger_target - 5e-3 and self._stays(goal)
+        limits = self.limits
+        stays = self._is_near(goal, limits.reached_position, limits.reached_rotation)
+        self.closing = finger_goal < self._finger_target - 5e-3 and stays
+        was_closed = max(finger_goal, self._finger_target) < FINGER_HALF
+        self.moving_closed = was_closed and not self._is_near(goal, MOVED_POSITION, MOVED_ROTATION)
         self._finger_target = finger_goal
         outcome = self._follow(goal)
         if outcome is Outcome.REACHED:
@@ -81,13 +90,13 @@ class KeyframeDriver:
         self.effort = self._torque(self._read())
         self._relax(outcome)
         self.feedback = self._feedback(outcome)
-        self.closing = False
+        self.closing = self.moving_closed = False
         return self.feedback
 
-    def _stays(self, goal: Array) -> bool:
-        here, limits = self.kinematics.tcp_in_base(self._target), self.limits
-        near = np.linalg.norm(goal[:3, 3] - here[:3, 3]) < limits.reached_position
-        return bool(near and angle_between(goal[:3, :3], here[:3, :3]) < limits.reached_rotation)
+    def _is_near(self, goal: Array, position: float, rotation: float) -> bool:
+        here = self.kinematics.tcp_in_base(self._target)
+        near = np.linalg.norm(goal[:3, 3] - here[:3, 3]) < position
+        return bool(near and angle_between(goal[:3, :3], here[:3, :3]) < rotation)
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[Array, float]:
         array = np.asarray(action, dtype=np.float64)

@@ -1,8 +1,8 @@
-"""A mechanism at work on a simulated object: reads its joints, writes their limits."""
+"""A mechanism at work on a simulated object: reads its joints, writes their limits, and holds what nobody has tried."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 import torch
@@ -36,40 +36,60 @@ class LimitedArticulation(Protocol):
 
 
 class MechanismDriver:
-    """Keeps an articulation within what its mechanism allows.
+    """Keeps an articulation within what its mechanism allows, and hides the mechanism until somebody tries it.
+
+    From reset on every joint is *held*: its limits are closed around where it stands, whatever the hidden draw, as the
+    latch, detent or friction of a real one holds it below its break-away torque. So the simulator is the same to the
+    bit under every hidden state. A joint is released for the rest of the episode when a closed hand that touches what
+    it carries is sent somewhere else: when it is tried. Until then nothing shows, neither on the way to a part, nor in
+    touching it, nor in closing the fingers on it. A *detent* holds the released ones, too, while a key frame does
+    nothing but close the fingers: these close unevenly, and would move what is free before it is tried anew.
 
     Args:
         mechanism: the rules.
         state: this episode's hidden draw.
         articulation: the object.
+        hold: off for the test that shows what it is good for.
     """
 
-    def __init__(self, mechanism: Mechanism[Any], state: Any, articulation: LimitedArticulation) -> None:
+    def __init__(
+        self, mechanism: Mechanism[Any], state: Any, articulation: LimitedArticulation, *, hold: bool = True
+    ) -> None:
         self.mechanism, self.state = mechanism, state
+        self.detent = False
         self._articulation = articulation
+        self._untried = set(mechanism.joints) if hold else set()
         self._applied: dict[str, Limits] = {}
-        self._detent: dict[str, float] | None = None
+        self._held: dict[str, float] = {}
 
     @property
-    def held(self) -> bool:
-        """Whether the joints are held where they are."""
-        return self._detent is not None
+    def untried(self) -> frozenset[str]:
+        """Joints that nobody has tried yet."""
+        return frozenset(self._untried)
 
     def joint_positions(self) -> dict[str, float]:
         """Returns the object's joint positions [rad or m]."""
         raw = self._articulation
         return {joint_name(joint): float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)}
 
-    def apply(self, *, hold: bool) -> None:
-        """Steps the mechanism and writes its limits; with ``hold``, joints are held where they were when it began."""
+    def update(self, *, detent: bool, tried: Collection[str] = ()) -> None:
+        """Releases what is tried and sets the detent, at once; writes nothing if neither changes anything."""
+        if detent != self.detent or not self._untried.isdisjoint(tried):
+            self._untried.difference_update(tried)
+            self.detent = detent
+            self.apply()
+
+    def apply(self) -> None:
+        """Steps the mechanism, and writes its limits but for the joints that are held."""
         positions = self.joint_positions()
-        self._detent = (self._detent or positions) if hold else None
+        held = self.mechanism.joints if self.detent else self._untried
+        self._held = {name: self._held.get(name, positions[name]) for name in held}
         self.state, command = self.mechanism.step(self.state, reading(positions))
         for joint in self._articulation.active_joints:
             name = joint_name(joint)
             limits = (float(command[name].lower[0]), float(command[name].upper[0]))
-            if self._detent is not None:
-                limits = (self._detent[name], self._detent[name])
+            if name in self._held:
+                limits = (self._held[name], self._held[name])
             if self._applied.get(name) != limits:
                 joint.set_limits([list(limits)])
                 self._applied[name] = limits

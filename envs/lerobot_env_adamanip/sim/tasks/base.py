@@ -24,10 +24,12 @@ from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
 from lerobot_env_adamanip.sim.observation import CameraParameters, SimObservation
 from lerobot_env_adamanip.sim.placement import Placement, draw_placement, randomization
+from lerobot_env_adamanip.sim.render_device import resolve_render_backend
 from lerobot_env_adamanip.sim.rendering import keep_shaders
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.scene import CAMERA, ObjectScene, add_lights, front_camera, person_camera
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
+from lerobot_env_adamanip.sim.touch import HandTouch
 
 CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
 """Names under which ManiSkill knows CPU physics."""
@@ -45,7 +47,8 @@ class AdaManipTask(BaseEnv):
     CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation forbids.
 
     ManiSkill's ``state`` observation is the arm's joint positions and velocities alone; neither the object's joints nor
-    anything hidden is in it. ``info`` tells the object's joints, which `KeyframeEnv` does not pass on.
+    anything hidden is in it. ``info`` tells the object's joints, which `KeyframeEnv` does not pass on. Plain control
+    knows no key frames: from its first step on the object is not held (see `MechanismDriver`).
 
     `KeyframeEnv` uses `execute`, `observe`, `feedback`, `placement` and what follows them.
     """
@@ -57,6 +60,8 @@ class AdaManipTask(BaseEnv):
     """What is a category's own."""
     placement: Placement
     """This episode's poses, and the annotated parts in the robot's base frame."""
+    holds_the_untried: bool = True
+    """Whether joints are held until they are tried; read at reset. Off, observations tell what is hidden."""
     mechanism_driver: MechanismDriver
     """This episode's mechanism, on its object."""
 
@@ -69,6 +74,7 @@ class AdaManipTask(BaseEnv):
         mechanism_preset: str = "paper",
         image_size: int = 256,
         shader: str = "default",
+        render_backend: str = "auto",
         hidden_overrides: Mapping[str, Any] | None = None,
         robot_uids: str = "adamanip_panda",
         num_envs: int = 1,
@@ -95,8 +101,10 @@ class AdaManipTask(BaseEnv):
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._shader = image_size, shader
         kwargs.setdefault("reconfiguration_freq", 1)
-        kwargs.setdefault("render_backend", "cpu" if not torch.cuda.is_available() else "gpu")
-        super().__init__(*args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", **kwargs)
+        device = {"cuda": "gpu", "cpu": "cpu"}[resolve_render_backend(render_backend)]
+        super().__init__(
+            *args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", render_backend=device, **kwargs
+        )
 
     @property
     def category(self) -> str:
@@ -211,7 +219,9 @@ class AdaManipTask(BaseEnv):
         generator = torch.Generator().manual_seed(int(self._stream(_HIDDEN_STREAM).integers(2**31)))
         overrides = {**self.hidden_overrides, **(options.get("hidden_overrides") or {})}
         state = self._rules.draw(1, generator, overrides or None)
-        self.mechanism_driver = MechanismDriver(self._rules, state, self._objects.articulation._objs[0])
+        arm, target = self.agent.robot._objs[0], self._objects.articulation._objs[0]
+        self.mechanism_driver = MechanismDriver(self._rules, state, target, hold=self.holds_the_untried)
+        self._touch = HandTouch(self.scene.sub_scenes[0].physx_system, arm, target)
         self._arm = KeyframeDriver(
             self._kinematics,
             self.arm_state,
@@ -220,23 +230,25 @@ class AdaManipTask(BaseEnv):
             stiffness=np.asarray(AdaManipPanda.arm_stiffness),
             limits=self.definition.motion,
         )
-        self.mechanism_driver.apply(hold=False)
+        self.mechanism_driver.apply()
 
     def _stream(self, stream: int) -> np.random.Generator:
         """A generator of its own for each kind of draw: the hidden draw leaves every other as it is."""
         return np.random.default_rng([int(self._episode_seed[0]), stream])
 
+    def step(self, action: Any) -> Any:
+        """ManiSkill's step: one control step."""
+        self.mechanism_driver.update(detent=False, tried=self.mechanism.joints)
+        return super().step(action)
+
     def _after_control_step(self) -> None:
-        self.mechanism_driver.apply(hold=self._arm.closing)
+        self.mechanism_driver.apply()
 
     def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
-        """One control tick of a key frame.
-
-        While a key frame does nothing but close the fingers, the joints are held where they are: fingers that close
-        unevenly would move what is free, by a fraction of a degree, and tell the hidden state before anything is tried.
-        """
-        if self._arm.closing and not self.mechanism_driver.held:
-            self.mechanism_driver.apply(hold=True)  # before the first tick, not after it
+        """One control tick of a key frame. What is held is decided before it, see `MechanismDriver`."""
+        driver = self.mechanism_driver
+        trying = self._arm.moving_closed and driver.untried
+        driver.update(detent=self._arm.closing, tried=self._touch.joints() if trying else ())
         joints = self.agent.robot._objs[0].active_joints
         for joint, position, speed in zip(joints, target, velocity, strict=False):
             joint.set_drive_target(position)

@@ -1,0 +1,310 @@
+"""Checks that nothing hidden shows before it is tried, and reports how well it can be guessed from what does show.
+
+Two checks for each category. *Bits*: the adaptive expert takes hold of an object, on equal seeds under two hidden
+states (three for a lamp); state, effort and every joint of arm and object must be equal bit for bit in every frame up
+to and including the one in which the part is held, and so must the cloud and the image of that frame. *Decoders*:
+hidden states are dealt out evenly among ``--frames`` seeds, and a linear classifier and nearest neighbours are
+cross-validated on what is observed while the part is held; they must stay at chance.
+
+For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2 --out outputs/hidden_state``.
+A category that has been checked is read from ``--out`` and not run again. ``--no-hold`` switches off what hides the
+state, and the check has to fail. Returns 1 if a category does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.evaluation.metrics import wilson_interval
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.keyframes import Phase
+from lerobot_adamanip.observation import state_vector
+
+SEED_OFFSET = 300
+BATCH = 20
+FOLDS, NEIGHBOURS, RIDGE = 10, 5, 100.0
+Z_SURE = 3.29
+"""A decoder that beats chance at this many standard deviations (p = 0.001) has found something."""
+TURNS = ({"direction": 1, "turn_range": 0.45}, {"direction": -1, "turn_range": 1.0})
+VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
+    **dict.fromkeys(CATEGORIES, TURNS),
+    "safe": (
+        {"locked": True, "direction": 1, "knob_range": 1.0},
+        {"locked": False, "direction": -1, "knob_range": 1.4},
+    ),
+    "microwave": ({"locked": True}, {"locked": False}),
+    "lamp": ({"mode": 0}, {"mode": 1}, {"mode": 2}),
+}
+"""Hidden states that are as far apart as they can be."""
+Frame = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class SeedResult:
+    """What became of a seed.
+
+    Attributes:
+        seed: of the episode.
+        label: index of the variant that the decoders are asked for.
+        features: of the frame in which the part is held, under that variant.
+        compared: whether the other variants were run, too.
+        differences: what differed, frame by frame; none is what there should be.
+    """
+
+    seed: int
+    label: int
+    features: NDArray[np.float32]
+    compared: bool
+    differences: tuple[str, ...]
+
+
+def frames_until_held(task: Any, seed: int, hidden: dict[str, Any], *, render: bool = True) -> list[Frame]:
+    """Lets the adaptive expert take hold of the first part; all there is at reset and after each key frame.
+
+    ``cloud`` (M, 3) [m, base frame] and ``image`` (H, W, 3) are in the last frame only, and only if it is rendered.
+    """
+    task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
+    expert = make_expert(task.category, "adaptive", task.placement.annotations, generator=np.random.default_rng(seed))
+    frames, goal = [_frame(task)], next(expert)
+    while goal.phase in (Phase.APPROACH, Phase.GRASP):
+        felt = task.execute(goal.action())
+        frames.append(_frame(task))
+        goal = expert.send(felt)
+    if render:
+        seen = task.observe()
+        frames[-1].update(cloud=seen.points_in_base, image=seen.image)
+    return frames
+
+
+def _frame(task: Any) -> Frame:
+    arm, robot, target = task.arm_state(), task.agent.robot._objs[0], task._objects.articulation._objs[0]
+    return {
+        "state": state_vector(task.feedback, arm.qpos, arm.qvel),
+        "effort": np.asarray(task.effort, np.float32),
+        "outcome": np.array(-1 if task.feedback.outcome is None else int(task.feedback.outcome)),
+        "arm positions": np.array(robot.get_qpos()),
+        "arm velocities": np.array(robot.get_qvel()),
+        "object positions": np.array(target.get_qpos()),
+        "object velocities": np.array(target.get_qvel()),
+    }
+
+
+def differences(first: list[Frame], second: list[Frame]) -> tuple[str, ...]:
+    """Returns what is not equal bit for bit, in words."""
+    found = [] if len(first) == len(second) else [f"{len(first)} frames, {len(second)} frames"]
+    for number, (one, other) in enumerate(zip(first, second, strict=False)):
+        for name, value in one.items():
+            if name not in other or value.shape != other[name].shape:
+                found.append(f"frame {number}: {name} of another shape")
+            elif value.tobytes() != other[name].tobytes():
+                far = np.abs(value.astype(np.float64) - other[name].astype(np.float64)).max()
+                found.append(f"frame {number}: {name} by up to {far:.2g}")
+    return tuple(found)
+
+
+def features_of(frame: Frame) -> NDArray[np.float32]:
+    """State, effort, moments of the cloud, and a thumbnail of 8 x 8."""
+    image = frame["image"]
+    edge = 8 * (image.shape[0] // 8)
+    thumbnail = image[:edge, :edge].reshape(8, edge // 8, 8, edge // 8, 3).mean(axis=(1, 3))
+    cloud = frame["cloud"]
+    parts = (frame["state"], frame["effort"], cloud.mean(0), cloud.std(0), thumbnail.ravel())
+    return np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
+
+
+def check_seed(task: Any, seed: int, label: int, *, compare: bool) -> SeedResult:
+    """Runs one seed under its own variant, and under the others to compare."""
+    variants = VARIANTS[task.category]
+    own = frames_until_held(task, seed, variants[label])
+    found: list[str] = []
+    for other in range(len(variants)) if compare else ():
+        if other != label:
+            found += differences(own, frames_until_held(task, seed, variants[other]))
+    return SeedResult(seed, label, features_of(own[-1]), compare, tuple(found))
+
+
+# Decoders ---------------------------------------------------------------------------------------------------------
+
+
+def linear_predictions(
+    features: NDArray[np.float64], labels: NDArray[np.int64], queries: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Ridge regression to one-hot classes. (N, D), (N,), (M, D) -> (M,)."""
+    inputs, asked = (np.concatenate([each, np.ones((len(each), 1))], axis=1) for each in (features, queries))
+    targets = np.eye(int(labels.max()) + 1)[labels]
+    weights = np.linalg.solve(inputs.T @ inputs + RIDGE * np.eye(inputs.shape[1]), inputs.T @ targets)
+    return np.asarray((asked @ weights).argmax(1))
+
+
+def neighbour_predictions(
+    features: NDArray[np.float64], labels: NDArray[np.int64], queries: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Vote of the nearest neighbours. (N, D), (N,), (M, D) -> (M,)."""
+    distances = np.linalg.norm(queries[:, None] - features[None], axis=-1)
+    nearest = labels[np.argsort(distances, axis=1)[:, :NEIGHBOURS]]
+    votes = (nearest[..., None] == np.arange(int(labels.max()) + 1)).sum(axis=1)
+    return np.asarray(votes.argmax(1))
+
+
+DECODERS = {"linear": linear_predictions, "nearest neighbours": neighbour_predictions}
+
+
+def decode(features: NDArray[np.float64], labels: NDArray[np.int64]) -> dict[str, dict[str, Any]]:
+    """Cross-validates each decoder: accuracy, its 95 % Wilson interval, chance, and whether it beats chance."""
+    order = np.random.default_rng(0).permutation(len(labels))
+    folds, chance = np.array_split(order, FOLDS), float(np.bincount(labels).max() / len(labels))
+    report = {}
+    for name, predict in DECODERS.items():
+        right = 0
+        for fold in folds:
+            rest = np.setdiff1d(order, fold)
+            mean, scale = features[rest].mean(0), features[rest].std(0)
+            scale[scale == 0.0] = 1.0
+            known, asked = ((features[rows] - mean) / scale for rows in (rest, fold))
+            right += int((predict(known, labels[rest], asked) == labels[fold]).sum())
+        low, high = wilson_interval(right, len(labels))
+        report[name] = {
+            "frames": len(labels),
+            "accuracy": round(right / len(labels), 4),
+            "interval_95": [round(low, 4), round(high, 4)],
+            "chance": round(chance, 4),
+            "beats_chance": wilson_interval(right, len(labels), Z_SURE)[0] > chance,
+        }
+    return report
+
+
+# Running ----------------------------------------------------------------------------------------------------------
+
+_tasks: dict[tuple[str, bool], Any] = {}
+
+
+def task_of(category: str, hold: bool) -> Any:
+    """Returns this process's simulator of a category; one at a time."""
+    if (category, hold) not in _tasks:
+        from lerobot_env_adamanip.keyframe_env import make_task
+
+        warnings.filterwarnings("ignore")
+        while _tasks:
+            _tasks.popitem()[1].close()
+        _tasks[category, hold] = task = make_task(category)
+        task.holds_the_untried = hold
+    return _tasks[category, hold]
+
+
+def check_batch(category: str, work: list[tuple[int, int, bool]], hold: bool) -> list[SeedResult]:
+    """Runs (seed, label, compare) one after the other."""
+    from lerobot_adamanip.errors import UnreachableError
+
+    results = []
+    for seed, label, compare in work:
+        try:
+            results.append(check_seed(task_of(category, hold), seed, label, compare=compare))
+        except UnreachableError:
+            continue
+    return results
+
+
+def plan(category: str, seeds: int, frames: int) -> list[tuple[int, int, bool]]:
+    """Seeds, labels dealt out evenly and at random, and which are run under every variant."""
+    count = max(seeds, frames)
+    labels = np.random.default_rng(len(category)).permutation(np.arange(count) % len(VARIANTS[category]))
+    return [(SEED_OFFSET + k, int(labels[k]), k < seeds) for k in range(count)]
+
+
+def summary(category: str, results: list[SeedResult], options: argparse.Namespace) -> dict[str, Any]:
+    """Returns the report of a category, JSON-able."""
+    results = sorted(results, key=lambda result: result.seed)
+    compared = [result for result in results if result.compared]
+    differing = {str(result.seed): list(result.differences) for result in compared if result.differences}
+    enough = len(results) >= 2 * FOLDS
+    features, labels = np.stack([r.features for r in results]).astype(np.float64), np.array([r.label for r in results])
+    decoders = decode(features, labels) if enough else {}
+    return {
+        "category": category,
+        "hold": not options.no_hold,
+        "asked": [options.seeds, options.frames],
+        "seeds": len(compared),
+        "variants": len(VARIANTS[category]),
+        "differing_seeds": len(differing),
+        "differences": differing,
+        "decoders": decoders,
+        "passed": not differing and not any(each["beats_chance"] for each in decoders.values()),
+    }
+
+
+def check(category: str, options: argparse.Namespace, pool: ProcessPoolExecutor) -> dict[str, Any]:
+    """Checks a category in parallel, or reads its result."""
+    path = options.out / f"{category}{'_no_hold' if options.no_hold else ''}.json"
+    if path.exists():
+        known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if known["asked"] == [options.seeds, options.frames]:
+            return known
+    work = plan(category, options.seeds, options.frames)
+    batches = [work[start : start + BATCH] for start in range(0, len(work), BATCH)]
+    jobs = [pool.submit(check_batch, category, batch, not options.no_hold) for batch in batches]
+    results: list[SeedResult] = []
+    began = time.monotonic()
+    for job in as_completed(jobs):
+        results += job.result()
+        differing = sum(bool(result.differences) for result in results)
+        spent = time.monotonic() - began
+        sys.stderr.write(f"{category}: {len(results)}/{len(work)} seeds, {differing} differ, {spent:.0f} s\n")
+        sys.stderr.flush()
+    report = summary(category, results, options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    half = path.with_suffix(".tmp")
+    half.write_text(json.dumps(report, indent=1), encoding="utf-8")
+    half.replace(path)
+    return report
+
+
+def lines(report: dict[str, Any]) -> Iterator[str]:
+    """The report of a category in words."""
+    yield (
+        f"{report['category']:16} {report['seeds']:4} seeds under {report['variants']} hidden states: "
+        f"{report['differing_seeds']} differ before anything is tried"
+    )
+    for seed, found in list(report["differences"].items())[:5]:
+        yield f"  seed {seed}: {'; '.join(found[:4])}"
+    for name, each in report["decoders"].items():
+        low, high = each["interval_95"]
+        yield f"  {name:18} {each['accuracy']:.3f} [{low:.3f}, {high:.3f}], chance {each['chance']:.3f}"
+
+
+def main() -> int:
+    """Parses, runs, prints. Returns 0 if nothing shows."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL)
+    parser.add_argument("--seeds", type=int, default=100, help="seeds that are run under every hidden state")
+    parser.add_argument("--frames", type=int, default=400, help="held frames for the decoders; 0 for those of --seeds")
+    parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
+    parser.add_argument("--out", type=Path, default=Path("outputs/hidden_state"), help="folder of finished categories")
+    parser.add_argument("--no-hold", action="store_true", help="joints move from reset on; the check has to fail")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        reports = [check(name, options, pool) for name in names]
+    text = json.dumps(reports) if options.json else "\n".join(line for each in reports for line in lines(each))
+    sys.stdout.write(text + "\n")
+    return 0 if all(report["passed"] for report in reports) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
