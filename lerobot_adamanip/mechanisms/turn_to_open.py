@@ -1,4 +1,4 @@
-"""TurnToOpen, then open: bottle, pen, pressure cooker, coffee maker, window and door.
+"""Turn to open: bottle, pen, pressure cooker, coffee maker, window and door.
 
 A part turns one way only, through a range nobody sees; once it has turned far enough the final joint is free: a lid
 lifts (Rotate & Slide), a leaf swings (Lock with Random Rotation Direction).
