@@ -1,4 +1,4 @@
-"""Primitives of every expert: move, approach, grasp, press, release, open; and what a hand tells of the part it holds."""
+"""Primitives of every expert: approach, grasp, press, release, move, open; what a hand tells of the part it holds."""
 
 from __future__ import annotations
 

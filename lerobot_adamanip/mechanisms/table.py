@@ -80,7 +80,7 @@ _CAP_READING = (
     "Rotate & Slide, direction drawn: section 3.2 names caps, bottle and pen are all that have one, and the released "
     "code draws theirs; figure 2 and the appendix say nothing of a direction"
 )
-_TURN_TRY = "Randomly choose a direction to Rotate Handle. If failed, choose the other direction. Rotate Handle after a "
+_WINDOW = "Randomly choose a direction to Rotate Handle. If failed, choose the other direction. Rotate Handle after a "
 RULES: Mapping[str, CategoryRules] = {
     "bottle": CategoryRules(_turn_to_open("cap", "lift", LIFTED), _CAP, _CAP_READING),
     "pen": CategoryRules(_turn_to_open("cap", "lift", LIFTED), f"Same as Bottle (appendix). {_CAP}", _CAP_READING),
@@ -115,7 +115,7 @@ RULES: Mapping[str, CategoryRules] = {
     "window": CategoryRules(
         _turn_to_open("handle", "sash", SASH_SWUNG),
         "The window includes the Lock and Random Rotation Direction mechanisms, necessitating exploration of the "
-        f"correct rotation direction to unlock the latch (figure 2). {_TURN_TRY}failed open trial (appendix).",
+        f"correct rotation direction to unlock the latch (figure 2). {_WINDOW}failed open trial (appendix).",
         "Lock, Random Rotation Direction; always locked",
     ),
     "door": CategoryRules(

@@ -182,5 +182,5 @@ def test_a_hand_opens_before_it_leaves_and_moves_on_with_open_fingers(
 
 def test_a_safe_that_nothing_opens_is_given_up() -> None:
     safe = KinematicWorld("safe_003", LOCKED, torn=1000)
-    episode = run(safe, adaptive(safe))
+    episode = run(safe, adaptive(safe), at_most=1000)
     assert episode.opened == 0.0

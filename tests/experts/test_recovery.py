@@ -23,6 +23,8 @@ SWUNG = ("safe", "microwave", "window", "door")
 LOCKED = ("safe", "microwave")
 FAR = {name: np.deg2rad(42) if name in SWUNG else 0.04 for name in OPENING}
 """Where experts take it [rad or m]: past success."""
+BEFORE_THE_LAST = {name: np.deg2rad(32) if name in SWUNG else 0.014 for name in OPENING}
+"""Where it has just come to when they go on to there [rad or m]."""
 both = pytest.mark.parametrize("kind", [adaptive, static], ids=["adaptive", "static"])
 every_opening = pytest.mark.parametrize("category", OPENING)
 
@@ -48,12 +50,12 @@ def half_open(category: str, draw: int) -> KinematicWorld:
 @both
 @every_opening
 @fast
-@given(seeds, seeds, st.floats(0.1, 0.7), st.integers(1, 2))
+@given(seeds, st.floats(0.1, 1.0), st.integers(1, 2))
 def test_a_grip_torn_off_what_is_ajar_is_taken_again_where_it_is(
-    category: str, kind: Any, draw: int, seed: int, share: float, torn: int
+    category: str, kind: Any, seed: int, share: float, torn: int
 ) -> None:
-    name = seen_objects(category)[0]
-    world = KinematicWorld(name, draw=draw, torn=torn, torn_from=share * FAR[category])
+    name, draw = seen_objects(category)[0], seed // 7
+    world = KinematicWorld(name, draw=draw, torn=torn, torn_from=share * BEFORE_THE_LAST[category])
     episode = run(world, kind(world, seed), at_most=90)
     assert is_open(episode), episode.phases
     assert world.torn < torn
@@ -65,9 +67,7 @@ def test_a_grip_torn_off_what_is_ajar_is_taken_again_where_it_is(
 @every_opening
 @fast
 @given(st.data(), seeds, seeds)
-def test_it_goes_on_from_what_stands_ajar(
-    category: str, kind: Any, data: st.DataObject, draw: int, seed: int
-) -> None:
+def test_it_goes_on_from_what_stands_ajar(category: str, kind: Any, data: st.DataObject, draw: int, seed: int) -> None:
     world = half_open(category, draw)
     positions = dict(world.joints)
     episode = run(world, kind(world, seed, positions=positions))
@@ -82,17 +82,17 @@ def test_it_goes_on_from_what_stands_ajar(
 def test_without_sight_of_where_it_stands_it_is_missed(category: str, kind: Any) -> None:
     """The test above would pass anyway if hands found parts by themselves."""
     world = half_open(category, 3)
-    first = run(world, kind(world, 0), at_most=90)
-    grasp = first.phases.index(Phase.GRASP) if Phase.GRASP in first.phases else 0
-    assert category == "microwave" or first.felt[grasp].gripper != 0.22
+    frames = kind(world)
+    goal = next(frames)
+    while goal.phase is not Phase.GRASP:
+        goal = frames.send(world.step(goal))
+    assert world.step(goal).gripper == 0.0
 
 
 @pytest.mark.parametrize("category", [name for name in OPENING if name not in ("microwave", "window", "door")])
 @fast
 @given(seeds, seeds, st.floats(0.3, 0.8))
-def test_a_key_that_stands_turned_is_turned_on_the_same_way(
-    category: str, draw: int, seed: int, share: float
-) -> None:
+def test_a_key_that_stands_turned_is_turned_on_the_same_way(category: str, draw: int, seed: int, share: float) -> None:
     for kind in (adaptive, static):
         world = KinematicWorld(seen_objects(category)[0], draw=draw, hidden=locked(category))
         lower, upper = world._limits()[world.key]

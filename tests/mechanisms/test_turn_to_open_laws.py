@@ -116,7 +116,9 @@ def test_ranges_feel_the_same_until_the_shortest_releases(
     assert play(mechanism, short, gentle) == play(mechanism, long, gentle)
     far = direction * 0.9 * short["turn_range"]
     told = [*gentle, {mechanism.key: far}, {mechanism.key: far, mechanism.final: 0.5 * UPPER[mechanism.key]}]
-    assert play(mechanism, short, told)[:-1] == play(mechanism, long, told)[:-1], "a turn alone does not tell that it is enough"
+    assert play(mechanism, short, told)[:-1] == play(mechanism, long, told)[:-1], (
+        "a turn alone does not tell that it is enough"
+    )
     assert play(mechanism, short, told)[-1] != play(mechanism, long, told)[-1]
 
 
