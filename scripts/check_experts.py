@@ -14,29 +14,24 @@ import argparse
 import itertools
 import json
 import os
-import shlex
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from check_common import Progress, count, header, list_of
 from expert_episodes import Episode, run_all
 
 from lerobot_adamanip.catalog import category_of, parse_object_selection
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.evaluation.metrics import wilson_interval
-from lerobot_adamanip.fingerprint import code_hash, combined, core_fingerprint, versions
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 
 FIRST_SEED = 5_000_000
 """Away from the seeds of demonstrations and evaluations; experts were tuned on these."""
 SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
-EVERY = 15.0
-"""Seconds between lines of progress."""
 Run = Callable[[list[Episode], int, Callable[[list[Episode]], None]], None]
 """Runs episodes in so many processes, and gives away what has ended."""
 
@@ -157,70 +152,22 @@ def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
     return "\n".join(lines)
 
 
-def header() -> dict[str, Any]:
-    """What a result has to say of itself: command, commit where there is one, code and versions."""
-    root = Path(__file__).resolve().parents[1]
-    simulation = code_hash([root / "envs" / "lerobot_env_adamanip" / "sim"])
-    asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=False)
-    return {
-        "command": shlex.join(["python", *sys.argv]),
-        "commit": asked.stdout.strip() or None,
-        "fingerprint": combined({**core_fingerprint(), "simulation": simulation}),
-        "versions": dict(versions()),
-    }
-
-
 def parser() -> argparse.ArgumentParser:
     """Returns the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="which kind of object, or all")
-    made.add_argument("--splits", type=_list_of(SPLITS), default=("seen", "unseen"), help="separated by commas")
+    made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="separated by commas")
     made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
-    made.add_argument("--experts", type=_list_of(EXPERTS), default=EXPERTS, help="separated by commas")
-    made.add_argument("--preset", type=_list_of(tuple(MECHANISM_PRESETS)), default=("paper",), help="of the mechanism")
-    made.add_argument("--episodes", type=_count, default=20, help="of each cell")
-    made.add_argument("--first-seed", type=_count, default=FIRST_SEED, help="of the episodes")
-    made.add_argument("--workers", type=_count, default=1, help="processes; each needs about 2 GB")
+    made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="separated by commas")
+    made.add_argument("--preset", type=list_of(tuple(MECHANISM_PRESETS)), default=("paper",), help="of the mechanism")
+    made.add_argument("--episodes", type=count, default=20, help="of each cell")
+    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes")
+    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB")
     made.add_argument("--threshold", type=float, default=0.97, help="least share of a category and expert")
     made.add_argument("--mean", type=float, default=0.99, help="least mean share of an expert over the categories")
     made.add_argument("--out", type=Path, help="JSON file that keeps what is finished, and is gone on with")
     made.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return made
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
-    return value
-
-
-def _list_of(allowed: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
-    def parse(text: str) -> tuple[str, ...]:
-        chosen = tuple(dict.fromkeys(each.strip() for each in text.split(",")))
-        if unknown := [each for each in chosen if each not in allowed]:
-            raise argparse.ArgumentTypeError(f"{', '.join(unknown)} is none of {', '.join(allowed)}")
-        return chosen
-
-    return parse
-
-
-class Progress:
-    """A line now and then on standard error, with or without a terminal."""
-
-    def __init__(self, done: int, total: int) -> None:
-        self.done, self.total, self.start, self._said = done, total, time.monotonic(), -EVERY
-        self._first = done
-
-    def tell(self, finished: list[Episode]) -> None:
-        """Counts a batch."""
-        self.done += len(finished)
-        elapsed = time.monotonic() - self.start
-        if elapsed - self._said >= EVERY or self.done == self.total:
-            self._said = elapsed
-            left = elapsed / (self.done - self._first) * (self.total - self.done)
-            sys.stderr.write(f"{self.done}/{self.total} episodes, {elapsed:.0f} s, about {left:.0f} s left\n")
-            sys.stderr.flush()
 
 
 def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
@@ -239,7 +186,7 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
 
     def keep(finished: list[Episode]) -> None:
         record.add(finished)
-        progress.tell(finished)
+        progress.tell(len(finished))
 
     try:
         run(missing, options.workers, keep)

@@ -16,8 +16,8 @@ from lerobot_adamanip.experts.primitives import FOLLOWED, Attempt, Frames, Hand,
 from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
-MAX_MOTIONS = 60
-"""Turns and tries until an adaptive expert gives up: more than any episode has key frames."""
+MAX_MOTIONS = 30
+"""Turns, each with a try at most, until an adaptive expert gives up: twice what the widest range takes."""
 MAX_OPENINGS = 3
 """Times a static expert turns and opens; more than once only after a grip that slipped."""
 RELEASED = 0.9

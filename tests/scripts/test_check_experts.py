@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import check_experts
+import check_common
 import pytest
 from check_experts import below, main, summarise
 from expert_episodes import BATCH, BlindEnvironment, Episode, batches
@@ -132,7 +132,7 @@ def test_episodes_of_other_code_are_not_mixed_in(
 ) -> None:
     arguments = ("--category", "safe", "--episodes", "2", "--out", str(tmp_path / "out.json"))
     assert main(arguments, Fake()) == 0
-    monkeypatch.setattr(check_experts, "core_fingerprint", lambda: {"mechanisms": "other"})
+    monkeypatch.setattr(check_common, "core_fingerprint", lambda: {"mechanisms": "other"})
     fake = Fake()
     assert main(arguments, fake) == 2
     assert fake.seen == []
