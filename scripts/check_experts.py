@@ -1,190 +1,207 @@
-"""Runs the scripted experts over every object of a category, without rendering, and prints how often they succeed.
+"""Runs the scripted experts without rendering, and reports how often they succeed, on scenes of any first seed.
 
-The adaptive expert never sees the hidden state; the static one does. Success is the task's own. For example:
-``python scripts/check_experts.py --category all --seeds 2 --workers 2 --json``.
+A cell is a preset, a category, a split of objects and an expert. Each has ``--episodes`` episodes; both experts meet
+the same ones. All attempts count: a scene in which an object could not be placed is a failure too. Success is the
+task's own; the expert goes on past it to its own end. With ``--out FILE`` every finished batch is kept, and the same
+command goes on where it was interrupted. For example:
+
+    python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --out outputs/experts.json
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import sys
-import warnings
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.catalog import parse_object_selection
+from check_common import Progress, count, header, list_of
+from expert_episodes import Episode, run_all
+
+from lerobot_adamanip.catalog import category_of, parse_object_selection
 from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.evaluation.metrics import wilson_interval
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 
 FIRST_SEED = 5_000_000
 """Away from the seeds of demonstrations and evaluations; experts were tuned on these."""
+SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
+Run = Callable[[list[Episode], int, Callable[[list[Episode]], None]], None]
+"""Runs episodes in so many processes, and gives away what has ended."""
 
 
-@dataclass(frozen=True)
-class Episode:
-    """One to run, and afterwards how it went."""
-
-    category: str
-    kind: str
-    split: str
-    object_id: str
-    seed: int
-    success: bool = False
-    key_frames: int = 0
-    hidden: dict[str, Any] | None = None
-    reason: str = ""
+def plan(options: argparse.Namespace) -> list[Episode]:
+    """Returns every episode asked for; raises `ConfigurationError` if ``--objects`` are of other categories."""
+    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
+    found = []
+    for preset, (split, category, object_ids) in itertools.product(options.preset, _selected(names, options)):
+        for number in range(options.episodes):
+            # Spread over the objects; small categories repeat theirs, with other seeds.
+            chosen = object_ids[number * len(object_ids) // options.episodes % len(object_ids)]
+            seed = options.first_seed + 10_000 * (SPLITS.index(split) if split in SPLITS else len(SPLITS)) + number
+            found += [Episode(preset, category, kind, split, chosen, seed) for kind in options.experts]
+    return found
 
 
-def run(episodes: list[Episode]) -> list[Episode]:
-    """Runs episodes one after the other in one simulator."""
-    return list(_run_each(episodes))
-
-
-def _run_each(episodes: list[Episode]) -> Iterator[Episode]:
-    warnings.filterwarnings("ignore")
-    from lerobot_adamanip.errors import UnreachableError
-    from lerobot_env_adamanip.keyframe_env import make_task
-
-    env = make_task(episodes[0].category)
-    try:
-        for episode in episodes:
-            try:
-                env.reset(seed=episode.seed, options={"object_id": episode.object_id, "reconfigure": True})
-            except UnreachableError as error:
-                yield replace(episode, reason=str(error).splitlines()[0])
-                continue
-            yield _drive(env, episode)
-    finally:
-        env.close()
-
-
-def _drive(env: Any, episode: Episode) -> Episode:
-    import numpy as np
-
-    from lerobot_adamanip.experts import make_expert
-    from lerobot_adamanip.schema import MAX_KEY_FRAMES
-
-    hidden = env.hidden_state()
-    expert = make_expert(
-        episode.category,
-        episode.kind,
-        env.placement.annotations,
-        generator=np.random.default_rng(episode.seed),
-        hidden=hidden if episode.kind == "static" else None,
-    )
-    success, count, goal = False, 0, next(expert)
-    while not success and count < MAX_KEY_FRAMES:
-        felt = env.execute(goal.action())
-        count, success = count + 1, bool(env.evaluate()["success"][0])
-        try:
-            goal = expert.send(felt)
-        except StopIteration:
-            break
-    reason = "" if success else f"{felt.outcome.name} in {goal.phase.name}; joints {env.joint_positions()}"
-    return replace(episode, success=success, key_frames=count, hidden=hidden, reason=reason)
-
-
-def plan(category: str, kinds: list[str], seeds: int, unseen: int, first_seed: int = FIRST_SEED) -> list[Episode]:
-    """Every object, ``seeds`` times for each expert; both experts meet the same episodes."""
-    from lerobot_adamanip.catalog import seen_objects, unseen_objects
-
-    splits = {"seen": seen_objects(category), "unseen": unseen_objects(category, unseen)}
-    return [
-        Episode(category, kind, split, name, first_seed + 1000 * repeat + number)
-        for repeat in range(seeds)
-        for split, names in splits.items()
-        for number, name in enumerate(names, start=0 if split == "seen" else len(splits["seen"]))
-        for kind in kinds
-    ]
-
-
-def run_all(episodes: list[Episode], workers: int, done: Callable[[int], None]) -> list[Episode]:
-    """Runs them in ``workers`` processes; ``done`` hears of every batch that has ended."""
-    batches = [
-        group[start : start + 16]
-        for group in (
-            [e for e in episodes if e.category == name] for name in dict.fromkeys(e.category for e in episodes)
+def _selected(names: Sequence[str], options: argparse.Namespace) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+    """Split, category and object ids of each cell; ids given one by one are the category's that they name."""
+    if not options.objects:
+        for category in names:
+            for split in options.splits:
+                yield split, category, parse_object_selection(category, split)
+        return
+    plain = ":" in options.objects or options.objects in SPLITS
+    ids = [each.strip() for each in options.objects.split(",")]
+    for category in names:
+        mine = options.objects if plain else ",".join(each for each in ids if category_of(each) == category)
+        if mine:
+            yield "chosen", category, parse_object_selection(category, mine)
+    strangers = [] if plain else [each for each in ids if category_of(each) not in names]
+    if strangers:
+        raise ConfigurationError(
+            "Objects of another category.",
+            got=", ".join(strangers),
+            allowed=f"ids of {', '.join(names)}",
+            hint=f"--category {category_of(strangers[0])} --objects {strangers[0]}",
         )
-        for start in range(0, len(group), 16)
-    ]
-    finished: list[Episode] = []
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(run, batch) for batch in batches]):
-            finished += future.result()
-            done(len(finished))
-    return finished
+
+
+class Record:
+    """The finished episodes, in a file where one is given; only of one fingerprint."""
+
+    def __init__(self, path: Path | None, header: dict[str, Any]) -> None:
+        self.path, self.header, self.episodes = path, header, list[Episode]()
+        if path is not None and path.exists():
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if content["fingerprint"] != header["fingerprint"]:
+                raise ConfigurationError(
+                    "The file holds episodes of other code.",
+                    got=f"{path}, fingerprint {content['fingerprint']}",
+                    allowed=f"fingerprint {header['fingerprint']}",
+                    hint="another --out",
+                )
+            self.episodes = [Episode(**each) for each in content["episodes"]]
+
+    def missing(self, wanted: list[Episode]) -> list[Episode]:
+        """Returns those that have not been run yet."""
+        done = {episode.identity for episode in self.episodes}
+        return [episode for episode in wanted if episode.identity not in done]
+
+    def add(self, finished: list[Episode]) -> None:
+        """Keeps a batch: the file is replaced at once, so that an interruption leaves the old one or the new one."""
+        self.episodes += finished
+        if self.path is not None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            part = self.path.with_name(self.path.name + ".part")
+            content = {**self.header, "episodes": [asdict(episode) for episode in self.episodes]}
+            part.write_text(json.dumps(content) + "\n", encoding="utf-8")
+            part.replace(self.path)
 
 
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
-    """A row for each category, expert and split: success, its 95 % Wilson interval, mean key frames of successes."""
-    rows = []
-    for category, kind, split in dict.fromkeys((e.category, e.kind, e.split) for e in episodes):
-        chosen = [e for e in episodes if (e.category, e.kind, e.split) == (category, kind, split)]
-        opened = [e for e in chosen if e.success]
-        low, high = wilson_interval(len(opened), len(chosen))
-        frames = sum(e.key_frames for e in opened) / len(opened) if opened else None
-        rows.append(
-            {
-                "category": category,
-                "expert": kind,
-                "split": split,
-                "episodes": len(chosen),
-                "opened": len(opened),
-                "wilson_95": [low, high],
-                "mean_key_frames": frames,
-            }
-        )
-    return sorted(rows, key=lambda row: (row["category"], row["expert"], row["split"]))
+    """A row for each cell, and one of all splits and presets for each category and expert (``all``)."""
+    rows: dict[tuple[str, str, str, str], list[Episode]] = {}
+    for e in episodes:
+        for preset, split in ((e.preset, e.split), ("all", "all")):
+            rows.setdefault((e.category, e.kind, preset, split), []).append(e)
+    return [
+        {"category": key[0], "expert": key[1], "preset": key[2], "split": key[3], **_counts(chosen)}
+        for key, chosen in sorted(rows.items(), key=lambda item: (tuple(CATEGORIES).index(item[0][0]), item[0][1:]))
+    ]
 
 
-def _table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
-    lines = [f"{'category':16} {'expert':9} {'split':7} {'opened':>9}  95 % interval   key frames"]
+def _counts(episodes: list[Episode]) -> dict[str, Any]:
+    kept = [episode for episode in episodes if episode.success]
+    frames = sum(episode.key_frames for episode in kept) / len(kept) if kept else None
+    return {
+        "attempted": len(episodes),
+        "placed": sum(episode.placed for episode in episodes),
+        "kept": len(kept),
+        "wilson_95": list(wilson_interval(len(kept), len(episodes))),
+        "mean_key_frames": frames,
+    }
+
+
+def below(rows: list[dict[str, Any]], threshold: float, mean: float) -> list[str]:
+    """Returns what is below a threshold, in words: each category and expert, and the mean over categories."""
+    shares = {(row["category"], row["expert"]): row["kept"] / row["attempted"] for row in rows if row["split"] == "all"}
+    low = [f"{category} {kind}: {share:.3f}" for (category, kind), share in shares.items() if share < threshold]
+    for wanted in dict.fromkeys(kind for _, kind in shares):
+        some = [share for (_, kind), share in shares.items() if kind == wanted]
+        if sum(some) / len(some) < mean:
+            low.append(f"mean of {wanted}: {sum(some) / len(some):.4f}")
+    return low
+
+
+def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
+    """Returns both as text."""
+    lines = [f"{'category':16} {'expert':9} {'preset':9} {'split':7} {'kept':>9}  95 % interval   key frames"]
     for row in rows:
         low, high = row["wilson_95"]
         frames = "-" if row["mean_key_frames"] is None else f"{row['mean_key_frames']:.1f}"
-        count = f"{row['opened']}/{row['episodes']}"
-        names = f"{row['category']:16} {row['expert']:9} {row['split']:7}"
-        lines.append(f"{names} {count:>9}  {low:.3f} ... {high:.3f}  {frames:>9}")
-    lines += [f"failed: {e.kind} {e.object_id} seed {e.seed} {e.hidden} {e.reason}" for e in failures]
+        names = f"{row['category']:16} {row['expert']:9} {row['preset']:9} {row['split']:7}"
+        lines.append(f"{names} {row['kept']:>4}/{row['attempted']:<4}  {low:.3f} ... {high:.3f}  {frames:>9}")
+    for e in failures:
+        lines.append(f"failed: {e.preset} {e.kind} {e.object_id} seed {e.seed} {e.hidden} {e.reason}")
     return "\n".join(lines)
 
 
-def main() -> int:
-    """Parses, runs, prints. Returns 0 if every episode succeeded, 1 otherwise."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="which kind of object, or all")
-    parser.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of seen and unseen ones")
-    parser.add_argument("--seeds", type=int, default=1, help="episodes of each object and expert")
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="of the episodes")
-    parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
-    parser.add_argument("--unseen", type=int, default=20, help="number of unseen objects")
-    parser.add_argument("--experts", nargs="+", choices=("adaptive", "static"), default=["adaptive", "static"])
-    parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    options = parser.parse_args()
-    if min(options.seeds, options.workers, options.unseen) < 1:
-        parser.error("--seeds, --workers and --unseen are at least 1")
+def parser() -> argparse.ArgumentParser:
+    """Returns the command line."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="which kind of object, or all")
+    made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="separated by commas")
+    made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
+    made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="separated by commas")
+    made.add_argument("--preset", type=list_of(tuple(MECHANISM_PRESETS)), default=("paper",), help="of the mechanism")
+    made.add_argument("--episodes", type=count, default=20, help="of each cell")
+    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes")
+    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB")
+    made.add_argument("--threshold", type=float, default=0.97, help="least share of a category and expert")
+    made.add_argument("--mean", type=float, default=0.99, help="least mean share of an expert over the categories")
+    made.add_argument("--out", type=Path, help="JSON file that keeps what is finished, and is gone on with")
+    made.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
+    """Parses, runs, prints. Returns 0 if every share reaches its threshold, 1 if not; 2 for what cannot be run."""
+    options = parser().parse_args(arguments)
     # One thread each: the workers share the cores already.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    from tqdm import tqdm
+    said = header()
+    try:
+        wanted, record = plan(options), Record(options.out, said)
+    except AdaManipError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    missing = record.missing(wanted)
+    progress = Progress(len(wanted) - len(missing), len(wanted))
 
-    names = CATEGORIES if options.category == ALL else (options.category,)
-    episodes = [
-        e for name in names for e in plan(name, options.experts, options.seeds, options.unseen, options.first_seed)
-    ]
-    if options.objects:
-        wanted = parse_object_selection(options.category, options.objects)
-        episodes = [e for e in episodes if e.object_id in wanted]
-    with tqdm(total=len(episodes), unit="episode", disable=None) as bar:
-        finished = run_all(episodes, options.workers, lambda count: bar.update(count - bar.n))
-    rows, failures = summarise(finished), [e for e in finished if not e.success]
-    content = {"results": rows, "failures": [asdict(e) for e in failures]}
-    sys.stdout.write((json.dumps(content) if options.json else _table(rows, failures)) + "\n")
-    return 1 if failures else 0
+    def keep(finished: list[Episode]) -> None:
+        record.add(finished)
+        progress.tell(len(finished))
+
+    try:
+        run(missing, options.workers, keep)
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted; the same command goes on" + (".\n" if options.out else " with --out FILE.\n"))
+        return 130
+    asked = {episode.identity for episode in wanted}
+    finished = [episode for episode in record.episodes if episode.identity in asked]
+    rows, failures = summarise(finished), [episode for episode in finished if not episode.success]
+    low = below(rows, options.threshold, options.mean)
+    seeds = [min(e.seed for e in finished), max(e.seed for e in finished)]
+    content = {**said, "seeds": seeds, "results": rows, "failures": [asdict(e) for e in failures], "below": low}
+    text = json.dumps(content) if options.json else table(rows, failures) + "".join(f"\nbelow: {each}" for each in low)
+    sys.stdout.write(text + "\n")
+    return 1 if low else 0
 
 
 if __name__ == "__main__":

@@ -12,20 +12,24 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
+from check_common import Progress, count, header
 from numpy.typing import NDArray
 
 from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.errors import ConfigurationError, UnreachableError
 from lerobot_adamanip.rotations import rotation_6d_from_matrix, rotation_about
 from lerobot_adamanip.schema import ACTION_DIM
 
-SEED_OFFSET = 7_000_000
+FIRST_SEED = 7_000_000
+BATCH = 20
+"""Seeds that share a simulator."""
+Run = Callable[[Sequence[str], list[int], int], list[dict[str, Any]]]
 RANDOM_ACTIONS = 1
 MAX_JOINT_SPEED = 3.0
 """[rad/s]: beyond a Panda's joint speed limits (2.175 to 2.61) something has exploded."""
@@ -101,42 +105,60 @@ def _broken(env: Any, felt: Any) -> Iterator[str]:
 
 
 def check(category: str, seeds: list[int]) -> dict[str, Any]:
-    """Runs seeds of a category in one simulator."""
+    """Runs seeds of a category in one simulator; those of scenes that cannot be placed are counted apart."""
     warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.keyframe_env import make_task
 
     env = make_task(category)
+    wrong, unplaced = [], 0
     try:
-        return {"category": category, "seeds": len(seeds), "wrong": [e for seed in seeds for e in through(env, seed)]}
+        for seed in seeds:
+            try:
+                wrong += through(env, seed)
+            except UnreachableError:
+                unplaced += 1
     finally:
         env.close()
+    return {"category": category, "seeds": len(seeds), "unplaced": unplaced, "wrong": wrong}
 
 
-def main() -> int:
+def check_all(names: Sequence[str], seeds: list[int], workers: int) -> list[dict[str, Any]]:
+    """Checks categories in ``workers`` processes, and tells of progress."""
+    batches = [(name, seeds[start : start + BATCH]) for name in names for start in range(0, len(seeds), BATCH)]
+    found = []
+    progress = Progress(0, len(names) * len(seeds))
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for job in as_completed([pool.submit(check, *batch) for batch in batches]):
+            found.append(job.result())
+            progress.tell(found[-1]["seeds"])
+    return [_summed(name, [each for each in found if each["category"] == name]) for name in names]
+
+
+def _summed(category: str, results: list[dict[str, Any]]) -> dict[str, Any]:
+    counts = {key: sum(each[key] for each in results) for key in ("seeds", "unplaced")}
+    return {"category": category, **counts, "wrong": [each for result in results for each in result["wrong"]]}
+
+
+def main(arguments: Sequence[str] | None = None, run: Run = check_all) -> int:
     """Parses, runs, prints. Returns 0 if nothing went wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL)
-    parser.add_argument("--seeds", type=int, default=100, help="episodes per category")
-    parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL, help="which kind of object, or all")
+    parser.add_argument("--seeds", type=count, default=100, help="episodes per category")
+    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes")
+    parser.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    options = parser.parse_args(arguments)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
-    numbers = [SEED_OFFSET + k for k in range(options.seeds)]
-    batches = [(name, numbers[start : start + 20]) for name in names for start in range(0, len(numbers), 20)]
-    found = {name: {"category": name, "seeds": 0, "wrong": []} for name in names}
-    from tqdm import tqdm
-
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(check, *batch) for batch in batches]
-        for job in tqdm(as_completed(jobs), total=len(jobs), unit="batch", disable=None):
-            result, row = job.result(), found[job.result()["category"]]
-            row["seeds"] += result["seeds"]  # type: ignore[operator]
-            row["wrong"] += result["wrong"]  # type: ignore[operator]
-    rows = list(found.values())
-    lines = [f"{row['category']:16} {row['seeds']:5} seeds, {len(row['wrong'])} wrong" for row in rows]  # type: ignore[arg-type]
-    lines += [f"  {each}" for row in rows for each in row["wrong"]]  # type: ignore[attr-defined]
-    sys.stdout.write((json.dumps(rows) if options.json else "\n".join(lines)) + "\n")
+    seeds = [options.first_seed + number for number in range(options.seeds)]
+    rows = run(names, seeds, options.workers)
+    lines = [
+        f"{row['category']:16} {row['seeds']:5} seeds, {row['unplaced']} not placed, {len(row['wrong'])} wrong"
+        for row in rows
+    ]
+    lines += [f"  {each}" for row in rows for each in row["wrong"]]
+    content = {**header(), "first_seed": options.first_seed, "results": rows}
+    sys.stdout.write((json.dumps(content) if options.json else "\n".join(lines)) + "\n")
     return 1 if any(row["wrong"] for row in rows) else 0
 
 

@@ -22,7 +22,7 @@ part() {
 }
 
 part "long tests" "$python" -m pytest -m nightly
-part "experts" "$python" scripts/check_experts.py --category all --seeds "$seeds" --first-seed "$first_seed" --workers "$workers"
+part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel --episodes "$((10 * seeds))" --first-seed "$first_seed" --workers "$workers"
 part "robustness" "$python" scripts/check_robustness.py --category all --seeds 20 --workers "$workers"
 
 if ((${#failed[@]})); then

@@ -10,7 +10,7 @@ import pytest
 
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.experts import SEQUENCES, make_expert
+from lerobot_adamanip.experts import EXPERTS, make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,7 +38,7 @@ def test_a_category_has_objects_rules_and_experts_that_fit_each_other(name: str)
 
     first = next(make_expert(name, "adaptive", parts, generator=np.random.default_rng(0)))
     assert first.gripper == 1.0
-    assert SEQUENCES[name]
+    assert EXPERTS[name].sequence
 
 
 def test_the_page_of_categories_is_what_the_code_says() -> None:

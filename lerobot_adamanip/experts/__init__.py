@@ -2,38 +2,57 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.experts import lamp, microwave, safe, turn_to_open
+from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.experts.primitives import Hand, Parts
+from lerobot_adamanip.experts.turn_to_open import TurnToOpen
 from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, fixed_direction
 from lerobot_adamanip.objects import PartAnnotation
 
 EXPERT_KINDS = ("adaptive", "static")
 EXPERT_PRESETS = ("paper", "upstream")
-_TURN_TO_OPEN = turn_to_open.TURN_TO_OPEN
-_ADAPTIVE: dict[str, Callable[..., KeyFrames]] = {
-    "safe": safe.adaptive,
-    "microwave": microwave.adaptive,
-    "lamp": lamp.adaptive,
-    **{name: functools.partial(turn_to_open.adaptive, style) for name, style in _TURN_TO_OPEN.items()},
+
+
+@dataclass(frozen=True)
+class Expert:
+    """The experts of a category.
+
+    Attributes:
+        adaptive: trial and error, without sight of the hidden state.
+        static: optimal under full observation.
+        sequence: what the adaptive one does, in words.
+        upstream: the adaptive sequence of upstream's code, where it is another one.
+    """
+
+    adaptive: Callable[[Hand, Knowledge], KeyFrames]
+    static: Callable[[Hand, Parts, Hidden], KeyFrames]
+    sequence: str
+    upstream: TurnToOpen | None = None
+
+
+def _turned(style: TurnToOpen, not_before: float) -> Expert:
+    """A row of what is turned and then opened; upstream's first try comes not before an angle [rad]."""
+    return Expert(style.adaptive, style.static, style.sequence, style.upstream(not_before))
+
+
+EXPERTS: Mapping[str, Expert] = {
+    "bottle": _turned(turn_to_open.BOTTLE, 0.99875),
+    "pen": _turned(turn_to_open.BOTTLE, 0.99875),
+    "pressure_cooker": _turned(turn_to_open.PRESSURE_COOKER, 0.35),
+    "coffee_maker": _turned(turn_to_open.COFFEE_MAKER, 0.34),
+    "safe": Expert(safe.adaptive, safe.static, safe.SEQUENCE),
+    "microwave": Expert(microwave.adaptive, microwave.static, microwave.SEQUENCE),
+    "window": _turned(turn_to_open.WINDOW, 0.6673),
+    "door": _turned(turn_to_open.DOOR, 0.44625),
+    "lamp": Expert(lamp.adaptive, lamp.static, lamp.SEQUENCE),
 }
-_STATIC: dict[str, Callable[..., KeyFrames]] = {
-    "safe": safe.static,
-    "microwave": microwave.static,
-    "lamp": lamp.static,
-    **{name: functools.partial(turn_to_open.static, style) for name, style in _TURN_TO_OPEN.items()},
-}
-SEQUENCES = {
-    "safe": safe.SEQUENCE,
-    "microwave": microwave.SEQUENCE,
-    "lamp": lamp.SEQUENCE,
-    **{name: style.sequence for name, style in _TURN_TO_OPEN.items()},
-}
-"""What the adaptive expert of a category does, in words."""
 
 
 def make_expert(
@@ -43,45 +62,58 @@ def make_expert(
     *,
     generator: np.random.Generator,
     trials: int = 1,
-    hidden: Mapping[str, bool | int | float] | None = None,
+    hidden: Hidden | None = None,
     preset: str = "paper",
+    mechanism_preset: str = DEFAULT_MECHANISM_PRESET,
+    positions: Mapping[str, float] | None = None,
+    feedback: Feedback | None = None,
 ) -> KeyFrames:
     """Returns an expert at work.
 
     Args:
         category: ``bottle`` ... ``lamp``.
         kind: ``adaptive`` (observation and history only) or ``static`` (with sight of the hidden state).
-        annotations: part poses in the robot's base frame.
+        annotations: part poses in the robot's base frame, joints at zero.
         generator: decides what the expert leaves to chance.
         trials: failed tries the adaptive expert makes before it changes its mind, at least 1.
         hidden: the hidden state, for the static expert alone; the adaptive one refuses it.
         preset: ``paper``, or ``upstream`` for the adaptive sequence of its released code where that differs.
+        mechanism_preset: of the environment: what is the same in all of a category's episodes, as a direction that is
+            fixed, an adaptive expert knows, as a policy learns it from any demonstration.
+        positions: joint -> where it stands at the start [rad or m], as a camera sees it: a door that is ajar, a knob
+            that is turned. Left out is at rest.
+        feedback: of the hand at the start, if it may hold something or be about a part: it then lets go first.
+
+    Raises:
+        ConfigurationError: an unknown name, or knowledge that this kind of expert must not have or lacks.
     """
-    require_choice("category", category, _ADAPTIVE)
+    expert = EXPERTS[require_choice("category", category, EXPERTS)]
+    hand = Hand(generator, trials, dict(positions or {}))
     if require_choice("expert", kind, EXPERT_KINDS) == "static":
         if hidden is None:
             raise ConfigurationError(
                 "The static expert needs the hidden state.", got=None, allowed="a mapping", hint="env.hidden_state()"
             )
-        return _STATIC[category](annotations, generator, hidden=hidden)
+        return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
     if hidden is not None or trials < 1:
         got = "a hidden state" if hidden is not None else f"trials={trials}"
         raise ConfigurationError(
             "Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", hint="kind='static'"
         )
-    if require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and category in _TURN_TO_OPEN:
-        return turn_to_open.adaptive(turn_to_open.upstream(category), annotations, generator, trials=trials)
-    return _ADAPTIVE[category](annotations, generator, trials=trials)
+    theirs = require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and expert.upstream
+    known = Knowledge(annotations, fixed_direction(category, mechanism_preset))
+    frames = theirs.adaptive(hand, known) if theirs else expert.adaptive(hand, known)
+    return _started(hand, annotations, feedback, frames)
+
+
+def _started(hand: Hand, parts: Parts, feedback: Feedback | None, frames: KeyFrames) -> KeyFrames:
+    if feedback is not None:
+        hand.feedback, hand.home = feedback, feedback.tcp_in_base.copy()
+        yield from hand.clear(parts)
+    yield from frames
 
 
 __all__ = [
-    "EXPERT_KINDS",
-    "EXPERT_PRESETS",
-    "SEQUENCES",
-    "Feedback",
-    "Goal",
-    "KeyFrames",
-    "Outcome",
-    "Phase",
+    "EXPERTS", "EXPERT_KINDS", "EXPERT_PRESETS", "Expert", "Feedback", "Goal", "KeyFrames", "Outcome", "Phase",
     "make_expert",
-]
+]  # fmt: skip

@@ -5,12 +5,10 @@ Randomly choose to push, rotate clockwise or rotate counter-clockwise; never cho
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from lerobot_adamanip.experts.primitives import FOLLOWED, Attempt, Hand
+from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.experts.primitives import FOLLOWED, MAX_GRIPS, Attempt, Hand, Parts
 from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
@@ -21,36 +19,58 @@ TURN_STEP = np.deg2rad(30.0)
 MAX_TURNS = 6
 MOTIONS = (("button", 1), ("knob", 1), ("knob", -1))
 """By mode: the joint and the direction that are free."""
+TURNED = np.deg2rad(10.0)
+"""A knob that stands this far from rest [rad] shows that it turns, and which way."""
+MAX_ROUNDS = 2
+"""Times all motions are gone through, if none has yielded: one whose grip slipped may have been the right one."""
 SEQUENCE = "hold knob; push, turn + or turn - in random order, never again what failed, until one yields"
 
-Parts = Mapping[str, PartAnnotation]
 
-
-def adaptive(parts: Parts, rng: np.random.Generator, *, trials: int = 1) -> KeyFrames:
+def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
-    hand = Hand(rng, trials)
-    yield from hand.grasp(parts["knob"])
-    for mode in rng.permutation(len(MOTIONS)):
-        for _ in range(trials):
-            if (yield from _attempt(hand, parts["knob"], int(mode))):
-                return
-            hand.trial += 1
+    knob = known.parts["knob"]
+    yield from _hold(hand, knob)
+    if abs(hand.at("knob")) > TURNED:
+        yield from _attempt(hand, knob, 1 if hand.at("knob") > 0 else 2)
+        return
+    for _ in range(MAX_ROUNDS):
+        for mode in hand.rng.permutation(len(MOTIONS)):
+            for _ in range(hand.trials):
+                if (yield from _attempt(hand, knob, int(mode))):
+                    return
+        yield from hand.regrasp(knob)
 
 
-def static(parts: Parts, rng: np.random.Generator, *, hidden: Mapping[str, Any]) -> KeyFrames:
+def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
     """Optimal under full observation; ``hidden`` holds ``mode``."""
-    hand = Hand(rng)
-    yield from hand.grasp(parts["knob"])
-    yield from _attempt(hand, parts["knob"], int(hidden["mode"]))
+    yield from _hold(hand, parts["knob"])
+    for _ in range(MAX_ROUNDS):
+        if (yield from _attempt(hand, parts["knob"], int(hidden["mode"]))):
+            return
+        yield from hand.regrasp(parts["knob"])
+
+
+def _hold(hand: Hand, knob: PartAnnotation) -> Attempt:
+    hand.sprung = ("button",)
+    return (yield from hand.grasp(knob)) or (yield from hand.regrasp(knob))
 
 
 def _attempt(hand: Hand, knob: PartAnnotation, mode: int) -> Attempt:
-    """Pushes, or turns on as long as it yields; True if it did."""
+    """Pushes, or turns on as long as it yields; True if it did. About it again if the grip is torn off."""
     joint, direction = MOTIONS[mode]
     step, count = (PUSH, 1) if joint == "button" else (TURN_STEP, MAX_TURNS)
-    for number in range(1, count + 1):
-        phase = Phase.TRY if number == 1 else Phase.OPEN
-        yield from hand.move(knob, joint, direction * number * step, phase)
+    start, number, grips = hand.at(joint), 1, 0
+    while number <= count:
+        goal = start + direction * number * step
+        yield from hand.move(knob, joint, goal, Phase.TRY if number == 1 else Phase.OPEN)
+        if hand.empty and grips < MAX_GRIPS:
+            grips += 1
+            yield from hand.regrasp(knob)
+            continue
         if hand.feedback.failed:
-            return number > 1 or direction * hand.followed(knob, joint) > FOLLOWED * step
-    return True
+            break
+        number += 1
+    if not hand.empty and direction * (hand.at(joint) - start) > FOLLOWED * step:
+        return True
+    hand.positions[joint] = start  # what does not yield is where it was; the hand gave way
+    return False

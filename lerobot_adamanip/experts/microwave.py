@@ -5,47 +5,42 @@ Pull the door. If that fails, push the button, then pull again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-
-from lerobot_adamanip.experts.doors import pull_door
-from lerobot_adamanip.experts.primitives import Frames, Hand
+from lerobot_adamanip.experts.doors import MAX_ROUNDS, pull_door
+from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.experts.primitives import Frames, Hand, Opening, Parts
 from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.03
 """How far a push goes [m]: past the end of any button's travel, so that it ends where the button stops."""
-MAX_ROUNDS = 3
-"""Times the button is pushed before giving up."""
 SEQUENCE = "pull door; if it is blocked: let go, push button with the closed hand, pull again"
 
-Parts = Mapping[str, PartAnnotation]
 
-
-def adaptive(parts: Parts, rng: np.random.Generator, *, trials: int = 1) -> KeyFrames:
+def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
-    hand = Hand(rng, trials)
-    opened = yield from pull_door(hand, parts["handle"], "door")
-    for _ in range(MAX_ROUNDS):
-        if opened:
+    handle = known.parts["handle"]
+    for number in range(MAX_ROUNDS + 1):
+        opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
+        if opening is Opening.DONE:
             return
         yield from hand.release()
-        yield from push_button(hand, parts["button"])
-        opened = yield from pull_door(hand, parts["handle"], "door", trials=1)
+        if not hand.is_ajar(handle, "door"):
+            yield from push_button(hand, known.parts["button"])
 
 
-def static(parts: Parts, rng: np.random.Generator, *, hidden: Mapping[str, Any]) -> KeyFrames:
+def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
     """Optimal under full observation; ``hidden`` holds ``locked``."""
-    hand = Hand(rng)
-    if hidden["locked"]:
-        yield from push_button(hand, parts["button"])
-    yield from pull_door(hand, parts["handle"], "door")
+    handle = parts["handle"]
+    for _ in range(MAX_ROUNDS):
+        if hidden["locked"] and not hand.is_ajar(handle, "door"):
+            yield from push_button(hand, parts["button"])
+        if (yield from pull_door(hand, handle, "door")) is Opening.DONE:
+            return
+        yield from hand.release()
 
 
 def push_button(hand: Hand, button: PartAnnotation) -> Frames:
-    """Pushes with the closed hand until the button stops it, and backs off."""
+    """Pushes with the closed hand until the button stops it, and backs off; the button comes back by itself."""
     yield from hand.press(button)
-    yield from hand.move(button, "button", PUSH, Phase.UNLOCK)
+    yield from hand.move_to(button.moved({**hand.positions, "button": PUSH}), 0.0, Phase.UNLOCK)
     yield from hand.back_off(0.0)

@@ -1,104 +1,226 @@
-"""What every expert does with its hand: approach, hold, push, let go; and notice what the held part did."""
+"""Primitives of every expert: approach, grasp, press, release, move, open; what a hand tells of the part it holds."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+import enum
+from collections.abc import Collection, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.keyframes import PRE_GRASP, Feedback, Goal, Phase
+from lerobot_adamanip.keyframes import PRE_GRASP, Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.rotations import transform
 
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
 """Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; what
 leads there varies, so that a policy learns to correct the last 10 cm by what it sees."""
+APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
+"""Share of `PRE_GRASP`, and of the jitter, of one approach after the other: the farther away, the nearer to the end of
+the arm's reach, where a path may not exist though both of its ends are within reach."""
 FOLLOWED = 0.5
 """A part that has covered this share of a commanded motion follows; one that has not is blocked."""
 EMPTY_HAND = 0.05
 """Finger opening below which nothing is between them: the grip was torn off."""
-MAX_APPROACHES = 3
-"""Ways to a part that are tried: the arm may get stuck, at its limits or at what stands beside the part."""
+OPEN_HAND = 0.9
+"""Finger opening above which a hand holds nothing."""
+NEAR_PART = 0.06
+"""A hand this close to a grasp [m] is about the part, and has to back off before it goes anywhere."""
+AJAR = {"revolute": 0.07, "prismatic": 0.006, "fixed": np.inf}
+"""What has opened this far [rad or m] is not locked: more than a blocked joint gives way in the hand."""
+OPENED = 0.8
+"""Share of the way to an expert's last pose at which it is done: well past what counts as success."""
 MAX_PULLS = 3
 """More pulls at what came along and stalled before it was open."""
-REST: Mapping[str, float] = {}
+MAX_GRIPS = 4
+"""Times a part is taken hold of to open it, until an expert goes about it otherwise."""
 
+Parts = Mapping[str, PartAnnotation]
 Frames = Generator[Goal, Feedback, None]
 Attempt = Generator[Goal, Feedback, bool]
 
 
+class Opening(enum.Enum):
+    """How a try at opening ended: all the way, not at all, part of the way, or with an empty hand."""
+
+    DONE = enum.auto()
+    BLOCKED = enum.auto()
+    AJAR = enum.auto()
+    LOST = enum.auto()
+
+
 @dataclass
 class Hand:
-    """One episode's hand: what it felt last, and how often it has tried.
+    """One episode's hand: what it felt, and where it has to go for a part that has moved.
 
     Attributes:
         rng: decides what an expert leaves to chance.
-        trials: how often a motion that does not yield is repeated before the mind is changed (paper's Table 2; 1 is
+        trials: how often a motion that does not yield is repeated before another is tried (paper's Table 2; 1 is
             theirs).
-        trial: tries that came before, a label.
-        feedback: the latest.
+        positions: joint -> where it stands [rad or m]: seen at the start, then felt by the hand that holds its part.
+        feedback: the latest. At the start: of the hand as it is, if it need not be open and away from every part.
+        home: (4, 4) pose at the start, where known: from there the arm gets anywhere.
+        sprung: joints that go back to rest when their part is let go.
     """
 
     rng: np.random.Generator
     trials: int = 1
-    trial: int = 0
-    feedback: Feedback = field(init=False)
+    positions: dict[str, float] = field(default_factory=dict)
+    feedback: Feedback = field(default_factory=lambda: Feedback(np.eye(4), 1.0))
+    home: NDArray[np.float64] | None = None
+    sprung: Collection[str] = ()
+    _sent: tuple[str, float] | None = None
+
+    @property
+    def empty(self) -> bool:
+        """True if nothing is between closed fingers."""
+        return self.feedback.gripper < EMPTY_HAND
+
+    def at(self, joint: str) -> float:
+        """Returns where a joint stands [rad or m], as far as is known."""
+        return self.positions.get(joint, 0.0)
+
+    def is_ajar(self, part: PartAnnotation, joint: str) -> bool:
+        """Whether a joint stands so far from rest that nothing locks it."""
+        return abs(self.at(joint)) > AJAR[part.motion(joint).kind]
 
     def move_to(self, pose: NDArray[np.float64], gripper: float, phase: Phase) -> Frames:
         """One key frame."""
-        self.feedback = yield Goal(pose, gripper, phase, self.trial)
+        self.feedback = yield Goal(pose, gripper, phase)
 
-    def grasp(self, part: PartAnnotation, positions: Mapping[str, float] = REST) -> Frames:
-        """Goes to a part whose joints stand at ``positions``, and closes the fingers."""
-        grasp = part.moved(positions)
-        for _ in range(MAX_APPROACHES):
-            yield from self.move_to(before(grasp) @ self._jitter(), 1.0, Phase.APPROACH)
-            yield from self.move_to(grasp, 1.0, Phase.APPROACH)
-            if not self.feedback.failed:
-                break
-        yield from self.move_to(grasp, 0.0, Phase.GRASP)
+    def clear(self, parts: Parts) -> Frames:
+        """Lets go and backs off where the episode begins with a hand that is closed, or about a part."""
+        here = self.feedback.tcp_in_base[:3, 3]
+        near = (np.linalg.norm(part.moved(self.positions)[:3, 3] - here) < NEAR_PART for part in parts.values())
+        if self.feedback.gripper < OPEN_HAND or any(near):
+            yield from self.release()
+
+    def grasp(self, part: PartAnnotation) -> Attempt:
+        """Goes to a part where it is now, and closes the fingers. True if there is something between them."""
+        yield from self._approach(part, 1.0)
+        yield from self.move_to(part.moved(self.positions), 0.0, Phase.GRASP)
+        return not self.empty
 
     def press(self, part: PartAnnotation) -> Frames:
         """Goes to a part with the fingers closed, to push it."""
-        yield from self.move_to(before(part.grasp) @ self._jitter(), 0.0, Phase.APPROACH)
-        yield from self.move_to(part.grasp, 0.0, Phase.APPROACH)
+        yield from self._approach(part, 0.0)
+
+    def _approach(self, part: PartAnnotation, gripper: float) -> Frames:
+        grasp = part.moved(self.positions)
+        for number, (distance, spread) in enumerate(APPROACHES):
+            if number and self.home is not None:
+                yield from self.move_to(self.home, gripper, Phase.APPROACH)
+            yield from self.move_to(before(grasp, distance) @ self._jitter(spread), gripper, Phase.APPROACH)
+            if self.feedback.outcome is Outcome.UNREACHABLE and number < len(APPROACHES) - 1:
+                continue  # from somewhere else the way to the part would lead through it
+            yield from self.move_to(grasp, gripper, Phase.APPROACH)
+            if not self.feedback.failed:
+                return
 
     def release(self) -> Frames:
         """Opens the fingers where they are, and backs off."""
         yield from self.move_to(self.feedback.tcp_in_base, 1.0, Phase.RELEASE)
+        self.positions.update(dict.fromkeys(self.sprung, 0.0))
         yield from self.back_off(1.0)
 
     def back_off(self, gripper: float) -> Frames:
         """Retreats along the approach."""
         yield from self.move_to(before(self.feedback.tcp_in_base), gripper, Phase.RELEASE)
 
-    def move(
-        self, part: PartAnnotation, joint: str, position: float, phase: Phase, others: Mapping[str, float] = REST
-    ) -> Frames:
-        """Moves a held part until ``joint`` stands at ``position`` [rad or m], ``others`` where they are."""
-        yield from self.move_to(part.moved({**others, joint: position}), 0.0, phase)
+    def move(self, part: PartAnnotation, joint: str, position: float, phase: Phase) -> Frames:
+        """Moves a held part until ``joint`` is at ``position`` [rad or m], the others where they are; feels how far."""
+        self._sent = (joint, position)
+        yield from self.move_to(part.moved({**self.positions, joint: position}), 0.0, phase)
+        if not self.empty:
+            self.positions[joint] = self.followed(part, joint)
 
-    def retry(self, part: PartAnnotation, joint: str, position: float, others: Mapping[str, float] = REST) -> Frames:
-        """Repeats a motion that has stalled on its way: from where the hand is now, a stiff joint comes farther."""
-        for _ in range(MAX_PULLS):
-            if not self.feedback.failed:
-                return
-            yield from self.move(part, joint, position, Phase.OPEN, others)
-
-    def followed(self, part: PartAnnotation, joint: str, others: Mapping[str, float] = REST) -> float:
+    def followed(self, part: PartAnnotation, joint: str) -> float:
         """Returns where ``joint`` stands [rad or m], as the hand that holds its part tells."""
-        at_zero = part.moved({**others, joint: 0.0})
+        at_zero = part.moved({**self.positions, joint: 0.0})
         return part.motion(joint).followed(at_zero, self.feedback.tcp_in_base)
 
-    def _jitter(self) -> NDArray[np.float64]:
-        shift = JITTER_POSITION * np.clip(self.rng.normal(size=3), -2, 2)
-        turn = JITTER_ROTATION * np.clip(self.rng.normal(size=3), -2, 2)
+    def open(self, part: PartAnnotation, joint: str, path: Sequence[float]) -> Generator[Goal, Feedback, Opening]:
+        """Takes a held part along until ``joint`` is open; about it again where the grip does not last.
+
+        Args:
+            part: held.
+            joint: that opens.
+            path: its positions [rad or m], rising, one key frame each; the first that lies ahead of it is the try.
+        """
+        for grip in range(MAX_GRIPS):
+            opening = yield from self._open_in_one_grip(part, joint, path)
+            if opening in (Opening.DONE, Opening.BLOCKED):
+                return opening
+            if grip < MAX_GRIPS - 1:
+                yield from self.regrasp(part)
+        return opening
+
+    def regrasp(self, part: PartAnnotation) -> Attempt:
+        """Lets go of a part, or of nothing, and takes hold of it where it is. True if there is something in the hand.
+
+        It is where it was felt last, or, if the grip was torn off on the way to a goal, anywhere up to there; or it has
+        gone back to rest. Only a hand that closes on it tells.
+        """
+        felt, torn = dict(self.positions), self.empty
+        yield from self.release()
+        for number, place in enumerate(self._places(felt, torn)):
+            self.positions.update(place)
+            if number:
+                yield from self.release()
+                self.positions.update(place)
+            if (yield from self.grasp(part)):
+                return True
+        self.positions.update(felt)
+        return False
+
+    def _places(self, felt: Mapping[str, float], torn: bool) -> list[dict[str, float]]:
+        """Where the joints may stand after a release, the likeliest first, by what was felt before it."""
+        likely = {**felt, **dict.fromkeys(self.sprung, 0.0)}
+        if not torn or self._sent is None:
+            return [likely, {**felt}] if likely != felt else [likely]
+        joint, goal = self._sent
+        start = likely.get(joint, 0.0)
+        others = [(start + goal) / 2, goal, 0.0] if joint not in self.sprung else [felt.get(joint, 0.0)]
+        return [likely, *({**likely, joint: each} for each in others)]
+
+    def slip(self, part: PartAnnotation, joint: str) -> float:
+        """Returns how far [m] the hand is from where it would hold the part, wherever ``joint`` is: along the part."""
+        there = part.moved({**self.positions, joint: self.followed(part, joint)})
+        return float(np.linalg.norm(self.feedback.tcp_in_base[:3, 3] - there[:3, 3]))
+
+    def _open_in_one_grip(
+        self, part: PartAnnotation, joint: str, path: Sequence[float]
+    ) -> Generator[Goal, Feedback, Opening]:
+        least = FOLLOWED * path[0]
+        ahead = [position for position in path if position > self.at(joint) + least] or [path[-1]]
+        for number, position in enumerate(ahead):
+            start = self.at(joint)
+            trying = number == 0 and not self.is_ajar(part, joint)
+            yield from self.move(part, joint, position, Phase.TRY if trying else Phase.OPEN)
+            if self.empty:
+                return Opening.LOST
+            # Also later on: a grip that slips leaves the joint behind.
+            if self.feedback.failed and self.at(joint) - start < least:
+                if self.is_ajar(part, joint):
+                    return Opening.AJAR
+                self.positions[joint] = start  # what is blocked is where it was; the hand gave way
+                return Opening.BLOCKED
+        for _ in range(MAX_PULLS):  # from where the hand is now, a stiff joint comes farther
+            if self.empty:
+                return Opening.LOST
+            if not self.feedback.failed:
+                break
+            yield from self.move(part, joint, path[-1], Phase.OPEN)
+        return Opening.DONE if self.at(joint) > OPENED * path[-1] else Opening.AJAR
+
+    def _jitter(self, spread: float) -> NDArray[np.float64]:
+        shift = spread * JITTER_POSITION * np.clip(self.rng.normal(size=3), -2, 2)
+        turn = spread * JITTER_ROTATION * np.clip(self.rng.normal(size=3), -2, 2)
         return transform(shift, Rotation.from_rotvec(turn).as_matrix())
 
 
-def before(grasp: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns the (4, 4) pose `PRE_GRASP` short of a grasp, along its approach."""
-    return grasp @ transform((0.0, 0.0, -PRE_GRASP))
+def before(grasp: NDArray[np.float64], distance: float = 1.0) -> NDArray[np.float64]:
+    """Returns the (4, 4) pose short of a grasp, along its approach, by a share of `PRE_GRASP`."""
+    return grasp @ transform((0.0, 0.0, -distance * PRE_GRASP))

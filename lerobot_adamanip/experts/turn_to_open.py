@@ -7,20 +7,23 @@ first (bottle, pen, pressure cooker, coffee maker); a window or a door is turned
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.experts.primitives import EMPTY_HAND, FOLLOWED, Attempt, Hand
+from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.experts.primitives import FOLLOWED, Attempt, Frames, Hand, Opening, Parts
 from lerobot_adamanip.keyframes import KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
+MAX_MOTIONS = 30
+"""Turns, each with a try at most, until an adaptive expert gives up: twice what the widest range takes."""
 MAX_OPENINGS = 3
-"""Times a static expert goes about opening; more than once only after a grip that slipped."""
+"""Times a static expert turns and opens; more than once only after a grip that slipped."""
 RELEASED = 0.9
 """Share of the range a static expert turns through: the final joint is free at 0.85."""
+SLIPPED = 0.008
+"""A hand this far [m] from where it would be if it still held the part as it took hold of it has slipped along it."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class TurnToOpen:
         p_open: probability of a try after a turn that the part followed.
         p_open_first: probability that the very first motion is a try.
         not_before: angle below which no try is made [rad]; upstream's code, not the paper's text.
+        springs_back: whether the key goes back to rest when it is let go.
     """
 
     part: str
@@ -45,6 +49,7 @@ class TurnToOpen:
     p_open: float = 0.5
     p_open_first: float = 0.5
     not_before: float = 0.0
+    springs_back: bool = False
 
     @property
     def sequence(self) -> str:
@@ -55,135 +60,124 @@ class TurnToOpen:
             f"open ({self.final}) with p = {self.p_open:g} or turn on; turn on after a blocked {self.final}"
         )
 
+    def upstream(self, not_before: float) -> TurnToOpen:
+        """Returns the sequence as upstream's code has it: no try first, none before an angle that can be enough."""
+        return replace(self, p_open_first=0.0, not_before=not_before)
+
+    def adaptive(self, hand: Hand, known: Knowledge) -> KeyFrames:
+        """Trial and error, as control flow. It never learns the hidden state."""
+        return TurnToOpenExpert(self, known.parts[self.part], hand).adaptive(known.direction)
+
+    def static(self, hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
+        """Optimal under full observation; ``hidden`` holds ``direction`` and ``turn_range``."""
+        expert = TurnToOpenExpert(self, parts[self.part], hand)
+        return expert.static(int(hidden["direction"]), float(hidden["turn_range"]))
+
 
 LIFT = (0.015, 0.04)
 SWING = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
-TURN_TO_OPEN = {
-    "bottle": TurnToOpen("cap", "cap", "lift", np.deg2rad(30.0), LIFT),
-    "pen": TurnToOpen("cap", "cap", "lift", np.deg2rad(30.0), LIFT),
-    "pressure_cooker": TurnToOpen("handle", "lid", "lift", np.deg2rad(12.0), LIFT),
-    "coffee_maker": TurnToOpen("handle", "portafilter", "drop", np.deg2rad(12.0), LIFT),
-    "window": TurnToOpen("handle", "handle", "sash", np.deg2rad(20.0), SWING, p_open_first=0.0),
-    "door": TurnToOpen("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_first=0.0),
-}
-
-UPSTREAM_NOT_BEFORE = {
-    "bottle": 0.99875, "pen": 0.99875, "pressure_cooker": 0.35, "coffee_maker": 0.34, "window": 0.6673, "door": 0.44625,
-}  # fmt: skip
-"""Angles [rad] that upstream's experts turn through before their first try: the least that can be enough."""
+BOTTLE = TurnToOpen("cap", "cap", "lift", np.deg2rad(30.0), LIFT)
+PRESSURE_COOKER = TurnToOpen("handle", "lid", "lift", np.deg2rad(12.0), LIFT)
+COFFEE_MAKER = TurnToOpen("handle", "portafilter", "drop", np.deg2rad(12.0), LIFT)
+WINDOW = TurnToOpen("handle", "handle", "sash", np.deg2rad(20.0), SWING, p_open_first=0.0, springs_back=True)
+DOOR = TurnToOpen("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_first=0.0, springs_back=True)
 
 
-def upstream(category: str) -> TurnToOpen:
-    """Returns a category as upstream's code has it: no try first, and none before an angle that can be enough."""
-    return replace(TURN_TO_OPEN[category], p_open_first=0.0, not_before=UPSTREAM_NOT_BEFORE[category])
-
-
-@dataclass
 class TurnToOpenExpert:
-    """One episode's expert: where the key stands, which directions are known not to work.
+    """One episode's expert.
 
-    Attributes:
-        twist: the category.
+    Args:
+        style: of the category.
         part: annotation of what is held, robot base frame.
-        hand: that holds it.
-        angle: of the key joint, as felt [rad].
-        direction: being turned in.
-        at_end: whether the key has been felt to stop after it had turned: it turns no farther.
+        hand: that holds it, and knows where its joints stand.
     """
 
-    twist: TurnToOpen
-    part: PartAnnotation
-    hand: Hand
-    angle: float = 0.0
-    direction: int = 1
-    at_end: bool = False
+    def __init__(self, style: TurnToOpen, part: PartAnnotation, hand: Hand) -> None:
+        self.style, self.part, self.hand = style, part, hand
+        self.direction = 1
+        self.farthest = abs(hand.at(style.key))
+        self.at_end = False
+        """Whether the key has been felt to stop after it had turned: it turns no farther."""
+        hand.sprung = (style.key,) if style.springs_back else ()
 
-    def adaptive(self) -> KeyFrames:
-        """Trial and error, as control flow."""
-        rng, twist = self.hand.rng, self.twist
-        self.direction = int(rng.choice([-1, 1]))
-        yield from self.hand.grasp(self.part)
-        if rng.random() < twist.p_open_first and (yield from self._try_to_open()):
+    @property
+    def angle(self) -> float:
+        """Of the key joint, as felt [rad]."""
+        return self.hand.at(self.style.key)
+
+    def adaptive(self, fixed_direction: int | None) -> KeyFrames:
+        """Trial and error: which way and how far is found out, and a try comes when it may."""
+        rng, style = self.hand.rng, self.style
+        drawn = int(rng.choice([-1, 1]))
+        turned = abs(self.angle) > FOLLOWED * style.step
+        # A key that stands turned shows which way it goes.
+        self.direction = int(np.sign(self.angle)) if turned else fixed_direction or drawn
+        yield from self._hold()
+        may = rng.random() < (style.p_open if turned else style.p_open_first)
+        ajar = self.hand.is_ajar(self.part, style.final)
+        if (ajar or (may and abs(self.angle) >= style.not_before)) and (yield from self._try_to_open()):
             return
-        while True:
+        for _ in range(MAX_MOTIONS):
             followed = yield from self._turn()
-            may = followed and abs(self.angle) >= twist.not_before and rng.random() < twist.p_open
+            may = followed and abs(self.angle) >= style.not_before and rng.random() < style.p_open
             if (self.at_end or may) and (yield from self._try_to_open()):
                 return
 
     def static(self, direction: int, turn_range: float) -> KeyFrames:
-        """Optimal under full observation: the true direction, just far enough, then open."""
-        yield from self.hand.grasp(self.part)
-        far = RELEASED * turn_range
-        for number in range(1, int(np.ceil(far / (2 * self.twist.step))) + 1):
-            self.angle = direction * min(far, number * 2 * self.twist.step)
-            yield from self.hand.move(self.part, self.twist.key, self.angle, Phase.UNLOCK)
+        """The true direction, just far enough, then open."""
+        hand, style = self.hand, self.style
+        yield from self._hold()
         for _ in range(MAX_OPENINGS):
-            if (yield from self._open()):
+            if not hand.is_ajar(self.part, style.final):
+                yield from self._turn_to(direction, RELEASED * turn_range)
+            if (yield from hand.open(self.part, style.final, style.opening)) is Opening.DONE:
                 return
+            yield from hand.regrasp(self.part)
+
+    def _turn_to(self, direction: int, far: float) -> Frames:
+        start, step = direction * self.angle, 2 * self.style.step
+        for number in range(1, max(0, int(np.ceil((far - start) / step - 1e-9))) + 1):
+            goal = direction * min(far, start + number * step)
+            yield from self.hand.move(self.part, self.style.key, goal, Phase.UNLOCK)
+            if self.hand.empty:
+                yield from self.hand.regrasp(self.part)
+
+    def _hold(self) -> Attempt:
+        return (yield from self.hand.grasp(self.part)) or (yield from self.hand.regrasp(self.part))
 
     def _turn(self) -> Attempt:
         """One step in the present direction, or the other one if this is known to be blocked. True if it followed."""
-        twist, hand = self.twist, self.hand
+        style, hand = self.style, self.hand
         start = self.angle
-        goal = start + self.direction * twist.step
-        yield from hand.move(self.part, twist.key, goal, Phase.UNLOCK)
-        if (yield from self._held_again()):
+        # What has sprung back is turned at once to where it was, and on.
+        goal = self.direction * max(self.direction * start, self.farthest) + self.direction * style.step
+        yield from hand.move(self.part, style.key, goal, Phase.UNLOCK)
+        if hand.empty:
+            yield from hand.regrasp(self.part)
             return False
-        self.angle = hand.followed(self.part, twist.key)
         turned = self.direction * (self.angle - start)
-        if not hand.feedback.failed or turned > FOLLOWED * twist.step:
+        self.farthest = max(self.farthest, self.direction * self.angle)
+        if not hand.feedback.failed or turned > FOLLOWED * style.step:
             self.at_end = hand.feedback.failed
             return True
-        if self.direction * self.angle > FOLLOWED * twist.step:
+        if self.direction * self.angle > FOLLOWED * style.step:
             self.at_end = True  # it has turned this way before, and has come to its stop
             return False
-        hand.trial += 1
-        self.direction = -self.direction
+        hand.positions[style.key] = start  # what is blocked is where it was; the hand gave way
+        self.direction, self.farthest = -self.direction, 0.0
         return False
-
-    def _held_again(self) -> Attempt:
-        """True if the grip had been torn off; the part is then held anew, where it was felt last."""
-        if self.hand.feedback.gripper > EMPTY_HAND:
-            return False
-        yield from self.hand.release()
-        yield from self.hand.grasp(self.part, {self.twist.key: self.angle})
-        return True
 
     def _try_to_open(self) -> Attempt:
-        for _ in range(self.hand.trials):
-            if (yield from self._open()):
+        """Tries, as often as asked for; True once it is open."""
+        hand, style = self.hand, self.style
+        for _ in range(hand.trials):
+            opening = yield from hand.open(self.part, style.final, style.opening)
+            if opening is Opening.DONE:
                 return True
-            self.hand.trial += 1
+            if opening is not Opening.BLOCKED:
+                break
+        # A lever slips in fingers that pull at it askew, and springs back; turned on, it would slip again.
+        if hand.slip(self.part, style.final) > SLIPPED:
+            self.at_end = False
+            yield from hand.regrasp(self.part)
         return False
-
-    def _open(self) -> Attempt:
-        """Moves the final joint; True if it came along."""
-        twist, hand = self.twist, self.hand
-        key = {twist.key: self.angle}
-        for number, position in enumerate(twist.opening):
-            phase = Phase.TRY if number == 0 else Phase.OPEN
-            yield from hand.move(self.part, twist.final, position, phase, key)
-            if (yield from self._held_again()):
-                return False
-            followed = hand.followed(self.part, twist.final, key)
-            # Also later on: a grip that slips leaves the final joint behind, and the hand has to go about it anew.
-            if hand.feedback.failed and followed < FOLLOWED * position:
-                return False
-        yield from hand.retry(self.part, twist.final, twist.opening[-1], key)
-        return True
-
-
-def adaptive(
-    twist: TurnToOpen, parts: Mapping[str, PartAnnotation], rng: np.random.Generator, *, trials: int
-) -> KeyFrames:
-    """Returns the adaptive expert's key frames. It never learns the hidden state."""
-    return TurnToOpenExpert(twist, parts[twist.part], Hand(rng, trials)).adaptive()
-
-
-def static(
-    twist: TurnToOpen, parts: Mapping[str, PartAnnotation], rng: np.random.Generator, *, hidden: Mapping[str, Any]
-) -> KeyFrames:
-    """Returns the static expert's key frames; ``hidden`` holds ``direction`` and ``turn_range``."""
-    expert = TurnToOpenExpert(twist, parts[twist.part], Hand(rng))
-    return expert.static(int(hidden["direction"]), float(hidden["turn_range"]))

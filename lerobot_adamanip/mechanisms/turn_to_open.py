@@ -1,4 +1,4 @@
-"""TurnToOpen, then open: bottle, pen, pressure cooker, coffee maker, window and door.
+"""Turn to open: bottle, pen, pressure cooker, coffee maker, window and door.
 
 A part turns one way only, through a range nobody sees; once it has turned far enough the final joint is free: a lid
 lifts (Rotate & Slide), a leaf swings (Lock with Random Rotation Direction).
@@ -77,7 +77,7 @@ class TurnToOpenMechanism(Mechanism[RotateSlideState]):
         """Returns hidden state, draws and thresholds in words."""
         config = self.config
         return {
-            "hidden": "direction, range",
+            "hidden": "range" if config.p_positive in (0.0, 1.0) else "direction, range",
             "draws": f"{direction_words(config.p_positive)}; range {range_words(config.range_fraction)}",
             "thresholds": f"{self.key} at {config.release_fraction:g} of its range frees {self.final}",
         }

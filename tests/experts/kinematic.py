@@ -26,7 +26,7 @@ PLAY = {"revolute": 0.045, "prismatic": 0.004}
 """What hand and drives give way before a stall is felt [rad, m]."""
 AROUND_A_PART = 0.22
 """Finger opening around a part."""
-TWISTED = ("bottle", "pen", "pressure_cooker", "coffee_maker", "window", "door")
+TURNED_TO_OPEN = ("bottle", "pen", "pressure_cooker", "coffee_maker", "window", "door")
 Pose = NDArray[np.float64]
 cached_object = functools.cache(make_object)  # more objects than `make_object` keeps, over and over
 
@@ -65,8 +65,9 @@ class KinematicWorld:
         hidden: hidden values; those left out are drawn with ``draw``.
         layout: seed of where the object stands.
         torn: this many pulls at the joint that opens end with an empty hand that has reached its goal.
+        torn_from: they do so where this joint stands here [rad or m] or farther, half way to where it was pulled.
         stride: how far the joint that opens comes at most in one key frame [rad or m]; a stiff one stalls on its way.
-        preset: of the mechanism.
+        preset: of the mechanism. ``hard`` is the default here: nothing about it is the same in all episodes.
     """
 
     def __init__(
@@ -77,21 +78,30 @@ class KinematicWorld:
         draw: int = 0,
         layout: int = 0,
         torn: int = 0,
+        torn_from: float = 0.0,
         stride: float = np.inf,
-        preset: str = "paper",
+        preset: str = "hard",
     ) -> None:
         self.obj = cached_object(name)
         self.parts = placed_parts(self.obj, layout)
-        self.mechanism = make_mechanism(self.obj, preset)
+        self.preset, self.mechanism = preset, make_mechanism(self.obj, preset)
         self.state = self.mechanism.draw(1, torch.Generator().manual_seed(draw), hidden)
         self.hidden = self.mechanism.hidden(self.state, 0)
         self.joints = dict.fromkeys(self.mechanism.joints, 0.0)
         self.final, self.key = self.mechanism.joints
         self.held: PartAnnotation | None = None
-        self.torn, self.stride = torn, stride
+        self.torn, self.torn_from, self.stride = torn, torn_from, stride
         self.feedback = Feedback(transform((0.4, 0.0, 0.6)), 1.0)
         self.moves: list[Move | None] = []
         self.successes: list[bool] = []
+        self._limits()
+
+    def advance(self, **positions: float) -> None:
+        """Puts joints where they come to in the course of an episode: the key first, then what it frees."""
+        for joint in sorted(positions, key=self.mechanism.joints.index, reverse=True):
+            lower, upper = self._limits()[joint]
+            assert lower <= positions[joint] <= upper, f"{joint} cannot get there"
+            self.joints[joint] = positions[joint]
         self._limits()
 
     def _limits(self) -> dict[str, tuple[float, float]]:
@@ -103,9 +113,9 @@ class KinematicWorld:
         """Runs one key frame."""
         self.moves.append(None)
         was_closed, button = self.feedback.gripper < 0.5, self._button_before(goal.tcp_in_base)
-        self._spring_back()
         if goal.gripper > 0.5:
             self.held = None
+        self._spring_back()
         if self.held is not None:
             self.feedback = self._move(self.held, goal, AROUND_A_PART)
         elif goal.gripper < 0.5 and was_closed and button is not None:
@@ -130,9 +140,10 @@ class KinematicWorld:
         return None
 
     def _spring_back(self) -> None:
-        for part in self.parts.values():
-            if part.motions[-1].kind == "prismatic":
-                self.joints[part.motions[-1].joint] = 0.0
+        """Buttons come back as soon as nothing pushes them, levers when they are let go."""
+        for joint in self.joints:
+            if self.held is None and self.obj.joint(joint).stiffness > 0:
+                self.joints[joint] = 0.0
 
     def _within_reach(self, tcp: Pose) -> PartAnnotation | None:
         for part in self.parts.values():
@@ -146,9 +157,12 @@ class KinematicWorld:
         motion = meant(_present(part, self.joints), self.feedback.tcp_in_base, goal.tcp_in_base)
         joint, start = motion.joint, self.joints[motion.joint]
         sign = int(np.sign(motion.followed(self.feedback.tcp_in_base, goal.tcp_in_base)))
-        if joint == self.final and self.torn:
+        if joint == self.final and self.torn and start >= self.torn_from:
             self.torn -= 1
             self.held = None
+            if self.torn_from > 0:
+                there = start + motion.followed(part.moved(self.joints), goal.tcp_in_base) / 2
+                self.joints[joint] = float(np.clip(there, *self._limits()[joint]))
             return Feedback(goal.tcp_in_base.copy(), 0.0, Outcome.REACHED)
         wanted = start + motion.followed(part.moved(self.joints), goal.tcp_in_base)
         reach = self.stride if joint == self.final else np.inf
@@ -236,15 +250,16 @@ def run(world: KinematicWorld, frames: KeyFrames, *, until: str = "", at_most: i
     raise AssertionError("the expert does not end")
 
 
-def adaptive(world: KinematicWorld, seed: int = 0, trials: int = 1, preset: str = "paper") -> KeyFrames:
-    rng = np.random.default_rng(seed)
-    return make_expert(world.obj.category, "adaptive", world.parts, generator=rng, trials=trials, preset=preset)
+def adaptive(world: KinematicWorld, seed: int = 0, trials: int = 1, preset: str = "paper", **known: Any) -> KeyFrames:
+    rng, category = np.random.default_rng(seed), world.obj.category
+    options: dict[str, Any] = {"trials": trials, "preset": preset, "mechanism_preset": world.preset, **known}
+    return make_expert(category, "adaptive", world.parts, generator=rng, **options)
 
 
-def static(world: KinematicWorld, seed: int = 0) -> KeyFrames:
-    rng = np.random.default_rng(seed)
-    return make_expert(world.obj.category, "static", world.parts, generator=rng, hidden=world.hidden)
+def static(world: KinematicWorld, seed: int = 0, **known: Any) -> KeyFrames:
+    rng, category = np.random.default_rng(seed), world.obj.category
+    return make_expert(category, "static", world.parts, generator=rng, hidden=world.hidden, **known)
 
 
-def as_bytes(goals: list[Goal]) -> list[tuple[bytes, float, Phase, int]]:
-    return [(goal.tcp_in_base.tobytes(), goal.gripper, goal.phase, goal.trial) for goal in goals]
+def as_bytes(goals: list[Goal]) -> list[tuple[bytes, float, Phase]]:
+    return [(goal.tcp_in_base.tobytes(), goal.gripper, goal.phase) for goal in goals]

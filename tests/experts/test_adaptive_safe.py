@@ -130,7 +130,6 @@ def test_whatever_it_feels_it_depends_on_feedback_and_its_own_dice_alone(name: s
         both.append(listen(make_expert("safe", "adaptive", parts, generator=generator), history))
     assert as_bytes(both[0]) == as_bytes(both[1])
     assert all(np.isfinite(goal.action()).all() and 0 <= goal.gripper <= 1 for goal in both[0])
-    assert [goal.trial for goal in both[0]] == sorted(goal.trial for goal in both[0])
     for key, part in before.items():
         assert np.array_equal(part.grasp, parts[key].grasp)
         for then, now in zip(part.motions, parts[key].motions, strict=True):
@@ -153,16 +152,6 @@ def test_as_many_failed_pulls_come_before_the_knob_as_asked_for(trials: int, dir
 def test_a_door_that_gives_is_pulled_once(trials: int) -> None:
     safe = KinematicWorld("safe_011", UNLOCKED)
     assert run(safe, adaptive(safe, 0, trials)).phases.count(Phase.TRY) == 1
-
-
-@fast
-@given(ids, hiddens, seeds)
-def test_trials_are_counted_as_they_fail(name: str, hidden: dict[str, Any], seed: int) -> None:
-    safe = KinematicWorld(name, hidden)
-    episode = run(safe, adaptive(safe, seed))
-    wrong_turns = sum(sign != hidden["direction"] for sign, _ in episode.turns())
-    assert episode.goals[0].trial == 0
-    assert episode.goals[-1].trial == hidden["locked"] + wrong_turns
 
 
 @fast
@@ -193,5 +182,5 @@ def test_a_hand_opens_before_it_leaves_and_moves_on_with_open_fingers(
 
 def test_a_safe_that_nothing_opens_is_given_up() -> None:
     safe = KinematicWorld("safe_003", LOCKED, torn=1000)
-    episode = run(safe, adaptive(safe))
+    episode = run(safe, adaptive(safe), at_most=1000)
     assert episode.opened == 0.0

@@ -39,7 +39,6 @@ def test_what_has_failed_is_not_tried_again(name: str, mode: int, seed: int) -> 
     failed = [kind for kind, move in zip(kinds(episode), episode.moves, strict=True) if move.end == move.start]
     assert len(set(failed)) == len(failed) <= 2
     assert MOTIONS[mode] not in failed
-    assert episode.goals[-1].trial == len(failed)
     # Once something has yielded it is gone on with, and nothing else.
     assert set(kinds(episode)[len(failed) :]) == {MOTIONS[mode]}
 
@@ -72,7 +71,6 @@ def test_a_failed_motion_is_repeated_as_often_as_asked_for(name: str, mode: int,
     assert all(failed.count(kind) == trials for kind in failed)
     assert failed == sorted(failed, key=failed.index), "one after the other, not in turns"
     assert max(world.successes)
-    assert episode.goals[-1].trial == len(failed)
 
 
 @fast

@@ -25,7 +25,6 @@ def test_it_opens_locked_and_unlocked_ones(name: str, locked: bool, seed: int, l
     assert episode.opened > 0.95 * PULL_ANGLES[-1]
     assert episode.key_frames <= MAX_KEY_FRAMES
     assert episode.failed_pulls() == locked
-    assert episode.goals[-1].trial == locked
 
 
 @fast
@@ -86,7 +85,7 @@ def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(name: str, locked: b
 
 def test_one_that_nothing_opens_is_given_up() -> None:
     world = KinematicWorld("microwave_003", {"locked": True}, torn=1000)
-    assert run(world, adaptive(world)).opened == 0.0
+    assert run(world, adaptive(world), at_most=1000).opened == 0.0
 
 
 @fast

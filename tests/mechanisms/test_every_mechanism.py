@@ -16,7 +16,15 @@ from ideal_joints import MECHANISMS, generator, leaves, random_reading, reading,
 from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism, replace_rows
+from lerobot_adamanip.mechanisms import (
+    DEFAULT_MECHANISM_PRESET,
+    MECHANISM_PRESETS,
+    RULES,
+    Mechanism,
+    fixed_direction,
+    make_mechanism,
+    replace_rows,
+)
 
 every_mechanism = pytest.mark.parametrize("mechanism", MECHANISMS.values(), ids=MECHANISMS)
 some = settings(max_examples=20, deadline=None)
@@ -198,24 +206,34 @@ def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
 
 
 FIXED = {"pressure_cooker": 1, "coffee_maker": -1}
-"""Direction that upstream's code fixes, though it draws it for the others."""
+"""Direction that neither the paper nor upstream's code draws, though both draw it for the others."""
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("preset", MECHANISM_PRESETS)
 @pytest.mark.parametrize("category", [name for name in CATEGORIES if name not in ("microwave", "lamp")])
-def test_upstream_fixes_the_direction_of_two_categories_and_the_paper_of_none(category: str) -> None:
-    obj = make_object(seen_objects(category)[0])
-    for preset in MECHANISM_PRESETS:
-        mechanism = make_mechanism(obj, preset)
-        state = mechanism.draw(400, generator())
-        positive = sum(mechanism.hidden(state, i)["direction"] == 1 for i in range(400)) / 400
-        if preset == "upstream" and category in FIXED:
-            assert positive == (FIXED[category] == 1)
-            assert "fixed" in mechanism.rules()["draws"]
-        else:
-            assert positive == pytest.approx(0.5, abs=0.1)
+def test_a_direction_is_drawn_unless_the_paper_never_tries_one(category: str, preset: str, seed: int) -> None:
+    mechanism = make_mechanism(make_object(seen_objects(category)[0]), preset)
+    state = mechanism.draw(400, generator(seed))
+    positive = sum(mechanism.hidden(state, i)["direction"] == 1 for i in range(400)) / 400
+    if preset != "hard" and category in FIXED:
+        assert positive == (FIXED[category] == 1)
+        assert "fixed" in mechanism.rules()["draws"]
+        assert fixed_direction(category, preset) == FIXED[category]
+    else:
+        assert positive == pytest.approx(0.5, abs=0.1)
+        assert fixed_direction(category, preset) is None
 
 
-def test_upstream_s_safe_is_locked_by_turning_and_the_paper_s_is_not() -> None:
+@pytest.mark.parametrize("category", FIXED)
+def test_a_fixed_direction_can_still_be_overridden(category: str) -> None:
+    mechanism = make_mechanism(make_object(seen_objects(category)[0]), "paper")
+    for direction in (-1, 1):
+        state = mechanism.draw(8, generator(), {"direction": direction})
+        assert {mechanism.hidden(state, i)["direction"] for i in range(8)} == {direction}
+
+
+def test_upstream_s_safe_is_locked_by_turning_and_no_other() -> None:
     obj = make_object(seen_objects("safe")[0])
     shut = {}
     for preset in MECHANISM_PRESETS:
@@ -225,12 +243,30 @@ def test_upstream_s_safe_is_locked_by_turning_and_the_paper_s_is_not() -> None:
             state, command = mechanism.step(state, reading({"door": 0.0, "knob": knob}))
         shut[preset] = float(command["door"].upper) == 0.0
         assert ("locks it" in mechanism.rules()["thresholds"]) is shut[preset]
-    assert shut == {"paper": False, "upstream": True}
+    assert shut == {"paper": False, "upstream": True, "hard": False}
 
 
-@pytest.mark.parametrize("category", [name for name in CATEGORIES if name not in (*FIXED, "safe")])
-def test_presets_agree_elsewhere(category: str) -> None:
+@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_presets_agree_elsewhere_and_draw_all_else_alike(category: str, seed: int) -> None:
     obj = make_object(seen_objects(category)[0])
-    paper, upstream = (make_mechanism(obj, preset) for preset in MECHANISM_PRESETS)
-    assert paper.rules() == upstream.rules()
-    assert same(paper.draw(32, generator(5)), upstream.draw(32, generator(5)))
+    paper, upstream, hard = (make_mechanism(obj, preset) for preset in MECHANISM_PRESETS)
+    one, other = paper.draw(32, generator(seed)), hard.draw(32, generator(seed))
+    if category not in FIXED:
+        assert paper.rules() == hard.rules()
+        assert same(one, other)
+    for i in range(32):
+        first, second = paper.hidden(one, i), hard.hidden(other, i)
+        assert {**first, "direction": 0} == {**second, "direction": 0}, "a preset changes no other draw"
+    if category != "safe":
+        assert paper.rules() == upstream.rules()
+        assert same(one, upstream.draw(32, generator(seed)))
+
+
+def test_the_table_of_rules_has_a_row_of_every_category_and_says_where_it_is_from() -> None:
+    assert tuple(RULES) == tuple(CATEGORIES)
+    assert DEFAULT_MECHANISM_PRESET in MECHANISM_PRESETS
+    for rules in RULES.values():
+        assert any(place in rules.paper for place in ("(3.2)", "(figure 2)", "(appendix)"))
+        assert rules.reading
+        assert rules.fixed_direction in (None, -1, 1)

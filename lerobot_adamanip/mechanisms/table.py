@@ -1,0 +1,148 @@
+"""Which category has which mechanism, under which preset, and where the paper says so. One row a category."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip.mechanisms.base import Mechanism
+from lerobot_adamanip.mechanisms.lamp import LampMechanism
+from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism
+from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig
+from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
+from lerobot_adamanip.objects.base import ArticulatedObject
+
+MECHANISM_PRESETS: Mapping[str, str] = {
+    "paper": "what the paper's text says",
+    "upstream": "what its released code does",
+    "hard": "ours: the paper's, and every part that turns to open draws its direction",
+}
+DEFAULT_MECHANISM_PRESET = "paper"
+LIFTED = 0.025
+"""A cap, lid or portafilter is off beyond this [m] (paper code)."""
+SWUNG, SASH_SWUNG = math.pi / 7, math.pi / 6
+"""A door, a sash is open beyond this [rad] (paper code)."""
+Build = Callable[[ArticulatedObject, float, bool], Mechanism[Any]]
+
+
+@dataclass(frozen=True)
+class CategoryRules:
+    """One category's rules.
+
+    Attributes:
+        build: (object, probability of the positive direction, whether upstream's rules hold) -> mechanism.
+        paper: quotation that decides.
+        reading: what `paper` makes of it.
+        fixed_direction: +1 or -1 where ``paper`` and ``upstream`` fix the direction of the key; None where it is drawn,
+            or there is none.
+    """
+
+    build: Build
+    paper: str
+    reading: str
+    fixed_direction: int | None = None
+
+
+def _turn_to_open(key: str, final: str, success: float) -> Build:
+    def build(obj: ArticulatedObject, p_positive: float, upstream: bool) -> TurnToOpenMechanism:
+        key_range, final_upper = obj.joint(key).limits[1], obj.joint(final).limits[1]
+        config = TurnToOpenMechanismConfig(p_positive=p_positive)
+        return TurnToOpenMechanism(
+            key, final, key_range=key_range, final_upper=final_upper, success=success, config=config
+        )
+
+    return build
+
+
+def _safe(obj: ArticulatedObject, p_positive: float, upstream: bool) -> SafeMechanism:
+    config = SafeMechanismConfig(lock_on_turn=upstream, p_clockwise=p_positive)
+    return SafeMechanism(obj.joint("door").limits[1], obj.joint("knob").limits[1], SWUNG, config)
+
+
+def _microwave(obj: ArticulatedObject, p_positive: float, upstream: bool) -> MicrowaveMechanism:
+    return MicrowaveMechanism(obj.joint("door").limits[1], obj.joint("button").limits[1], SWUNG)
+
+
+def _lamp(obj: ArticulatedObject, p_positive: float, upstream: bool) -> LampMechanism:
+    return LampMechanism(obj.joint("button").limits[1], obj.joint("knob").limits[1])
+
+
+_CAP = (
+    "When rotating a knob, cap, or handle, the direction (i.e., clockwise or counterclockwise) is determined by the "
+    "internal revolute joint limit. Our environment randomly assigns the rotation direction upon initialization (3.2). "
+    "Grasp the Cap. Rotate Cap after a failed Lift Up. Randomly sample Rotate/Lift if the previous action is Rotate "
+    "(appendix)."
+)
+_CAP_READING = (
+    "Rotate & Slide, direction drawn: section 3.2 names caps, bottle and pen are all that have one, and the released "
+    "code draws theirs; figure 2 and the appendix say nothing of a direction"
+)
+_WINDOW = "Randomly choose a direction to Rotate Handle. If failed, choose the other direction. Rotate Handle after a "
+RULES: Mapping[str, CategoryRules] = {
+    "bottle": CategoryRules(_turn_to_open("cap", "lift", LIFTED), _CAP, _CAP_READING),
+    "pen": CategoryRules(_turn_to_open("cap", "lift", LIFTED), f"Same as Bottle (appendix). {_CAP}", _CAP_READING),
+    "pressure_cooker": CategoryRules(
+        _turn_to_open("lid", "lift", LIFTED),
+        "Bottle and Pressure Cooker feature the Rotate & Slide mechanism, requiring continued rotation after a failed "
+        "lift (figure 2). Grasp the Handle. Rotate Handle after a failed Lift Up. Randomly sample Rotate/Lift if the "
+        "previous action is Rotate (appendix).",
+        "Rotate & Slide alone; neither tries a direction, so it is fixed; + as in the released code",
+        fixed_direction=1,
+    ),
+    "coffee_maker": CategoryRules(
+        _turn_to_open("portafilter", "drop", LIFTED),
+        "The pen and coffee machine in the upper right corner fall under the \"Rotate/Slide\" (appendix). Grasp "
+        "Portafilter. Rotate Portafilter after a failed Pull Down. Randomly sample Rotate/Pull if the previous action "
+        "is Rotate (appendix).",
+        "Rotate & Slide alone; neither tries a direction, so it is fixed; - as in the released code",
+        fixed_direction=-1,
+    ),
+    "safe": CategoryRules(
+        _safe,
+        "Pull Door. If succeed, then continue opening the door. If failed, Rotate Knob. Randomly choose a direction to "
+        "Rotate and choose the other one if failed. Then Pull Door again to open it (appendix).",
+        "Lock, Random Rotation Direction, Switch Contact",
+    ),
+    "microwave": CategoryRules(
+        _microwave,
+        "Microwave incorporates the Lock and Switch Contact mechanisms, where the robot must first pull the handle to "
+        "check the lock state and press the button if locked (figure 2).",
+        "Lock, Switch Contact",
+    ),
+    "window": CategoryRules(
+        _turn_to_open("handle", "sash", SASH_SWUNG),
+        "The window includes the Lock and Random Rotation Direction mechanisms, necessitating exploration of the "
+        f"correct rotation direction to unlock the latch (figure 2). {_WINDOW}failed open trial (appendix).",
+        "Lock, Random Rotation Direction; always locked",
+    ),
+    "door": CategoryRules(
+        _turn_to_open("lever", "leaf", SWUNG),
+        "The door at the bottom belongs to the \"Random Rotation Direction\" and \"Lock\", where the handle must be "
+        "rotated either clockwise or counterclockwise to open the door (appendix).",
+        "Lock, Random Rotation Direction; always locked",
+    ),
+    "lamp": CategoryRules(
+        _lamp,
+        "Randomly choose to Push/Clockwise Rotate/Counter Clockwise Rotate. Never choose a failed action (appendix).",
+        "Push / Rotate",
+    ),
+}  # fmt: skip
+
+
+def fixed_direction(category: str, preset: str = DEFAULT_MECHANISM_PRESET) -> int | None:
+    """Returns the one direction, +1 or -1, in which a category's key turns in every episode; None where it is drawn.
+
+    Raises `ConfigurationError` for an unknown category or preset.
+    """
+    rules = RULES[require_choice("category", category, RULES)]
+    return None if require_choice("mechanism preset", preset, MECHANISM_PRESETS) == "hard" else rules.fixed_direction
+
+
+def make_mechanism(obj: ArticulatedObject, preset: str = DEFAULT_MECHANISM_PRESET) -> Mechanism[Any]:
+    """Returns the rules of an object, by its category; raises `ConfigurationError` for an unknown preset."""
+    direction = fixed_direction(obj.category, preset)
+    p_positive = 0.5 if direction is None else float(direction > 0)
+    return RULES[obj.category].build(obj, p_positive, preset == "upstream")
