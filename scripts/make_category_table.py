@@ -89,7 +89,7 @@ def page() -> str:
         lines.append(
             f"| `{name}` | expert's first try to open | {first} | not before {math.degrees(theirs.not_before):.0f}° |"
         )
-    lines.append("| all | pose of object, arm and camera | randomised | fixed: `--env.pose_preset=paper` |")
+    lines.append("| all | pose of object, arm and camera | randomised | fixed: `--env.poses=fixed` |")
     return "\n".join(lines) + "\n"
 
 
