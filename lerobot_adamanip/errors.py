@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator
 
 
 class AdaManipError(Exception):
@@ -37,6 +38,19 @@ class SimulatorError(AdaManipError, RuntimeError):
 
 class UnreachableError(AdaManipError, RuntimeError):
     """No layout or pose within the arm's reach was found."""
+
+
+@contextlib.contextmanager
+def shown_by_parsers() -> Iterator[None]:
+    """Within it, a `ConfigurationError` becomes an `AdaManipError` of the same text.
+
+    For constructors that command lines call: draccus hides whatever is a `ValueError` behind an error of its own, which
+    says no more than that there was one.
+    """
+    try:
+        yield
+    except ConfigurationError as error:
+        raise AdaManipError(str(error)) from None
 
 
 def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | None = None) -> str:

@@ -13,16 +13,19 @@ from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
+from lerobot_adamanip.seeds import SPLITS
 
 POSES = ("randomized", "fixed")
 """``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as upstream's code has them."""
+RENDER_BACKENDS = ("auto", "cuda", "cpu")
+"""``auto``: the first of the others that renders on this machine."""
 IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
 """Least and largest."""
 
 
 @dataclass(frozen=True)
 class EnvironmentOptions:
-    """What decides an environment, apart from an episode's seed. Checked when it is made.
+    """What decides an environment, apart from an episode's seed. Checked when it is made; can be pickled.
 
     Attributes:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`.
@@ -35,8 +38,13 @@ class EnvironmentOptions:
         mechanism_preset: see `lerobot_adamanip.mechanisms.MECHANISM_PRESETS`.
         max_key_frames: per episode.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
+        split: whose scenes seeds stand for, see `lerobot_adamanip.seeds.SPLITS`; a seed of another is mapped into it.
+        seed_offset: added to seeds, so that the suite's categories have scenes of their own.
+        render_backend: see `RENDER_BACKENDS`.
         episode_log: a file to which each ended episode's record is appended as a line of JSON.
-        workspace: what of the scene the cloud keeps.
+        run_id: of the evaluation that those records belong to; drawn anew if left out.
+        run_label: what to call it in reports, for instance the policy.
+        workspace: the box of which the cloud keeps the points, robot base frame [m].
 
     Raises:
         ConfigurationError: a value cannot work.
@@ -52,7 +60,12 @@ class EnvironmentOptions:
     mechanism_preset: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
+    split: str = "test"
+    seed_offset: int = 0
+    render_backend: str = "auto"
     episode_log: str | None = None
+    run_id: str | None = None
+    run_label: str | None = None
     workspace: Workspace = DEFAULT_WORKSPACE
 
     def __post_init__(self) -> None:
@@ -65,9 +78,18 @@ class EnvironmentOptions:
         select_objects(self.category, self.objects, self.assets)
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
         require_choice("mechanism preset", self.mechanism_preset, MECHANISM_PRESETS)
+        require_choice("split of scenes", self.split, SPLITS, hint="--env.split=test")
+        require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
         check_num_points(self.num_points)
         _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
+        _check_range("seed offset", self.seed_offset, (0, 2**31), "seed_offset=0")
+        _check_workspace(self.workspace)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles as values: a read-only mapping cannot be pickled as it is."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return _restored, ({**values, "hidden_overrides": dict(self.hidden_overrides)},)
 
     def changed(self, **values: Any) -> EnvironmentOptions:
         """Returns a copy with other values; raises `ConfigurationError` for a name that is no option."""
@@ -80,18 +102,37 @@ class EnvironmentOptions:
         return {**plain, "hidden_overrides": dict(self.hidden_overrides), "workspace": asdict(self.workspace)}
 
 
+def renamed_poses(value: object) -> ConfigurationError:
+    """Returns the error for whoever gives the option of version 0.1, ``pose_preset``."""
+    return ConfigurationError(
+        "pose_preset is called poses now.",
+        got=f"pose_preset={value!r}",
+        allowed="poses='randomized' (was default) or poses='fixed' (was paper)",
+        hint="--env.poses=fixed, adamanip collect --poses fixed",
+    )
+
+
 def require_known(values: Mapping[str, Any]) -> None:
     """Raises `ConfigurationError` if a key is no option of `EnvironmentOptions`."""
     known = [item.name for item in fields(EnvironmentOptions)]
     for name in values:
         if name == "pose_preset":
-            raise ConfigurationError(
-                "pose_preset is called poses now.",
-                got=f"pose_preset={values[name]!r}",
-                allowed="poses='randomized' (was default) or poses='fixed' (was paper)",
-                hint="--env.poses=fixed, adamanip collect --poses fixed",
-            )
+            raise renamed_poses(values[name])
         require_choice("option of an environment", name, known)
+
+
+def _restored(values: dict[str, Any]) -> EnvironmentOptions:
+    return EnvironmentOptions(**values)
+
+
+def _check_workspace(box: Workspace) -> None:
+    if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
+        raise ConfigurationError(
+            "Wrong workspace.",
+            got=f"lower {box.lower}, upper {box.upper}",
+            allowed="a lower corner below the upper one along x, y and z [m]",
+            hint=f"--env.workspace_lower={list(DEFAULT_WORKSPACE.lower)}",
+        )
 
 
 def _check_range(what: str, got: int, allowed: tuple[int, int], hint: str) -> None:

@@ -6,6 +6,8 @@ up in ``lerobot-eval``, ``--seed`` and up while training), so an evaluation's se
 
 from __future__ import annotations
 
+import numpy as np
+
 from lerobot_adamanip.errors import require_choice
 
 SPLITS = {"test": (0, 10**6), "validation": (10**6, 2 * 10**6), "train": (2**24, 2**31)}
@@ -28,3 +30,9 @@ def scene_seed(seed: int, split: str) -> int:
 def split_of(seed: int) -> str | None:
     """Returns the split a scene's seed belongs to; None for a seed of no split."""
     return next((name for name, (first, end) in SPLITS.items() if first <= seed < end), None)
+
+
+def retried_seed(seed: int, split: str, attempt: int) -> int:
+    """Returns the seed of the scene that is tried instead of ``seed``'s, in the same split, the ``attempt``-th time."""
+    drawn = np.random.SeedSequence([seed, attempt]).generate_state(1)[0]
+    return scene_seed(int(drawn), split)

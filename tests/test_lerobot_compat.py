@@ -1,4 +1,4 @@
-"""The fast reader gives what LeRobot's own reader gives, bit for bit; and decodes videos only where they are wanted."""
+"""The faster reader gives what LeRobot's own gives, bit for bit, and reads our datasets only."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ import pyarrow as pa
 import pytest
 import torch
 from lerobot.datasets import lerobot_dataset
+from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from lerobot_adamanip import lerobot_compat
+from lerobot_adamanip import lerobot_compat, lerobot_reader, schema
+from lerobot_adamanip.lerobot_reader import ColumnStore, FastDatasetReader
 
 LENGTHS = (5, 8, 2)
 FPS = 4
@@ -27,7 +29,7 @@ FEATURES: dict[str, dict[str, Any]] = {
     "observation.precise": {"dtype": "float64", "shape": (2,), "names": None},
     "observation.bytes": {"dtype": "uint8", "shape": (3,), "names": None},
     "observation.touch": {"dtype": "bool", "shape": (1,), "names": None},
-    "action": {"dtype": "float32", "shape": (3,), "names": None},
+    "action": {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
     "complementary_info.phase": {"dtype": "int64", "shape": (1,), "names": None},
     "complementary_info.note": {"dtype": "string", "shape": (1,), "names": None},
     CAMERA: {"dtype": "video", "shape": (64, 64, 3), "names": ["height", "width", "channels"]},
@@ -67,9 +69,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _reader_as_before() -> Iterator[None]:
-    before = lerobot_dataset.DatasetReader
+    was_applied = lerobot_dataset.DatasetReader is not DatasetReader
     yield
-    lerobot_dataset.DatasetReader = before  # type: ignore[misc]
+    (lerobot_compat.apply if was_applied else lerobot_compat.restore)()
 
 
 def opened(root: Path, prepare: Callable[[], object], **options: Any) -> LeRobotDataset:
@@ -100,8 +102,8 @@ def test_items_equal_those_of_the_stock_reader(
     options = {"deltas": deltas, "episodes": episodes, "return_uint8": return_uint8}
     stock = opened(root, lerobot_compat.restore, **options)
     fast = opened(root, lerobot_compat.apply, **options)
-    assert isinstance(fast.reader, lerobot_compat.FastDatasetReader)
-    assert not isinstance(stock.reader, lerobot_compat.FastDatasetReader)
+    assert isinstance(fast.reader, FastDatasetReader)
+    assert not isinstance(stock.reader, FastDatasetReader)
     assert len(fast) == len(stock) == sum(LENGTHS[e] for e in (episodes or range(3)))
     for index in range(len(stock)):
         assert_same(stock[index], fast[index])
@@ -120,9 +122,7 @@ def test_marked_videos_are_not_decoded_and_everything_else_stays(root: Path, mon
     full, lean = (opened(root, lerobot_compat.apply, **options) for _ in range(2))
     lerobot_compat.skip_videos(lean.meta)
     expected = [full[index] for index in range(len(full))]
-    monkeypatch.setattr(
-        lerobot_compat.FastDatasetReader, "_query_videos", lambda *_: pytest.fail("a video was decoded")
-    )
+    monkeypatch.setattr(FastDatasetReader, "_query_videos", lambda *_: pytest.fail("a video was decoded"))
     for index, item in enumerate(expected):
         assert CAMERA in item
         assert_same(item, lean[index], without=(CAMERA,))
@@ -142,7 +142,7 @@ def test_reader_and_mark_travel_into_data_loading_processes(root: Path) -> None:
 
 def test_numeric_columns_are_read_without_copying_the_dataset(root: Path) -> None:
     dataset = opened(root, lerobot_compat.apply)
-    store = lerobot_compat.ColumnStore(dataset.hf_dataset)
+    store = ColumnStore(dataset.hf_dataset)
     assert "observation.point_cloud" in store
     assert "complementary_info.note" not in store
     assert PICTURE not in store
@@ -164,37 +164,110 @@ def test_numeric_columns_are_read_without_copying_the_dataset(root: Path) -> Non
     ids=["text", "null", "ragged", "null inside"],
 )
 def test_what_is_no_plain_array_is_left_to_lerobot(column: pa.Array) -> None:
-    assert lerobot_compat._view(column) is None
+    assert lerobot_reader._view(column) is None
 
 
 def test_slices_of_arrow_memory_keep_their_rows() -> None:
     for kind in (pa.list_(pa.float32()), pa.list_(pa.float32(), 2), pa.large_list(pa.int64())):
         column = pa.array([[1, 2], [3, 4], [5, 6]], type=kind).slice(1, 2)
-        view = lerobot_compat._view(column)
+        view = lerobot_reader._view(column)
         assert view is not None
         assert view.tolist() == [[3, 4], [5, 6]]
 
 
-def test_apply_is_idempotent_and_can_be_undone() -> None:
-    lerobot_compat.restore()
-    stock = lerobot_dataset.DatasetReader
-    assert lerobot_compat.apply()
-    assert lerobot_compat.apply()
-    assert lerobot_dataset.DatasetReader is lerobot_compat.FastDatasetReader
-    lerobot_compat.restore()
-    assert lerobot_dataset.DatasetReader is stock
+# Whose datasets, whose LeRobot ------------------------------------------------------------------------------------
 
 
-def test_an_unknown_lerobot_keeps_its_own_reader_and_says_so_once(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_apply_is_idempotent_and_can_be_undone(root: Path) -> None:
+    lerobot_compat.restore()
+    assert lerobot_dataset.DatasetReader is DatasetReader
+    assert lerobot_compat.apply()
+    assert lerobot_compat.apply()
+    assert type(opened(root, lambda: None).reader) is FastDatasetReader
+    lerobot_compat.restore()
+    assert lerobot_dataset.DatasetReader is DatasetReader
+
+
+def test_other_datasets_keep_lerobots_own_reader(tmp_path: Path) -> None:
+    features = {
+        "observation.state": {"dtype": "float32", "shape": (4,), "names": None},
+        "action": {"dtype": "float32", "shape": (3,), "names": ["x", "y", "z"]},
+    }
+    made = LeRobotDataset.create("local/other", fps=FPS, features=features, root=tmp_path / "other")
+    for _ in range(3):
+        frame = {key: np.ones(feature["shape"], np.float32) for key, feature in features.items()}
+        made.add_frame({**frame, "task": "other"})
+    made.save_episode()
+    made.finalize()
+    assert lerobot_compat.apply()
+    read = LeRobotDataset("local/other", root=tmp_path / "other")
+    assert type(read.reader) is DatasetReader
+    assert type(made._ensure_reader()) is DatasetReader
+    assert torch.equal(read[1]["action"], torch.ones(3))
+
+
+@pytest.mark.parametrize(
+    ("changed", "ours"),
+    [
+        ({}, True),
+        ({"action": {"names": {"arm": list(schema.POSE_NAMES)}}}, True),
+        ({"action": {"names": [f"joint_{k}.pos" for k in range(10)]}}, False),
+        ({"action": {"names": None}}, False),
+        ({"action": None}, False),
+    ],
+)
+def test_ours_are_clouds_with_poses_as_actions(changed: dict[str, Any], ours: bool) -> None:
+    features = schema.dataset_features() | changed
+    assert lerobot_compat.is_ours(features) is ours
+    assert not lerobot_compat.is_ours({key: value for key, value in features.items() if key != schema.POINT_CLOUD})
+
+
+def changed_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    import lerobot
+
+    monkeypatch.setattr(lerobot, "__version__", "0.6.2")
+
+
+def changed_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lerobot_compat, "TESTED", {"0.6.1": "0" * 16})
+
+
+@pytest.mark.parametrize("change", [changed_version, changed_source])
+def test_a_lerobot_it_was_not_tested_with_keeps_its_own_reader_and_says_so_once(
+    change: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     lerobot_compat.restore()
-    monkeypatch.setattr(lerobot_compat.lerobot, "__version__", "0.99.0")
+    change(monkeypatch)
+    monkeypatch.setattr(lerobot_compat, "_warned", set())
     with caplog.at_level(logging.WARNING):
         assert not lerobot_compat.apply()
         assert not lerobot_compat.apply()
-    assert lerobot_dataset.DatasetReader is not lerobot_compat.FastDatasetReader
-    assert len([message for message in caplog.messages if "0.99.0" in message]) == 1
+    assert lerobot_dataset.DatasetReader is DatasetReader
+    assert len([message for message in caplog.messages if "slower dataset reader stays" in message]) == 1
+
+
+RENAMED = """
+import inspect, sys
+from lerobot.datasets import dataset_reader, lerobot_dataset
+import lerobot.envs.utils as utils
+private = [name for name in vars(utils) if name.startswith("_") and not name.startswith("__")]
+for name in (*private, "FreezeAfterEpisodeEnd", "freeze_after_episode_end", "NEW_ROLLOUT_OPTION"):
+    delattr(utils, name)
+dataset_reader.Reader = dataset_reader.DatasetReader
+del dataset_reader.DatasetReader, lerobot_dataset.DatasetReader
+import lerobot_env_adamanip
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.envs.configs import EnvConfig
+made = lerobot_env_adamanip.AdaManipSafeEnvConfig().create_envs(2, use_async_envs=True)["adamanip_safe"][0]
+known = (*EnvConfig.get_known_choices(), *PreTrainedConfig.get_known_choices())
+print(made.num_envs, "adamanip_safe" in known, "dp3_adaptive" in known)
+"""
+
+
+def test_a_lerobot_that_renamed_private_things_does_not_cost_the_plugin() -> None:
+    done = subprocess.run([sys.executable, "-c", RENAMED], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.split()[-3:] == ["2", "True", "True"]
 
 
 def test_measurement_reports_both_readers_and_leaves_things_as_they_were(root: Path) -> None:
@@ -202,19 +275,20 @@ def test_measurement_reports_both_readers_and_leaves_things_as_they_were(root: P
     measured = lerobot_compat.measure_reader(root, {"action": [-1, 0, 1]}, items=3)
     assert measured.keys() == {"stock_ms", "fast_ms", "speedup"}
     assert all(value > 0 for value in measured.values())
-    assert lerobot_dataset.DatasetReader is not lerobot_compat.FastDatasetReader
+    assert lerobot_dataset.DatasetReader is DatasetReader
 
 
+@pytest.mark.parametrize("module", ["lerobot_env_adamanip", "lerobot_policy_adamanip"])
 @pytest.mark.parametrize("with_datasets", [True, False])
-def test_the_plugin_brings_the_reader_only_where_datasets_are_read(with_datasets: bool) -> None:
+def test_only_the_plugin_and_only_where_datasets_are_read_brings_the_reader(module: str, with_datasets: bool) -> None:
     code = f"""
 import sys
 if {with_datasets}: import lerobot.datasets.lerobot_dataset
-import lerobot_policy_adamanip
-lerobot_policy_adamanip.DP3AdaptiveConfig(device="cpu")
-loaded = "lerobot.datasets.lerobot_dataset" in sys.modules
-applied = loaded and sys.modules["lerobot.datasets.lerobot_dataset"].DatasetReader.__name__ == "FastDatasetReader"
-print(loaded, applied)
+import {module}
+from lerobot_policy_adamanip import DP3AdaptiveConfig
+DP3AdaptiveConfig(device="cpu")
+loaded = sys.modules.get("lerobot.datasets.lerobot_dataset")
+print(loaded is not None, getattr(getattr(loaded, "DatasetReader", None), "__name__", "") == "make_reader")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split()[-2:] == [str(with_datasets)] * 2
+    assert done.stdout.split()[-2:] == [str(with_datasets), str(with_datasets and module == "lerobot_env_adamanip")]

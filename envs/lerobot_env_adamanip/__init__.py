@@ -19,6 +19,7 @@ from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3A
 
 if "lerobot.datasets.lerobot_dataset" in sys.modules:
     # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
+    # Other datasets, and LeRobots this was not tested with, keep LeRobot's own reader.
     from lerobot_adamanip import lerobot_compat
 
     lerobot_compat.apply()

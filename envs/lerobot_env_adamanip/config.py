@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.errors import ConfigurationError, shown_by_parsers
+from lerobot_adamanip.options import EnvironmentOptions, renamed_poses
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.schema import (
     ACTION,
     ACTION_DIM,
@@ -24,6 +28,14 @@ from lerobot_adamanip.schema import (
     STATE,
     STATE_DIM,
 )
+from lerobot_env_adamanip.split import AUTO, resolve_split
+
+if TYPE_CHECKING:
+    from lerobot_env_adamanip.vector import LazyAsyncVectorEnv
+
+_log = logging.getLogger(__name__)
+type VectorEnv = gym.vector.VectorEnv[Any, Any, Any] | LazyAsyncVectorEnv
+type VectorEnvs = dict[str, dict[int, VectorEnv]]
 
 
 def hidden_value() -> Any:
@@ -33,14 +45,21 @@ def hidden_value() -> Any:
 
 @dataclass
 class AdaManipEnvConfig(EnvConfig):
-    """What the environments share. One step is one key frame, so ``fps`` is the speed of videos, not of control."""
+    """What the environments share; see `lerobot_adamanip.options.EnvironmentOptions`."""
 
     category: ClassVar[str] = ""
 
+    # The environment's name in LeRobot's logs; the category's if not given.
+    task: str | None = None
+    # Categories of the suite that are evaluated at once, in threads.
+    max_parallel_tasks: int = 1
+    # Without effect: these environments are not made by gymnasium.make.
+    disable_env_checker: bool = True
+    # Key frames per second of a recorded video: one step is one key frame, so this is no speed of control.
     fps: int = FPS
     # Which objects: seen (the paper's count), unseen (the next 20), FIRST:END, or ids separated by commas.
     objects: str = "seen"
-    # Use the objects of others in this folder (AdaManip's, UniDoorManip's or PartNet-Mobility's), see docs/annotate.md.
+    # Use the external assets in this folder (AdaManip's, UniDoorManip's or PartNet-Mobility's), see docs/annotate.md.
     assets: str | None = None
     # Points in observation.point_cloud; a policy that uses fewer takes the first, which are a farthest-point sample.
     num_points: int = DEFAULT_NUM_POINTS
@@ -48,22 +67,42 @@ class AdaManipEnvConfig(EnvConfig):
     image_size: int = IMAGE_SIZE
     # Whether observations hold the front image; policies that look at clouds alone do not need it.
     observe_images: bool = True
-    # default: object, robot and camera pose are randomised. paper: fixed.
-    pose_preset: str = "default"
-    # paper: mechanisms as the paper's text has them. upstream: as its released code has them.
+    # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
+    poses: str = "randomized"
+    # paper: mechanisms as the paper's text has them. upstream: as its released code has them. See docs/categories.md.
     mechanism_preset: str = "paper"
     # Key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
+    # Whose scenes: test, validation or train, which share none. auto: validation inside lerobot-train, else test.
+    split: str = AUTO
+    # What renders: cuda, cpu, or auto, the first of them that renders on this machine.
+    render_backend: str = "auto"
+    # Lower corner of the box of which clouds keep the points: x, y, z, robot base frame [m].
+    workspace_lower: tuple[float, float, float] = DEFAULT_WORKSPACE.lower
+    # Upper corner of that box [m].
+    workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
     # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.
     episode_log: str | None = None
     # What to call these episodes in the log, for instance the policy.
     run_label: str | None = None
+    # The former name of --env.poses; setting it is an error that says so.
+    pose_preset: str | None = None
+    # Set by itself: the observations' and the action's shapes.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
+    # Set by itself: the names they have in datasets.
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fills features from the options."""
-        self.task: str | None = self.task or self.category
+        """Fills features from the options.
+
+        Raises:
+            AdaManipError: a value cannot work; at once, not when a training first evaluates.
+        """
+        with shown_by_parsers():
+            if self.pose_preset is not None:
+                raise renamed_poses(self.pose_preset)
+            self._check_options()
+        self.task = self.task or self.category
         size = self.image_size
         table = {
             "action": (FeatureType.ACTION, (ACTION_DIM,), ACTION),
@@ -78,64 +117,75 @@ class AdaManipEnvConfig(EnvConfig):
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 
     @property
-    def hidden_overrides(self) -> dict[str, Any] | None:
-        """Returns the hidden values that the options fix; None if all are drawn."""
+    def hidden_overrides(self) -> dict[str, bool | int]:
+        """Returns the hidden values that the options fix; the others are drawn."""
         names = [item.name for item in fields(self) if item.metadata.get("hidden")]
-        fixed = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return fixed or None
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+    @property
+    def options(self) -> EnvironmentOptions:
+        """The environment's options."""
+        return self._options(self.category)
+
+    def _check_options(self) -> None:
+        """Raises `ConfigurationError` if a value cannot work."""
+        self._options(self.category)
+
+    def _options(self, category: str, **others: Any) -> EnvironmentOptions:
+        return EnvironmentOptions(
+            category=category,
+            objects=self.objects,
+            assets=self.assets,
+            num_points=self.num_points,
+            image_size=self.image_size,
+            observe_images=self.observe_images,
+            poses=self.poses,
+            mechanism_preset=self.mechanism_preset,
+            max_key_frames=self.episode_length,
+            hidden_overrides=self.hidden_overrides,
+            split=resolve_split(self.split),
+            render_backend=self.render_backend,
+            episode_log=self.episode_log,
+            run_label=self.run_label,
+            workspace=Workspace(self.workspace_lower, self.workspace_upper),
+            **others,
+        )
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of `KeyframeEnv`."""
-        return {
-            "objects": self.objects,
-            "assets": self.assets,
-            "num_points": self.num_points,
-            "image_size": self.image_size,
-            "observe_images": self.observe_images,
-            "pose_preset": self.pose_preset,
-            "mechanism_preset": self.mechanism_preset,
-            "max_key_frames": self.episode_length,
-            "hidden_overrides": self.hidden_overrides,
-            "episode_log": self.episode_log,
-            "run_label": self.run_label,
-        }
+        return {"options": self.options}
 
-    def evaluation_kwargs(self) -> dict[str, Any]:
-        """Returns `gym_kwargs` with the id that all environments of an evaluation share."""
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
+        """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
+        options = self._options(self.category, run_id=self._new_run_id())
+        return {self.type: {0: make_vector_env(options, n_envs, use_async_envs)}}
+
+    def _new_run_id(self) -> str | None:
+        """Returns the id that all environments of an evaluation share in their log."""
         from lerobot_adamanip.evaluation.log import new_run_id
 
-        return {**self.gym_kwargs, "run_id": new_run_id() if self.episode_log else None}
-
-    def create_envs(
-        self, n_envs: int, use_async_envs: bool = False
-    ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
-        """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
-        return {self.type: {0: make_vector_env(self.category, self.evaluation_kwargs(), n_envs, use_async_envs)}}
+        return new_run_id() if self.episode_log else None
 
 
-def make_vector_env(
-    category: str, kwargs: dict[str, Any], n_envs: int, use_async_envs: bool
-) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Returns ``n_envs`` environments of a category as one; an ended one waits until the next rollout."""
-    from lerobot_adamanip.lerobot_compat import freeze_after_episode_end, lazy_async_vector_env
+def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bool) -> VectorEnv:
+    """Returns ``n_envs`` equal environments as one; an ended one waits until the next rollout."""
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+    from lerobot_env_adamanip.vector import LazyAsyncVectorEnv, freeze_after_episode_end
 
     if n_envs < 1:
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
         )
-    functions = [lambda: KeyframeEnv(category, **kwargs) for _ in range(n_envs)]
+    _log.info("%s: %d environment(s) with scenes of the %s split.", options.category, n_envs, options.split)
+    functions = [functools.partial(KeyframeEnv, options=options) for _ in range(n_envs)]
     # More than one simulator in a process would render one after the other; a process each uses every core.
-    vector: gym.vector.VectorEnv[Any, Any, Any] = (
-        lazy_async_vector_env(functions)
-        if use_async_envs and n_envs > 1
-        else gym.vector.SyncVectorEnv(
-            [freeze_after_episode_end(function) for function in functions],
-            autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
-        )
+    if use_async_envs and n_envs > 1:
+        return LazyAsyncVectorEnv(functions)
+    return gym.vector.SyncVectorEnv(
+        [freeze_after_episode_end(function) for function in functions],
+        autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
     )
-    return vector
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,119 +11,75 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
-from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import (
     AdaManipError,
-    ConfigurationError,
     SimulatorError,
+    UnreachableError,
     no_vulkan_device,
-    require_choice,
 )
 from lerobot_adamanip.evaluation.log import new_run_id
-from lerobot_adamanip.evaluation.record import Provenance
+from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
+from lerobot_adamanip.fingerprint import versions
 from lerobot_adamanip.keyframes import Feedback, KeyFrameLabels
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.observation import state_vector, workspace_cloud
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
-from lerobot_adamanip.schema import (
-    ACTION_DIM,
-    DEFAULT_NUM_POINTS,
-    FPS,
-    IMAGE_SIZE,
-    MAX_KEY_FRAMES,
-    NUM_JOINTS,
-    STATE_DIM,
-)
+from lerobot_adamanip.options import EnvironmentOptions, require_known
+from lerobot_adamanip.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.seeds import retried_seed, scene_seed
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
-from lerobot_env_adamanip.fingerprint import present_fingerprint
-from lerobot_env_adamanip.sim.placement import randomization
+from lerobot_env_adamanip.fingerprint import code_fingerprint, present_fingerprint
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 Observation = dict[str, Any]
+SCENE_TRIES = 4
+"""Scenes that a reset tries before it gives up: the seed's own, and others that follow from it."""
+_logger = logging.getLogger(__name__)
 
 
 class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     """AdaManip at key frames. The simulator starts with the first reset, so that building one costs nothing.
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
-    Observation: ``point_cloud`` (N, 3), ``agent_pos`` (24,), ``effort`` (7,), and ``pixels["front"]`` (H, W, 3)
-        unless ``observe_images`` is off. Reset and step info hold ``is_success`` (bool) and nothing that is hidden.
-    Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``.
+    Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
+        (H, W, 3) unless ``observe_images`` is off. Reset and step info hold ``is_success`` (bool) and nothing hidden.
+    Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``; who steps on gets
+        observations, no reward, and leaves the episode's record as it was.
+
+    Implements `lerobot_adamanip.rollout.KeyframeEnvironment`.
 
     Args:
-        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`.
-        objects: which ones: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's is drawn from its seed.
-        assets: a folder of objects of others (AdaManip's, UniDoorManip's, PartNet-Mobility's), to use instead of
-            generated ones; then ``seen`` means all of them.
-        num_points: N.
-        image_size: of the front camera [px].
-        observe_images: whether observations hold the image.
-        pose_preset: ``default`` randomises object, robot and camera pose; ``paper`` fixes them.
-        mechanism_preset: ``paper`` follows the paper's text, ``upstream`` its released code.
-        max_key_frames: length limit.
-        hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
-        episode_log: a file to which each ended episode's record is appended as a line of JSON.
-        run_id: of the evaluation that those records belong to; drawn anew if left out.
-        run_label: what to call it in reports, for instance the policy.
-        workspace: what of the scene the cloud keeps.
+        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`; ``safe`` if nothing names one.
+        options: all options at once ...
+        values: ... or some of them by name, see `EnvironmentOptions`: ``objects``, ``assets``, ``num_points``,
+            ``image_size``, ``observe_images``, ``poses``, ``mechanism_preset``, ``max_key_frames``,
+            ``hidden_overrides``, ``split``, ``render_backend``, ``episode_log``, ``workspace``.
+
+    Raises:
+        ConfigurationError: there is no such option, or a value cannot work.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium declares it so)
 
     def __init__(
-        self,
-        category: str = "safe",
-        *,
-        objects: str = "seen",
-        assets: str | os.PathLike[str] | None = None,
-        num_points: int = DEFAULT_NUM_POINTS,
-        image_size: int = IMAGE_SIZE,
-        observe_images: bool = True,
-        pose_preset: str = "default",
-        mechanism_preset: str = "paper",
-        max_key_frames: int = MAX_KEY_FRAMES,
-        hidden_overrides: dict[str, Any] | None = None,
-        episode_log: str | os.PathLike[str] | None = None,
-        run_id: str | None = None,
-        run_label: str | None = None,
-        workspace: Workspace = DEFAULT_WORKSPACE,
+        self, category: str | None = None, *, options: EnvironmentOptions | None = None, **values: Any
     ) -> None:
-        select_objects(category, objects, assets)
-        randomization(pose_preset)
-        require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
-        _check_range("image size [px]", image_size, 16, 2048, "--env.image_size=256")
-        _check_range("number of key frames per episode", max_key_frames, 1, 10_000, "--env.episode_length=45")
-        self.category, self.num_points, self.workspace = category, check_num_points(num_points), workspace
-        self.task = self.task_description = CATEGORIES[category].instruction
+        self.options = _options(category, options, values)
+        self.category, self.num_points = self.options.category, self.options.num_points
+        self.workspace = self.options.workspace
+        self.task = self.task_description = CATEGORIES[self.category].instruction
         self.render_mode = "rgb_array"
-        self._max_episode_steps = self.max_key_frames = max_key_frames
-        self._observe_images = observe_images
-        self._episode_log = EpisodeLog(Path(episode_log)) if episode_log else None
-        run_id = (run_id or new_run_id()) if episode_log else None  # a recorded episode belongs to no evaluation
-        self._provenance = Provenance(present_fingerprint(), __version__, run_id, run_label)
-        self._task_options = {
-            "objects": objects,
-            "assets": None if assets is None else str(assets),
-            "pose_preset": pose_preset,
-            "mechanism_preset": mechanism_preset,
-            "image_size": image_size,
-            "hidden_overrides": hidden_overrides,
-        }
+        self._max_episode_steps = self.options.max_key_frames  # LeRobot reads it under this name
         self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
-        self._image: NDArray[np.uint8] = np.zeros((image_size, image_size, 3), np.uint8)
+        self._record: EpisodeRecord | None = None
+        self._episode_log, self._provenance = _log_of(self.options)
+        size = self.options.image_size
+        self._image: NDArray[np.uint8] = np.zeros((size, size, 3), np.uint8)
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
-        unbounded = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (num_points, 3)}
-        spaces: dict[str, gym.Space[Any]] = {
-            key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in unbounded.items()
-        }
-        if observe_images:
-            spaces["pixels"] = gym.spaces.Dict({"front": gym.spaces.Box(0, 255, self._image.shape, np.uint8)})
-        self.observation_space = gym.spaces.Dict(spaces)
+        self.observation_space = _observation_space(self.options)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
@@ -132,27 +88,38 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode. ``seed`` decides object, poses and hidden state; equal seeds give equal episodes.
 
+        A seed stands for a scene of the environment's split; one of another split is mapped into it. Where the arm
+        cannot reach what it drew, scenes that follow from the seed are tried, and the log says so.
+
         Options: ``object_id`` chooses the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
+
+        Raises:
+            ConfigurationError: no such object or hidden value.
+            UnreachableError: the arm reaches the part in none of the scenes.
         """
         super().reset(seed=seed)
-        episode_seed = seed if seed is not None else int(self.np_random.integers(2**31))
+        given = seed if seed is not None else int(self.np_random.integers(2**31))
+        wanted = scene_seed(given + self.options.seed_offset, self.options.split)
+        chosen = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim = self._started()
-        self._monitor = None  # a reset that fails leaves no episode to go on with
-        wanted = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
-        sim.reset(seed=episode_seed, options={"reconfigure": True, **wanted})
-        self._monitor = EpisodeMonitor(sim, sim.placement.annotations, seed=episode_seed, provenance=self._provenance)
+        self._monitor = self._record = None  # a reset that fails leaves no episode to go on with
+        drawn = self._placed(sim, wanted, chosen)
+        self._monitor = EpisodeMonitor(sim, sim.placement.annotations, seed=drawn, provenance=self._provenance)
         return self._observe(), {"is_success": False}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         sim, monitor = self._running(), self._episode()
         sim.execute(np.asarray(action))
-        had_ended = monitor.success or monitor.key_frames >= self._max_episode_steps
+        had_succeeded = monitor.success
         success = monitor.after_key_frame()
         truncated = not success and monitor.key_frames >= self._max_episode_steps
-        if (success or truncated) and not had_ended and self._episode_log is not None:
-            self._episode_log.append(monitor.record())
-        return self._observe(), float(success), success, truncated, {"is_success": success}
+        if (success or truncated) and self._record is None:
+            self._record = monitor.record()
+            if self._episode_log is not None:
+                self._episode_log.append(self._record)
+        reward = float(success and not had_succeeded)
+        return self._observe(), reward, success, truncated, {"is_success": success}
 
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's latest image (H, W, 3)."""
@@ -162,9 +129,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Ends the simulator."""
         if self._sim is not None:
             self._sim.close()
-            self._sim = self._monitor = None
+            self._sim = self._monitor = self._record = None
 
-    # For experts, recorders and reports ---------------------------------------------------------------------------
+    # For experts, recorders and reports: `lerobot_adamanip.rollout.KeyframeEnvironment` -----------------------------
+
+    @property
+    def max_key_frames(self) -> int:
+        """Key frames per episode at most."""
+        return self._max_episode_steps
 
     @property
     def feedback(self) -> Feedback:
@@ -181,13 +153,28 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Annotated part poses at the episode's start, robot base frame."""
         return self._running().placement.annotations
 
+    def part_positions(self) -> dict[str, float]:
+        """Returns the object's joint positions as they stand now [rad or m]: what a camera sees of an open door."""
+        return self._running().joint_positions()
+
+    def fingerprint(self) -> dict[str, str]:
+        """Returns what decides how an episode comes out: hashes of the code, versions and the renderer.
+
+        Keys: those of `code_fingerprint`, ``versions``, ``renderer``.
+        """
+        require_simulator()
+        from lerobot_env_adamanip.sim.rendering import renderer_name
+
+        installed = " ".join(f"{name}={version}" for name, version in versions().items())
+        return {**code_fingerprint(), "versions": installed, "renderer": renderer_name()}
+
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden state: privileged; for the static expert and records only."""
         return self._running().hidden_state()
 
     def episode_record(self) -> dict[str, Any]:
-        """Returns what is worth keeping of the episode so far, JSON-able; see `EpisodeRecord`."""
-        return self._episode().record().to_json()
+        """Returns what is worth keeping of the episode until its end, JSON-able; see `EpisodeRecord`."""
+        return (self._record or self._episode().record()).to_json()
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
@@ -197,8 +184,31 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _started(self) -> AdaManipTask:
         if self._sim is None:
-            self._sim = make_task(self.category, **self._task_options)
+            self._sim = make_task(
+                self.category,
+                objects=self.options.objects,
+                assets=self.options.assets,
+                poses=self.options.poses,
+                mechanism_preset=self.options.mechanism_preset,
+                image_size=self.options.image_size,
+                hidden_overrides=dict(self.options.hidden_overrides),
+                **({} if self.options.render_backend == "auto" else {"render_backend": self.options.render_backend}),
+            )
         return self._sim
+
+    def _placed(self, sim: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
+        """Resets the simulator to a scene that the arm can reach; returns its seed."""
+        first, attempt = seed, 0
+        while True:
+            try:
+                sim.reset(seed=seed, options={"reconfigure": True, **chosen})
+                return seed
+            except UnreachableError as error:
+                attempt += 1
+                if attempt == SCENE_TRIES:
+                    raise
+                seed = retried_seed(first, self.options.split, attempt)
+                _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)
 
     def _episode(self) -> EpisodeMonitor:
         if self._monitor is None:
@@ -218,22 +228,38 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             "effort": seen.effort.astype(np.float32),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
-        if self._observe_images:
+        if self.options.observe_images:
             observation["pixels"] = {"front": self._image}
         return observation
 
 
-def _check_range(what: str, got: int, lowest: int, highest: int, hint: str) -> None:
-    if not lowest <= got <= highest:
-        raise ConfigurationError(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", hint=hint)
+def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:
+    """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
+    log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log))
+    run_id = None if log is None else options.run_id or new_run_id()
+    return log, Provenance(present_fingerprint(), __version__, run_id, options.run_label)
 
 
-def make_task(category: str, **options: Any) -> AdaManipTask:
-    """Builds the ManiSkill task of a category, without observations of its own.
+def _options(category: str | None, options: EnvironmentOptions | None, values: dict[str, Any]) -> EnvironmentOptions:
+    require_known(values)
+    if options is None:
+        return EnvironmentOptions(category=category or "safe", **values)
+    return options.changed(**({} if category is None else {"category": category}), **values)
 
-    Raises:
-        SimulatorError: the simulator is not installed, or finds nothing to render with.
-    """
+
+def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
+    shapes = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (options.num_points, 3)}
+    spaces: dict[str, gym.Space[Any]] = {
+        key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
+    }
+    if options.observe_images:
+        size = options.image_size
+        spaces["pixels"] = gym.spaces.Dict({"front": gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
+    return gym.spaces.Dict(spaces)
+
+
+def require_simulator() -> None:
+    """Imports the simulator; raises `SimulatorError` if it is not installed."""
     try:
         import mani_skill.envs  # noqa: F401  (ManiSkill's own tasks, and its registry)
 
@@ -245,6 +271,15 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
             allowed="mani-skill 3.0.1 and sapien 3.0.3",
             hint="pip install 'lerobot_env_adamanip[sim]'",
         ) from error
+
+
+def make_task(category: str, **options: Any) -> AdaManipTask:
+    """Builds the ManiSkill task of a category, without observations of its own.
+
+    Raises:
+        SimulatorError: the simulator is not installed, or finds nothing to render with.
+    """
+    require_simulator()
     try:
         made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
     except RuntimeError as error:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import gymnasium as gym
 from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_env_adamanip.config import AdaManipEnvConfig, make_vector_env
+from lerobot_env_adamanip.config import AdaManipEnvConfig, VectorEnvs, make_vector_env
+
+SEED_STRIDE = 100_000
+"""From a category's seeds to the next one's: poses and hidden state of one seed would be alike otherwise."""
 
 
 @EnvConfig.register_subclass("adamanip")
@@ -26,10 +28,9 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
     # Which categories: names separated by commas, or all.
     categories: str = ALL
 
-    def __post_init__(self) -> None:
-        """Fills features, and rejects categories that there are not."""
-        super().__post_init__()
-        self.chosen()
+    def _check_options(self) -> None:
+        for name in self.chosen():
+            self._options(name)
 
     def chosen(self) -> tuple[str, ...]:
         """Returns the names of the categories; raises `ConfigurationError` for one that there is not."""
@@ -45,9 +46,8 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
             )
         return names
 
-    def create_envs(
-        self, n_envs: int, use_async_envs: bool = False
-    ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
-        """Returns ``{category: {0: vector environment}}``."""
-        kwargs = self.evaluation_kwargs()
-        return {name: {0: make_vector_env(name, kwargs, n_envs, use_async_envs)} for name in self.chosen()}
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
+        """Returns ``{category: {0: vector environment}}``; one seed is another scene in each category."""
+        offsets, run_id = {name: SEED_STRIDE * k for k, name in enumerate(CATEGORIES)}, self._new_run_id()
+        options = [self._options(name, seed_offset=offsets[name], run_id=run_id) for name in self.chosen()]
+        return {each.category: {0: make_vector_env(each, n_envs, use_async_envs)} for each in options}

@@ -103,7 +103,7 @@ class Collect:
         )
         env_options = _changed(
             assets=(None if self.assets is None else str(self.assets.resolve()), None),
-            pose_preset=(self.pose_preset, "default"),
+            poses=({"default": "randomized", "paper": "fixed"}[self.pose_preset], "randomized"),
             mechanism_preset=(self.mechanism_preset, "paper"),
         )
         expert_options = _changed(preset=(self.expert_preset, "paper"))

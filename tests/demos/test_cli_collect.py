@@ -138,5 +138,5 @@ def test_every_option_that_decides_the_data_reaches_the_collection(
     assert main(["collect", "--root", str(tmp_path / "d"), *line]) == 130
     (options,) = asked
     assert (options.expert, options.trials, options.seed) == ("static", 2, 7)
-    assert options.env_options == {"pose_preset": "paper"}
+    assert options.env_options == {"poses": "fixed"}
     assert options.objects[0] == "safe_036"

@@ -5,13 +5,19 @@ from typing import Any
 
 import draccus
 import pytest
+from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_help_text
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.configs.types import FeatureType
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env, make_env_config
 
 import lerobot_env_adamanip  # noqa: F401  (registers the types)
 from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.seeds import scene_seed
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
@@ -37,21 +43,52 @@ def test_registered_under_its_name() -> None:
 
 
 def test_command_line_reaches_the_environment() -> None:
-    config = parsed("--env.objects=0:4", "--env.locked=true", "--env.num_points=512", "--env.pose_preset=paper")
+    config = parsed(
+        "--env.objects=0:4", "--env.locked=true", "--env.num_points=512", "--env.poses=fixed",
+        "--env.workspace_lower=[0.2,-0.5,0.4]", "--env.split=train", "--env.render_backend=cpu",
+    )  # fmt: skip
     assert isinstance(config, AdaManipSafeEnvConfig)
-    assert config.gym_kwargs["hidden_overrides"] == {"locked": True}
-    assert config.gym_kwargs["objects"] == "0:4"
     assert config.features["point_cloud"].shape == (512, 3)
-    env = KeyframeEnv("safe", **config.gym_kwargs)
+    env = KeyframeEnv(**config.gym_kwargs)
     assert env.observation_space["point_cloud"].shape == (512, 3)
+    assert env.options.changed(workspace=DEFAULT_WORKSPACE) == EnvironmentOptions(
+        category="safe", objects="0:4", num_points=512, poses="fixed", hidden_overrides={"locked": True},
+        split="train", render_backend="cpu",
+    )  # fmt: skip
+    assert env.workspace.lower == (0.2, -0.5, 0.4)
 
 
-@pytest.mark.parametrize(
-    ("given", "overrides"), [("false", {"locked": False}), ("true", {"locked": True}), (None, None)]
-)
-def test_locked_is_true_false_or_left_to_the_draw(given: str | None, overrides: dict[str, bool] | None) -> None:
+def test_every_option_of_an_environment_can_be_typed() -> None:
+    """A new option of `EnvironmentOptions` must not be forgotten in LeRobot's configuration."""
+    elsewhere = {
+        "max_key_frames": "episode_length", "workspace": "workspace_lower", "hidden_overrides": "locked",
+        "category": "type", "seed_offset": "type",
+    }  # fmt: skip
+    names = {item.name for item in dataclasses.fields(AdaManipSafeEnvConfig)} | {"type"}
+    assert {elsewhere.get(item.name, item.name) for item in dataclasses.fields(EnvironmentOptions)} <= names
+
+
+@pytest.mark.parametrize("wrong", [["--env.pose_preset=paper"], ["--env.pose_preset=default"]])
+def test_the_former_name_of_poses_is_one_clear_error(wrong: list[str]) -> None:
+    said = r"(?s)pose_preset is called poses now.*--env.poses=fixed"
+    with pytest.raises(draccus.utils.DecodingError, match=said):  # LeRobot prints it, and no traceback
+        parsed(*wrong)
+    with pytest.raises(AdaManipError, match=said):
+        AdaManipSafeEnvConfig(pose_preset="paper")
+    with pytest.raises(ConfigurationError, match="pose_preset is called poses now"):
+        KeyframeEnv("safe", pose_preset="default")
+
+
+@pytest.mark.parametrize("given", [{}, {"pose_preset": None}])
+def test_a_config_written_before_loads_unless_it_means_something_else(given: dict[str, Any]) -> None:
+    assert AdaManipSafeEnvConfig(**given).options.poses == "randomized"
+
+
+@pytest.mark.parametrize(("given", "overrides"), [("false", {"locked": False}), ("true", {"locked": True}), (None, {})])
+def test_locked_is_true_false_or_left_to_the_draw(given: str | None, overrides: dict[str, bool]) -> None:
     config = parsed(*([] if given is None else [f"--env.locked={given}"]))
-    assert config.gym_kwargs["hidden_overrides"] == overrides
+    assert isinstance(config, AdaManipSafeEnvConfig)
+    assert config.options.hidden_overrides == overrides
 
 
 @pytest.mark.parametrize("images", [True, False])
@@ -59,7 +96,7 @@ def test_features_agree_with_map_space_and_dataset(images: bool) -> None:
     config = AdaManipSafeEnvConfig(observe_images=images, num_points=256, image_size=96)
     assert set(config.features) == set(config.features_map)
     assert ("pixels/front" in config.features) is images
-    env = KeyframeEnv("safe", **config.gym_kwargs)
+    env = KeyframeEnv(**config.gym_kwargs)
     dataset = schema.dataset_features(num_points=256, image_size=96)
     for key, feature in config.features.items():
         space: Any = env.observation_space if key != "action" else env.action_space
@@ -85,15 +122,23 @@ def test_nothing_hidden_is_a_feature() -> None:
         ({"objects": ""}, "objects"),
         ({"num_points": 0}, "0"),
         ({"num_points": 20_000}, "20000"),
-        ({"pose_preset": "fixed"}, "default, paper"),
+        ({"poses": "paper"}, "fixed, randomized"),
+        ({"split": "dev"}, "auto, test, train, validation"),
+        ({"render_backend": "gpu"}, "auto, cpu, cuda"),
+        ({"workspace_upper": (0.1, 0.1, 0.1)}, "workspace"),
         ({"image_size": 0}, "image size"),
         ({"episode_length": 0}, "key frames"),
     ],
 )
 def test_bad_options_are_refused_before_a_simulator_starts(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:") as caught:
-        make_env(AdaManipSafeEnvConfig(**wrong), n_envs=1)
+    with pytest.raises(AdaManipError, match=r"(?s)got:.*allowed:.*try:") as caught:
+        AdaManipSafeEnvConfig(**wrong)
     assert said in str(caught.value)
+
+
+def test_the_command_line_says_what_is_wrong_and_not_that_something_is() -> None:
+    with pytest.raises(draccus.utils.DecodingError, match=r"(?s)Unknown split.*got: .*'dev'"):
+        parsed("--env.split=dev")
 
 
 def test_no_environments_are_refused() -> None:
@@ -111,3 +156,55 @@ made = AdaManipSafeEnvConfig().create_envs(2)["adamanip_safe"][0]
 print(json.dumps([made.num_envs, [name for name in ("sapien", "mani_skill") if name in sys.modules]]))
 """
     assert in_fresh_process(code) == [2, []]
+
+
+# Help -------------------------------------------------------------------------------------------------------------
+
+TYPES = sorted(name for name in EnvConfig.get_known_choices() if name.startswith("adamanip"))
+
+
+@pytest.mark.parametrize("env_type", TYPES)
+def test_the_help_of_every_option_is_the_comment_above_it(env_type: str) -> None:
+    config = EnvConfig.get_choice_class(env_type)
+    for item in dataclasses.fields(config):
+        told = get_preferred_help_text(get_attribute_docstring(config, item.name))
+        assert told, item.name
+        assert told[0].isupper() or told.partition(":")[0].isidentifier(), told
+        assert "type: ignore" not in told
+        assert "noqa" not in told
+
+
+# Splits -----------------------------------------------------------------------------------------------------------
+
+
+def split_of_envs(config: AdaManipSafeEnvConfig) -> str:
+    vector = make_env(config, n_envs=1)["adamanip_safe"][0]
+    try:
+        return str(vector.call("get_wrapper_attr", "options")[0].split)
+    finally:
+        vector.close()
+
+
+def test_a_training_validates_and_everything_else_tests() -> None:
+    training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="local/none"), env=AdaManipSafeEnvConfig())
+
+    def train(cfg: TrainPipelineConfig) -> str:
+        return evaluate_inside(cfg.env)
+
+    def evaluate_inside(env: Any) -> str:
+        return split_of_envs(env)
+
+    assert train(training) == "validation"
+    assert split_of_envs(AdaManipSafeEnvConfig()) == "test"
+    assert split_of_envs(AdaManipSafeEnvConfig(split="train")) == "train"
+
+
+def test_the_suites_categories_have_scenes_of_their_own() -> None:
+    made = make_env(make_env_config("adamanip", categories="lamp,safe,bottle"), n_envs=1)
+    assert list(made) == ["lamp", "safe", "bottle"]
+    options = {name: group[0].call("get_wrapper_attr", "options")[0] for name, group in made.items()}
+    assert {name: each.category for name, each in options.items()} == {name: name for name in made}
+    seeds = {scene_seed(seed + each.seed_offset, each.split) for each in options.values() for seed in range(1000, 1050)}
+    assert len(seeds) == 150
+    for group in made.values():
+        group[0].close()

@@ -30,7 +30,7 @@ def config_of(env_type: str, **options: Any) -> Any:
 @pytest.fixture
 def env(env_type: str, simulator: OneSimulator) -> Any:
     config = config_of(env_type)
-    return simulator.get(env_type, lambda: KeyframeEnv(config.category, **config.gym_kwargs))
+    return simulator.get(env_type, lambda: KeyframeEnv(**config.gym_kwargs))
 
 
 def test_there_is_an_environment_for_every_category_and_one_for_all() -> None:
@@ -81,7 +81,7 @@ def test_the_adaptive_expert_ends_an_episode_with_success(env: KeyframeEnv, env_
 @every_environment
 def test_resetting_one_of_two_leaves_the_other_alone_and_processes_change_nothing(env_type: str) -> None:
     config = config_of(env_type, observe_images=False)
-    function = lambda: KeyframeEnv(config.category, **config.gym_kwargs)  # noqa: E731
+    function = lambda: KeyframeEnv(**config.gym_kwargs)  # noqa: E731
     mode = gym.vector.AutoresetMode.DISABLED
     two = gym.vector.SyncVectorEnv([function] * 2, autoreset_mode=mode)
     try:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.experts import Outcome, Phase
+from lerobot_adamanip.errors import ConfigurationError, UnreachableError
+from lerobot_adamanip.evaluation.record import read_log
+from lerobot_adamanip.experts import Outcome, Phase, make_expert
+from lerobot_adamanip.keyframes import KeyFrameLabels
+from lerobot_adamanip.rollout import KeyFrame, KeyframeEnvironment, rollout
 from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_env_adamanip.episode_log import EpisodeLog
+from lerobot_adamanip.seeds import split_of
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 pytestmark = pytest.mark.sim
@@ -245,3 +247,85 @@ def test_each_ended_episode_is_logged_once(env: KeyframeEnv, tmp_path: Path, mon
     records = read_log(path)
     assert [(record.seed, record.success) for record in records] == [(5, True), (7, False)]
     assert [record.key_frames for record in records][1] == 2
+
+
+# What experts and recorders rely on -------------------------------------------------------------------------------
+
+
+def test_an_episode_goes_on_past_success_and_its_record_does_not(env: KeyframeEnv) -> None:
+    expert_episode(env, 5, hidden_overrides={"locked": False})
+    record, door = env.episode_record(), env.part_positions()["door"]
+    wider = stay(env)
+    wider[0] -= 0.03
+    wider[9] = 0.0
+    for _ in range(2):
+        observation, reward, terminated, truncated, info = env.step(wider)
+        check_observation(env, observation)
+        assert (reward, terminated, truncated, info["is_success"]) == (0.0, True, False, True)
+    assert env.episode_record() == record
+    assert env.part_positions()["door"] != door
+
+
+def test_scenes_stay_within_their_split(env: KeyframeEnv) -> None:
+    validation = KeyframeEnv("safe", split="validation", max_key_frames=30, **SMALL)
+    try:
+        mapped, _ = validation.reset(seed=5)
+        seed = validation.episode_record()["seed"]
+        assert split_of(seed) == "validation"
+        assert digest(validation.reset(seed=seed)[0]) == digest(mapped)
+        assert digest(env.reset(seed=5)[0]) != digest(mapped)
+        env.reset()
+        assert split_of(env.episode_record()["seed"]) == "test"
+        validation.reset(seed=2**31 - 1)
+        assert split_of(validation.episode_record()["seed"]) == "validation"
+    finally:
+        validation.close()
+
+
+def test_out_of_reach_another_scene_of_the_seed_is_drawn(
+    env: KeyframeEnv, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    env.reset(seed=1)
+    task = env._started()
+    real, asked = task.reset, []
+
+    def reset(seed: int, options: dict[str, Any]) -> Any:
+        asked.append(seed)
+        if len(asked) % 4 in (1, 2):
+            raise UnreachableError("No pose within reach.")
+        return real(seed=seed, options=options)
+
+    monkeypatch.setattr(task, "reset", reset)
+    seen = [digest(env.reset(seed=9, options={"object_id": "safe_003"})[0])]
+    assert env.episode_record()["object_id"] == "safe_003"
+    assert (asked[0], split_of(asked[2])) == (9, "test")
+    assert env.episode_record()["seed"] == asked[2] != 9
+    assert "No pose within reach" in caplog.text
+    asked.append(0)
+    seen.append(digest(env.reset(seed=9, options={"object_id": "safe_003"})[0]))
+    assert seen[0] == seen[1]
+    monkeypatch.setattr(task, "reset", lambda **_: (_ for _ in ()).throw(UnreachableError("Never.")))
+    with pytest.raises(UnreachableError):
+        env.reset(seed=9)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(np.zeros(10, np.float32))
+
+
+def test_a_fingerprint_names_code_versions_and_renderer(env: KeyframeEnv) -> None:
+    found = env.fingerprint()
+    assert {"contract", "mechanisms", "objects", "experts", "simulator", "versions", "renderer"} == set(found)
+    assert "sapien=" in found["versions"]
+    assert found["renderer"] != "none"
+    assert found == KeyframeEnv("pen").fingerprint()
+
+
+def test_the_environment_is_what_rollouts_take(env: KeyframeEnv) -> None:
+    taken: KeyframeEnvironment = env
+    observation, _ = taken.reset(seed=5)
+    assert taken.max_key_frames == 30
+    assert taken.labels == KeyFrameLabels()  # nothing was tried yet
+    expert = make_expert("safe", "adaptive", taken.annotations, generator=np.random.default_rng(0))
+    heard: list[KeyFrame] = []
+    result = rollout(taken, observation, expert, heard.append)
+    assert result.success
+    assert len(heard) == result.key_frames

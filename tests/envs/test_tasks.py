@@ -183,7 +183,7 @@ def test_sparse_reward_is_one_while_open(env: Any) -> None:
     assert (before.item(), after.item()) == (0.0, 1.0)
 
 
-@pytest.mark.parametrize("wrong", [{"num_envs": 2}, {"sim_backend": "gpu"}, {"pose_preset": "x"}, {"objects": "x"}])
+@pytest.mark.parametrize("wrong", [{"num_envs": 2}, {"sim_backend": "gpu"}, {"poses": "x"}, {"objects": "x"}])
 def test_what_cannot_work_is_refused(env: Any, wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:"):
         gym.make(SAFE, **wrong)

@@ -1,24 +1,27 @@
-"""Mixed precision, as `--policy.use_amp=true` runs it."""
+"""Mixed precision, as `--policy.use_amp=true` runs it, where a machine can; one clear error where it cannot."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
 
-from lerobot_adamanip import schema
+from lerobot_adamanip import mixed_precision, schema
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
 
 SIZES = {"num_points": 16, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dims": (16, 32)}
 
 
-@pytest.fixture
-def policy() -> Any:
+def make_policy(**options: Any) -> Any:
     from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 
-    config = DP3AdaptiveConfig(device="cpu", push_to_hub=False, **SIZES)
+    config = DP3AdaptiveConfig(device="cpu", push_to_hub=False, **SIZES, **options)
     config.input_features = {
         schema.POINT_CLOUD: PolicyFeature(FeatureType.STATE, (32, 3)),
         schema.STATE: PolicyFeature(FeatureType.STATE, (schema.STATE_DIM,)),
@@ -27,7 +30,8 @@ def policy() -> Any:
     return DP3AdaptivePolicy(config)
 
 
-def test_half_precision_trains_and_acts_in_full_precision_actions(policy: Any) -> None:
+def half_precision_step(policy: Any) -> tuple[Any, Any]:
+    """A loss and an action, under autocast."""
     batch = {
         schema.POINT_CLOUD: torch.rand(2, 1, 32, 3),
         schema.STATE: torch.rand(2, 1, schema.STATE_DIM),
@@ -39,6 +43,43 @@ def test_half_precision_trains_and_acts_in_full_precision_actions(policy: Any) -
         loss.backward()
         policy.eval()
         action = policy.select_action({key: batch[key][:, 0] for key in (schema.POINT_CLOUD, schema.STATE)})
-    assert torch.isfinite(loss)
-    assert action.dtype == torch.float32
-    assert torch.isfinite(action).all()
+    return loss, action
+
+
+@pytest.fixture
+def _nothing_known() -> Iterator[None]:
+    mixed_precision.mixed_precision_problem.cache_clear()
+    yield
+    mixed_precision.mixed_precision_problem.cache_clear()
+
+
+def test_a_policy_trains_and_acts_in_half_precision_exactly_where_the_probe_says_so() -> None:
+    if mixed_precision.mixed_precision_problem("cpu") is None:
+        loss, action = half_precision_step(make_policy(use_amp=True))
+        assert torch.isfinite(loss)
+        assert action.dtype == torch.float32
+        assert torch.isfinite(action).all()
+    else:
+        with pytest.raises(ConfigurationError, match=r"--policy.use_amp=false"):
+            make_policy(use_amp=True)
+
+
+@pytest.mark.usefixtures("_nothing_known")
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("raise RuntimeError('could not create a primitive')", "could not create a primitive"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGILL)", "signal 4"),
+        ("import time; time.sleep(30)", "no answer"),
+    ],
+)
+def test_a_machine_that_cannot_is_one_clear_error(monkeypatch: pytest.MonkeyPatch, code: str, said: str) -> None:
+    real = subprocess.run
+    monkeypatch.setattr(subprocess, "run", lambda _command, **kw: real([sys.executable, "-c", code], **kw))
+    monkeypatch.setattr(mixed_precision, "PROBE_TIMEOUT_S", 2.0)
+    with pytest.raises(
+        ConfigurationError, match=r"(?s)mixed precision.*use_amp=true on cpu.*--policy.use_amp=false"
+    ) as caught:
+        make_policy(use_amp=True)
+    assert said in str(caught.value)
+    make_policy(use_amp=False)  # and without, nothing is asked

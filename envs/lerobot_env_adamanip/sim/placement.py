@@ -39,15 +39,15 @@ class Randomization:
 
 
 RANDOMIZATIONS = {
-    "default": Randomization(),
-    "paper": Randomization(0.0, 0.0, 0.0, 0.0, 0.0),
+    "randomized": Randomization(),
+    "fixed": Randomization(0.0, 0.0, 0.0, 0.0, 0.0),
 }
-"""``paper``: upstream's code moves neither object, robot nor camera."""
+"""``fixed``: upstream's code moves neither object, robot nor camera."""
 
 
 def randomization(preset: str) -> Randomization:
     """Returns a preset by name; raises `ConfigurationError` that lists them for another name."""
-    return RANDOMIZATIONS[require_choice("pose preset", preset, RANDOMIZATIONS)]
+    return RANDOMIZATIONS[require_choice("poses", preset, RANDOMIZATIONS)]
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def draw_placement(
         f"{obj.object_id} cannot be placed where the arm reaches its parts.",
         got=f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m",
         allowed="every part within reach, held and turned",
-        hint="--env.pose_preset=paper, or another object",
+        hint="--env.poses=fixed, or another object",
     )
 
 

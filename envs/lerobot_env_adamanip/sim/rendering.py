@@ -21,4 +21,10 @@ def keep_shaders(device: Any) -> None:
         _kept.append(sapien.render.RenderSystem(device))
 
 
-__all__ = ["keep_shaders"]
+def renderer_name() -> str:
+    """Returns the names of the devices that SAPIEN can render with here, as their Vulkan drivers give them."""
+    lines = [line.partition(":") for line in sapien.render.get_device_summary().splitlines()]
+    return ", ".join(value.strip() for key, _, value in lines if key.strip() == "GPU") or "none"
+
+
+__all__ = ["keep_shaders", "renderer_name"]

@@ -17,8 +17,10 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.version import Version
 
+from lerobot_adamanip.categories import CATEGORIES
+
 DISTRIBUTION = "lerobot_env_adamanip"
-ENV_TYPES = ("adamanip_safe",)
+ENV_TYPES = ("adamanip", *(f"adamanip_{name}" for name in CATEGORIES))
 POLICY_TYPES = ("dp3_adaptive",)
 SIM_INSTALL = "pip install 'lerobot_env_adamanip[sim]' (in a checkout: make setup)"
 VULKAN_ADVICE = (
@@ -158,6 +160,18 @@ def check_cuda() -> Check:
     return Check("CUDA", True, f"{torch.cuda.get_device_name()} (CUDA {torch.version.cuda})", advice, required=False)
 
 
+def check_mixed_precision() -> Check:
+    """Can what trains here train in half precision? Found out by doing it."""
+    import torch
+
+    from lerobot_adamanip.mixed_precision import mixed_precision_problem
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    problem = mixed_precision_problem(device)
+    found = f"{device} trains in it" if problem is None else f"not on {device}: {problem}"
+    return Check("Mixed precision", problem is None, found, "train without --policy.use_amp=true", required=False)
+
+
 def check_disk() -> Check:
     """Free space where one works."""
     free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
@@ -195,6 +209,7 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
     check_vulkan,
     check_rendering,
     check_cuda,
+    check_mixed_precision,
     check_video,
     check_hub_cache,
     check_disk,

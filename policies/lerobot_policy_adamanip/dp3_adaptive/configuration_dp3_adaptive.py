@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,37 +10,15 @@ from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.optim.optimizers import AdamWConfig
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, POSE_NAMES, STATE
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {
-        "num_points": 512, "encoder": "mlp", "encoder_dims": (64, 128, 192), "encoder_out_dim": 128,
-        "tcp_relative": True, "proprioception": "pose",
-        "n_obs_steps": 1, "n_action_history_steps": 8, "horizon": 4, "n_action_steps": 1,
-        "down_dims": (128, 256), "kernel_size": 3, "diffusion_step_embed_dim": 64,
-        "noise_scheduler_type": "DDIM", "prediction_type": "sample", "num_inference_steps": 10,
-        "augmentation_translation": 0.03, "augmentation_yaw": 0.1, "history_noise_std": 0.02,
-        "clip_sample_range": 6.0, "optimizer_lr": 5e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 100,
-    },
-    "paper": {
-        "num_points": 4096, "encoder": "pointnet2", "encoder_dims": (64, 128, 256, 512), "encoder_out_dim": 128,
-        "tcp_relative": False, "proprioception": "full",
-        "n_obs_steps": 4, "n_action_history_steps": 4, "horizon": 4, "n_action_steps": 2,
-        "down_dims": (256, 512, 1024), "kernel_size": 5, "diffusion_step_embed_dim": 256,
-        "noise_scheduler_type": "DDPM", "prediction_type": "epsilon", "num_inference_steps": 100,
-        "augmentation_translation": 0.0, "augmentation_yaw": 0.0, "history_noise_std": 0.0,
-        "clip_sample_range": 1.0, "optimizer_lr": 1e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 500,
-    },
-}  # fmt: skip
-"""``fast``: trains and acts on two CPU cores. ``paper``: the paper's table of parameters; its batch size of 64 is not
-the policy's to set: ``--batch_size=64``. What the table does not say (schedules, widths) is as in the paper's code."""
+from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
 @dataclass
 class DP3AdaptiveConfig(PreTrainedConfig):
-    """Fields that are None here take the preset's value; one given on the command line wins. Saved are the values.
+    """Options of ``dp3_adaptive``. One given on the command line wins over the preset. Saved are the values.
 
     Time axis, for ``n_obs_steps = 2``, ``n_action_history_steps = 3``, ``horizon = 4``, ``n_action_steps = 2``::
 
@@ -51,79 +28,90 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         generated                  a    a    a    a
         executed                   a    a
 
-    Args:
-        preset: ``fast`` or ``paper``.
-        n_obs_steps: observed steps, the present one included.
-        n_action_history_steps: past actions that the policy is conditioned on; 0 is plain DP3.
-        horizon: actions generated at once.
-        n_action_steps: of those, executed before the next are generated.
-        num_points: points used, the first of the dataset's (any first points are a farthest-point sample).
-        encoder: ``mlp`` (DP3's PointNet) or ``pointnet2`` (hierarchical, the paper's).
-        encoder_dims: widths of the encoder's layers (``mlp``) or levels (``pointnet2``).
-        encoder_out_dim: features a cloud is condensed to.
-        tcp_relative: points also relative to the tool; history and chunk in positions relative to it. Takes effect
-            where state and action are the contract's poses.
-        proprioception: ``pose`` (tool pose and gripper, the state's first ten) or ``full`` (joints too).
-        use_effort: also look at the external joint torque.
-        down_dims: channels of the U-Net's levels; it halves the chunk between levels.
-        noise_scheduler_type: ``DDPM`` or ``DDIM``.
-        prediction_type: ``epsilon`` (noise) or ``sample`` (the clean action, as DP3).
-        clip_sample_range: bound of an action while sampling: normalised units, or 0.15 m where positions are relative.
-        ema_power: the averaged weights' decay at step n is 1 - (1 + n)^-ema_power, at most ``ema_max``.
-        augmentation_translation: training only: scenes are shifted by up to this along each axis [m] ...
-        augmentation_yaw: ... and turned by up to this about the vertical [rad] ...
-        augmentation_center: ... through this point (x, y, z) [m], robot base frame. Joint positions do not follow.
-        history_noise_std: training only: noise on the action history, normalised units.
-        pose_layout: whether state and action are named as the contract's poses; found from the dataset's names.
-        action_feature_names: names of the action's numbers, from the dataset; lerobot-rollout maps them to a robot's.
+    The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
+    # Values of the options below that are not given: fast (two CPU cores) or paper (its table of parameters).
     preset: str = "fast"
+    # Set by itself: the preset that the values were taken from. A checkpoint keeps its values, so also its preset.
+    values_from: str | None = None
 
-    # As in the base class, whose types are not visible to type checkers.
+    # Set by itself: names and shapes of the inputs, from the dataset.
     input_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
+    # Set by itself: name and shape of the action, from the dataset.
     output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
 
-    # None is "from the preset" until __post_init__ has run; the types are those after it.
-    n_obs_steps: int = None  # type: ignore[assignment]
-    n_action_history_steps: int = None  # type: ignore[assignment]
-    horizon: int = None  # type: ignore[assignment]
-    n_action_steps: int = None  # type: ignore[assignment]
+    # Observed steps, the present one included (fast 1, paper 4).
+    n_obs_steps: int = from_preset()
+    # Past actions that the policy is conditioned on; 0 for none (fast 8, paper 4).
+    n_action_history_steps: int = from_preset()
+    # Actions generated at once (fast 4, paper 4).
+    horizon: int = from_preset()
+    # Of those, executed before the next are generated (fast 1, paper 2).
+    n_action_steps: int = from_preset()
 
-    num_points: int = None  # type: ignore[assignment]
-    encoder: str = None  # type: ignore[assignment]
-    encoder_dims: tuple[int, ...] = None  # type: ignore[assignment]
-    encoder_out_dim: int = None  # type: ignore[assignment]
-    tcp_relative: bool = None  # type: ignore[assignment]
-    proprioception: str = None  # type: ignore[assignment]
+    # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 512, paper 4096).
+    num_points: int = from_preset()
+    # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, paper pointnet2).
+    encoder: str = from_preset()
+    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, paper 64 128 256 512).
+    encoder_dims: tuple[int, ...] = from_preset()
+    # Features that a cloud is condensed to (fast 128, paper 128).
+    encoder_out_dim: int = from_preset()
+    # Points also relative to the tool, history and chunk in positions relative to it (fast True, paper False).
+    # Takes effect where state and action are poses, named as this project's datasets name them.
+    tcp_relative: bool = from_preset()
+    # Proprioception: pose, which is tool pose and gripper, or full, joints too (fast pose, paper full).
+    proprioception: str = from_preset()
+    # Look at the external joint torque too.
     use_effort: bool = False
 
-    # Read by LeRobot's U-Net under these names.
-    down_dims: tuple[int, ...] = None  # type: ignore[assignment]
-    kernel_size: int = None  # type: ignore[assignment]
+    # Channels of the U-Net's levels; it halves the chunk between levels (fast 128 256, paper 256 512 1024).
+    down_dims: tuple[int, ...] = from_preset()
+    # Kernel of the U-Net's convolutions over time, odd (fast 3, paper 5).
+    kernel_size: int = from_preset()
+    # Groups of the U-Net's group normalisation; divides every one of down_dims.
     n_groups: int = 8
-    diffusion_step_embed_dim: int = None  # type: ignore[assignment]
+    # Size of the diffusion step's embedding (fast 64, paper 256).
+    diffusion_step_embed_dim: int = from_preset()
+    # Whether the condition scales features besides shifting them (FiLM).
     use_film_scale_modulation: bool = True
+    # Compute the U-Net's activations again in the backward pass: less memory, more time.
     gradient_checkpointing: bool = False
 
-    noise_scheduler_type: str = None  # type: ignore[assignment]
+    # Sampler: DDPM or DDIM (fast DDIM, paper DDPM).
+    noise_scheduler_type: str = from_preset()
+    # Diffusion steps in training.
     num_train_timesteps: int = 100
-    num_inference_steps: int = None  # type: ignore[assignment]
+    # Denoising steps per chunk at run time (fast 10, paper 100).
+    num_inference_steps: int = from_preset()
+    # Noise schedule, as diffusers names it.
     beta_schedule: str = "squaredcos_cap_v2"
-    prediction_type: str = None  # type: ignore[assignment]
-    clip_sample_range: float = None  # type: ignore[assignment]
+    # What the U-Net predicts: epsilon, the noise, or sample, the clean action as in DP3 (fast sample, paper epsilon).
+    prediction_type: str = from_preset()
+    # Bound of an action while sampling: normalised units, or 0.15 m where tcp_relative holds (fast 6.0, paper 1.0).
+    clip_sample_range: float = from_preset()
 
+    # The averaged weights' decay at step n is 1 - (1 + n)^-ema_power ...
     ema_power: float = 0.75
+    # ... but at most this.
     ema_max: float = 0.9999
 
-    augmentation_translation: float = None  # type: ignore[assignment]
-    augmentation_yaw: float = None  # type: ignore[assignment]
+    # Training only: scenes are shifted by up to this along each axis [m] (fast 0.03, paper 0.0) ...
+    augmentation_translation: float = from_preset()
+    # ... and turned by up to this about the vertical [rad]; joint positions do not follow (fast 0.1, paper 0.0) ...
+    augmentation_yaw: float = from_preset()
+    # ... through this point: x, y, z [m], robot base frame.
     augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
-    history_noise_std: float = None  # type: ignore[assignment]
+    # Training only: standard deviation of noise on the history, normalised units (fast 0.02, paper 0.0).
+    history_noise_std: float = from_preset()
 
+    # Set by itself: whether state and action are poses, from the dataset's names.
     pose_layout: bool | None = None
+    # Set by itself: names of the action's numbers, from the dataset; lerobot-rollout maps them to a robot's.
     action_feature_names: list[str] | None = None
 
+    # How each kind of feature is normalised; STATE and ACTION as MIN_MAX where tcp_relative holds.
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: {
             "STATE": NormalizationMode.MIN_MAX,
@@ -132,20 +120,36 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             "ACTION": NormalizationMode.MIN_MAX,
         }
     )
+    # Publish the policy on the Hub when the training ends, under repo_id.
+    push_to_hub: bool = True
+    # Where on the Hub: user/name.
+    repo_id: str | None = None
+    # Licence of a published policy, as the Hub names it.
     license: str | None = "apache-2.0"
 
-    optimizer_lr: float = None  # type: ignore[assignment]
-    optimizer_weight_decay: float = None  # type: ignore[assignment]
+    # Learning rate of AdamW (fast 0.0005, paper 0.0001).
+    optimizer_lr: float = from_preset()
+    # Weight decay of AdamW (fast 1e-06, paper 1e-06).
+    optimizer_weight_decay: float = from_preset()
+    # Decay rates of AdamW's averages.
     optimizer_betas: tuple[float, float] = (0.95, 0.999)
+    # Schedule of the learning rate, as diffusers names it.
     scheduler_name: str = "cosine"
-    scheduler_warmup_steps: int = None  # type: ignore[assignment]
+    # Steps until the full learning rate (fast 100, paper 500).
+    scheduler_warmup_steps: int = from_preset()
 
     def __post_init__(self) -> None:
-        """Fills in the preset and rejects combinations that cannot work."""
-        for name, value in PRESETS[require_choice("preset", self.preset, PRESETS)].items():
-            if getattr(self, name) is None:
-                setattr(self, name, value)
+        """Fills in the preset and rejects combinations that cannot work.
+
+        Raises:
+            AdaManipError: a value is unknown, or values do not go together.
+        """
+        with shown_by_parsers():
+            self._take_preset()
+            self._check()
         super().__post_init__()
+
+    def _check(self) -> None:
         require_choice("encoder", self.encoder, ("mlp", "pointnet2"))
         require_choice("proprioception", self.proprioception, ("pose", "full"))
         require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
@@ -153,11 +157,20 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         self._check_sizes()
         self._check_horizon()
         self._check_normalization()
-        if "lerobot.datasets.lerobot_dataset" in sys.modules:
-            # Whoever has datasets loaded is about to read one; who evaluates only does not pay for the import.
-            from lerobot_adamanip import lerobot_compat
 
-            lerobot_compat.apply()
+    def _take_preset(self) -> None:
+        values = PRESETS[require_choice("preset", self.preset, PRESETS)]
+        if self.values_from not in (None, self.preset):
+            raise ConfigurationError(
+                "A checkpoint's preset cannot be changed: its network has the sizes it was trained with.",
+                got=f"preset={self.preset}, for values of {self.values_from}",
+                allowed=f"preset={self.values_from}",
+                hint=f"a training from the start with --policy.type=dp3_adaptive --policy.preset={self.preset}",
+            )
+        for name, value in values.items():
+            if getattr(self, name) is None:
+                setattr(self, name, value)
+        self.values_from = self.preset
 
     def _check_sizes(self) -> None:
         widths = tuple(self.down_dims)

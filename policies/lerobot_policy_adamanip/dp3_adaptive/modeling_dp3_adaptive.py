@@ -21,6 +21,7 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor, nn
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_adamanip.schema import ACTION, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig, wrong_number_of_points
 from lerobot_policy_adamanip.encoders import make_encoder
@@ -30,6 +31,11 @@ RELATIVE_SCALE = 0.15
 """Positions relative to the tool are given in this unit [m]: the length of a typical key frame."""
 BODY_RANGE = 3.0
 """Bound of normalised proprioception; the demonstrations are within 1."""
+
+
+def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
+    """After weights were loaded the buffer says how many updates there were."""
+    policy._ema_count = None
 
 
 class DP3AdaptivePolicy(PreTrainedPolicy):
@@ -62,6 +68,8 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         self, config: DP3AdaptiveConfig, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs: Any
     ):
         super().__init__(config)
+        if config.use_amp:
+            require_mixed_precision(config.device)
         config.validate_features()
         if config.action_feature is None:
             raise ConfigurationError(
@@ -80,6 +88,8 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         # The averaged weights are part of the policy, so that they are saved, resumed and evaluated.
         self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
+        self._ema_count: int | None = None  # known once `update` has read the buffer
+        self.register_load_state_dict_post_hook(_forget_count)
         scheduler = DDIMScheduler if config.noise_scheduler_type == "DDIM" else DDPMScheduler
         self.noise_scheduler = scheduler(
             num_train_timesteps=config.num_train_timesteps,
@@ -153,8 +163,10 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
     @torch.no_grad()
     def update(self) -> None:
         """Moves the averaged weights; lerobot-train calls this after each optimizer step."""
+        # Counted here too: reading the buffer would wait for the GPU at every step.
+        self._ema_count = (int(self.ema_steps) if self._ema_count is None else self._ema_count) + 1
         self.ema_steps += 1
-        decay = min(1 - (1 + int(self.ema_steps)) ** -self.config.ema_power, self.config.ema_max)
+        decay = min(1 - (1 + self._ema_count) ** -self.config.ema_power, self.config.ema_max)
         torch._foreach_lerp_(list(self.ema_model.parameters()), list(self.model.parameters()), 1 - decay)
 
     # Run time ---------------------------------------------------------------------------------------------------

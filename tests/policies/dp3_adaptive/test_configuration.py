@@ -1,17 +1,19 @@
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_help_text
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.errors import AdaManipError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import PRESETS
+from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
 
 PAPER = {
     "num_points": 4096, "encoder": "pointnet2", "n_action_history_steps": 4, "horizon": 4, "n_action_steps": 2,
@@ -30,7 +32,7 @@ def _features(points: tuple[int, ...] = (64, 3)) -> dict[str, PolicyFeature]:
 
 
 def _refused(call: Callable[[], Any]) -> str:
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(AdaManipError) as caught:
         call()
     message = str(caught.value)
     assert all(word in message for word in ("got:", "allowed:", "try:"))
@@ -84,6 +86,31 @@ def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> 
     changed = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--num_inference_steps=7"])
     assert changed.num_inference_steps == 7
     assert changed.num_points == 77
+
+
+def test_a_checkpoints_preset_cannot_be_relabelled(tmp_path: Path) -> None:
+    DP3AdaptiveConfig(preset="fast", device="cpu", push_to_hub=False).save_pretrained(tmp_path)
+    same = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--preset=fast"])
+    assert (same.preset, same.values_from) == ("fast", "fast")
+    with pytest.raises(AdaManipError, match=r"(?s)checkpoint's preset cannot be changed.*preset=paper"):
+        PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--preset=paper"])
+
+
+@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(DP3AdaptiveConfig)])
+def test_the_help_of_every_option_is_true(name: str) -> None:
+    told = get_preferred_help_text(get_attribute_docstring(DP3AdaptiveConfig, name))
+    if name not in DP3AdaptiveConfig.__annotations__:
+        return  # LeRobot's own
+    assert told
+    assert "type: ignore" not in told
+    assert told.strip().endswith((".", "..."))
+    if name in PRESETS["fast"]:
+        values = {preset: PRESETS[preset][name] for preset in PRESETS}
+        shown = [
+            f"{preset} {' '.join(map(str, value)) if isinstance(value, tuple) else value}"
+            for preset, value in values.items()
+        ]
+        assert f"({', '.join(shown)})" in " ".join(told.split())
 
 
 def test_windows_are_history_then_chunk(make_config: Callable[..., Any]) -> None:

@@ -40,7 +40,7 @@ class AdaManipTask(BaseEnv):
     """Base of the tasks; what is a category's own stands in its `CategoryTask`.
 
     Task description: manipulate an articulated object whose mechanism cannot be seen.
-    Randomizations: object out of ``objects``; its pose, the arm's start and the camera's pose (``pose_preset``);
+    Randomizations: object out of ``objects``; its pose, the arm's start and the camera's pose (``poses``);
         hidden state, from a stream of its own, so that two episodes that differ in it alone look the same.
     Success conditions: a joint beyond its goal, see `Mechanism.goals`.
 
@@ -70,7 +70,7 @@ class AdaManipTask(BaseEnv):
         *args: Any,
         objects: str = "seen",
         assets: str | None = None,
-        pose_preset: str = "default",
+        poses: str = "randomized",
         mechanism_preset: str = "paper",
         image_size: int = 256,
         shader: str = "default",
@@ -96,7 +96,7 @@ class AdaManipTask(BaseEnv):
                 hint="gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
             )
         self.object_ids, self._assets = select_objects(self.category, objects, assets), assets
-        self.randomization = randomization(pose_preset)
+        self.randomization = randomization(poses)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._shader = image_size, shader

@@ -1,0 +1,129 @@
+"""Vector environments as LeRobot's rollouts want them: ended episodes wait, processes start late and may not hang.
+
+LeRobot 0.6.1 has the like under private names; these depend on none, so that a renamed one costs the plugin nothing.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+
+from lerobot_adamanip.errors import SimulatorError
+
+Make = Callable[[], gym.Env[Any, Any]]
+Transition = tuple[Any, float, bool, bool, dict[str, Any]]
+WORKER_TIMEOUT_S = 600.0
+"""A process that answers no later than this has hung: a reset takes seconds, the first one a minute."""
+
+
+class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
+    """Repeats an ended episode's last observation, with no reward, until a rollout starts the next.
+
+    LeRobot steps all environments of a batch until the slowest has ended. Gymnasium resets an ended one by itself,
+    giving neither seed nor options; a rollout gives one of them, and that alone starts an episode.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self._last: Transition | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode if asked to by a rollout; else returns the ended one's last observation."""
+        if self._last is not None and seed is None and not options:
+            return self._last[0], self._last[4]
+        self._last = None
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> Transition:
+        """Steps, or repeats the end."""
+        if self._last is not None:
+            return self._last
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            self._last = (observation, 0.0, terminated, truncated, info)
+        return observation, float(reward), terminated, truncated, info
+
+
+def freeze_after_episode_end(make: Make) -> Make:
+    """Returns a maker of frozen environments."""
+    return lambda: FreezeAfterEpisodeEnd(make())
+
+
+class LazyAsyncVectorEnv:
+    """A process per environment, started at first use and ended by `close`, after which it can be used again.
+
+    So a suite holds the processes of one category at a time.
+
+    Args:
+        makers: one per environment; picklable by cloudpickle.
+    """
+
+    def __init__(self, makers: Sequence[Make]) -> None:
+        self._makers = list(makers)
+        self._env: gym.vector.AsyncVectorEnv | None = None
+        self.num_envs = len(self._makers)
+        first = self._makers[0]()  # starts no simulator
+        self.single_observation_space = self.observation_space = first.observation_space
+        self.single_action_space = self.action_space = first.action_space
+        self.metadata = first.metadata
+        first.close()
+
+    @property
+    def unwrapped(self) -> LazyAsyncVectorEnv:
+        """This."""
+        return self
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """As `gymnasium.vector.VectorEnv.reset`; raises `SimulatorError` if a process has hung."""
+        env = self._started()
+        env.reset_async(seed=seed, options=options)
+        return self._answer(lambda: env.reset_wait(timeout=WORKER_TIMEOUT_S))
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """As `gymnasium.vector.VectorEnv.step`; raises `SimulatorError` if a process has hung."""
+        env = self._started()
+        env.step_async(actions)
+        return self._answer(lambda: env.step_wait(timeout=WORKER_TIMEOUT_S))
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Calls a method, or reads an attribute, of each environment."""
+        return self._started().call(name, *args, **kwargs)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Reads an attribute of each environment."""
+        return self._started().get_attr(name)
+
+    def close(self) -> None:
+        """Ends the processes."""
+        env, self._env = self._env, None
+        if env is not None:
+            env.close()
+
+    def _started(self) -> gym.vector.AsyncVectorEnv:
+        if self._env is None:
+            self._env = gym.vector.AsyncVectorEnv(
+                [freeze_after_episode_end(make) for make in self._makers],
+                context="forkserver",
+                shared_memory=True,
+                autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
+            )
+        return self._env
+
+    def _answer[T](self, wait: Callable[[], T]) -> T:
+        try:
+            return wait()
+        except multiprocessing.TimeoutError as error:
+            env, self._env = self._env, None
+            if env is not None:
+                env.close(terminate=True)
+            raise SimulatorError(
+                "A simulator's process does not answer.",
+                got=f"nothing within {WORKER_TIMEOUT_S:.0f} s",
+                allowed="an answer within that time",
+                hint="adamanip doctor; --eval.use_async_envs=false shows where it stands",
+            ) from error

@@ -1,0 +1,72 @@
+"""The one object that says which environment it is."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from typing import Any
+
+import pytest
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.pointcloud import Workspace
+
+GIVEN = EnvironmentOptions(
+    category="lamp", objects="0:2", num_points=64, poses="fixed", hidden_overrides={"mode": 1}, split="validation",
+    workspace=Workspace((0.2, -0.5, 0.4), (0.9, 0.5, 1.2)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda given: pickle.loads(pickle.dumps(given))])
+def test_copies_are_equal(copied: Any) -> None:
+    again = copied(GIVEN)
+    assert again == GIVEN
+    with pytest.raises(TypeError):
+        again.hidden_overrides["mode"] = 2
+
+
+def test_what_was_given_cannot_be_changed_from_outside() -> None:
+    overrides = {"mode": 1}
+    options = EnvironmentOptions(category="lamp", hidden_overrides=overrides)
+    overrides["mode"] = 2
+    assert options.hidden_overrides == {"mode": 1}
+
+
+def test_a_change_makes_a_checked_copy() -> None:
+    assert GIVEN.changed(num_points=32).num_points == 32
+    assert GIVEN.num_points == 64
+    with pytest.raises(ConfigurationError, match="num_point"):
+        GIVEN.changed(num_point=32)
+    with pytest.raises(ConfigurationError):
+        GIVEN.changed(num_points=0)
+
+
+def test_json_holds_every_option() -> None:
+    told = json.loads(json.dumps(GIVEN.to_json()))
+    assert set(told) == set(EnvironmentOptions.__dataclass_fields__)
+    assert told["hidden_overrides"] == {"mode": 1}
+    assert told["workspace"]["upper"] == [0.9, 0.5, 1.2]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"category": "fridge"}, "fridge"),
+        ({"objects": "9:3"}, "9:3"),
+        ({"num_points": -1}, "-1"),
+        ({"image_size": 8}, "16 ... 2048"),
+        ({"poses": "paper"}, "fixed, randomized"),
+        ({"mechanism_preset": "mine"}, "mine"),
+        ({"max_key_frames": 0}, "key frames"),
+        ({"split": "dev"}, "validation"),
+        ({"seed_offset": -1}, "seed offset"),
+        ({"render_backend": "gpu"}, "auto, cpu, cuda"),
+        ({"workspace": Workspace((0.5, 0.0, 0.0), (0.5, 1.0, 1.0))}, "workspace"),
+    ],
+)
+def test_what_cannot_work_is_one_clear_error(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:") as caught:
+        EnvironmentOptions(**wrong)
+    assert said in str(caught.value)
