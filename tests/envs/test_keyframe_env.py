@@ -11,12 +11,13 @@ import pytest
 from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
 
 from lerobot_adamanip.errors import ConfigurationError, UnreachableError
-from lerobot_adamanip.evaluation.record import read_log
+from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.experts import Outcome, Phase, make_expert
 from lerobot_adamanip.keyframes import KeyFrameLabels
 from lerobot_adamanip.rollout import KeyFrame, KeyframeEnvironment, rollout
 from lerobot_adamanip.rotations import pose_from_vector
 from lerobot_adamanip.seeds import split_of
+from lerobot_env_adamanip.episode_log import EpisodeLog
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 pytestmark = pytest.mark.sim
@@ -132,6 +133,7 @@ FRESH = """
 import json, sys
 sys.path.insert(0, {folder!r})
 from envs_helpers import SMALL, expert_episode
+from lerobot_env_adamanip.episode_log import EpisodeLog
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 env = KeyframeEnv("safe", max_key_frames=30, **SMALL)
 print(json.dumps(expert_episode(env, 11, hidden_overrides={{"locked": True}})[0]))
