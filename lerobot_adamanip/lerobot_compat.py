@@ -19,12 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.schema import ACTION, POINT_CLOUD, POSE_NAMES
+from lerobot_adamanip.schema import ACTION, POINT_CLOUD, POSE_NAMES, SKIP_VIDEOS
 
 TESTED = {"0.6.1": "e594c630a264f01d"}
 """LeRobot version -> hash of its reader's source, for which `FastDatasetReader` was written and tested."""
-SKIP_VIDEOS = "_adamanip_skip_videos"
-"""Attribute of a dataset's metadata: no reader of it looks at videos."""
 _log = logging.getLogger(__name__)
 _stock: type[Any] | None = None  # LeRobot's own reader, while it is replaced
 _warned: set[str] = set()

@@ -17,7 +17,7 @@ import torch
 from lerobot.datasets.dataset_reader import DatasetReader
 from numpy.typing import NDArray
 
-from lerobot_adamanip.lerobot_compat import SKIP_VIDEOS
+from lerobot_adamanip.schema import SKIP_VIDEOS
 
 _DEPTH_UNITS = "_image_depth_units"
 

@@ -23,11 +23,10 @@ def _train_a_little(device: str) -> None:
     import torch
     from torch import nn
 
-    net = nn.Sequential(
-        nn.Linear(64, 128), nn.LayerNorm(128), nn.ReLU(), nn.Unflatten(1, (32, 4)), nn.Conv1d(32, 64, 3, padding=1),
-        nn.GroupNorm(8, 64), nn.Mish(), nn.Conv1d(64, 64, 1), nn.Conv1d(64, 64, 3, 2, 1),
-        nn.ConvTranspose1d(64, 32, 4, 2, 1), nn.Flatten(), nn.Linear(128, 16),
-    ).to(device)  # fmt: skip
+    encoder = (nn.Linear(64, 128), nn.LayerNorm(128), nn.ReLU(), nn.Unflatten(1, (32, 4)))
+    down = (nn.Conv1d(32, 64, 3, padding=1), nn.GroupNorm(8, 64), nn.Mish(), nn.Conv1d(64, 64, 3, 2, 1))
+    up = (nn.Conv1d(64, 64, 1), nn.ConvTranspose1d(64, 32, 4, 2, 1), nn.Flatten(), nn.Linear(128, 16))
+    net = nn.Sequential(*encoder, *down, *up).to(device)
     with torch.autocast(device):
         loss = net(torch.rand(64, 64, device=device)).square().mean()
     loss.backward()

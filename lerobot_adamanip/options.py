@@ -7,10 +7,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
-from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.seeds import SPLITS
@@ -75,6 +73,10 @@ class EnvironmentOptions:
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else str(value))
         require_choice("category", self.category, CATEGORIES)
+        # Here, because whoever only registers the plugin shall not wait for them.
+        from lerobot_adamanip.catalog import select_objects
+        from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+
         select_objects(self.category, self.objects, self.assets)
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
         require_choice("mechanism preset", self.mechanism_preset, MECHANISM_PRESETS)

@@ -49,6 +49,9 @@ MAX_KEY_FRAMES = 45
 FPS = 4
 """Key frames have no clock. Four a second is the paper code's macro-step rate, and a comfortable video speed."""
 
+SKIP_VIDEOS = "_adamanip_skip_videos"
+"""Attribute of a LeRobot dataset's metadata: no reader of it looks at videos."""
+
 Statistics = dict[str, dict[str, NDArray[Any]]]
 """Feature key -> statistic name -> values, as LeRobot keeps them."""
 

@@ -14,9 +14,14 @@ from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.pointcloud import Workspace
 
 GIVEN = EnvironmentOptions(
-    category="lamp", objects="0:2", num_points=64, poses="fixed", hidden_overrides={"mode": 1}, split="validation",
+    category="lamp",
+    objects="0:2",
+    num_points=64,
+    poses="fixed",
+    hidden_overrides={"mode": 1},
+    split="validation",
     workspace=Workspace((0.2, -0.5, 0.4), (0.9, 0.5, 1.2)),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda given: pickle.loads(pickle.dumps(given))])

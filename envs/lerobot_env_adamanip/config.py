@@ -69,7 +69,7 @@ class AdaManipEnvConfig(EnvConfig):
     observe_images: bool = True
     # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
     poses: str = "randomized"
-    # paper: mechanisms as the paper's text has them. upstream: as its released code has them. See docs/categories.md.
+    # Mechanisms as in the paper's text (paper), as in its released code (upstream), or ours (hard); docs/categories.md.
     mechanism_preset: str = "paper"
     # Key frames per episode.
     episode_length: int = MAX_KEY_FRAMES

@@ -192,7 +192,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
                 mechanism_preset=self.options.mechanism_preset,
                 image_size=self.options.image_size,
                 hidden_overrides=dict(self.options.hidden_overrides),
-                **({} if self.options.render_backend == "auto" else {"render_backend": self.options.render_backend}),
+                render_backend=self.options.render_backend,
             )
         return self._sim
 

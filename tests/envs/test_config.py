@@ -44,26 +44,40 @@ def test_registered_under_its_name() -> None:
 
 def test_command_line_reaches_the_environment() -> None:
     config = parsed(
-        "--env.objects=0:4", "--env.locked=true", "--env.num_points=512", "--env.poses=fixed",
-        "--env.workspace_lower=[0.2,-0.5,0.4]", "--env.split=train", "--env.render_backend=cpu",
-    )  # fmt: skip
+        "--env.objects=0:4",
+        "--env.locked=true",
+        "--env.num_points=512",
+        "--env.poses=fixed",
+        "--env.workspace_lower=[0.2,-0.5,0.4]",
+        "--env.split=train",
+        "--env.render_backend=cpu",
+    )
     assert isinstance(config, AdaManipSafeEnvConfig)
     assert config.features["point_cloud"].shape == (512, 3)
     env = KeyframeEnv(**config.gym_kwargs)
     assert env.observation_space["point_cloud"].shape == (512, 3)
     assert env.options.changed(workspace=DEFAULT_WORKSPACE) == EnvironmentOptions(
-        category="safe", objects="0:4", num_points=512, poses="fixed", hidden_overrides={"locked": True},
-        split="train", render_backend="cpu",
-    )  # fmt: skip
+        category="safe",
+        objects="0:4",
+        num_points=512,
+        poses="fixed",
+        hidden_overrides={"locked": True},
+        split="train",
+        render_backend="cpu",
+    )
     assert env.workspace.lower == (0.2, -0.5, 0.4)
 
 
 def test_every_option_of_an_environment_can_be_typed() -> None:
     """A new option of `EnvironmentOptions` must not be forgotten in LeRobot's configuration."""
     elsewhere = {
-        "max_key_frames": "episode_length", "workspace": "workspace_lower", "hidden_overrides": "locked",
-        "category": "type", "seed_offset": "type",
-    }  # fmt: skip
+        "max_key_frames": "episode_length",
+        "workspace": "workspace_lower",
+        "hidden_overrides": "locked",
+        "category": "type",
+        "seed_offset": "type",
+        "run_id": "type",
+    }
     names = {item.name for item in dataclasses.fields(AdaManipSafeEnvConfig)} | {"type"}
     assert {elsewhere.get(item.name, item.name) for item in dataclasses.fields(EnvironmentOptions)} <= names
 

@@ -139,11 +139,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     scheduler_warmup_steps: int = from_preset()
 
     def __post_init__(self) -> None:
-        """Fills in the preset and rejects combinations that cannot work.
-
-        Raises:
-            AdaManipError: a value is unknown, or values do not go together.
-        """
+        """Fills in the preset; raises `AdaManipError` for an unknown value or values that do not go together."""
         with shown_by_parsers():
             self._take_preset()
             self._check()
