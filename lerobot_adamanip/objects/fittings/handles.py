@@ -242,7 +242,7 @@ def _centred(design: HandleDesign) -> list[Shape]:
     x, half, metal = design.standoff, design.thickness / 2, design.metal
     neck = rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False)
     if design.style == "cross bar":
-        arms = ((0.011, half, design.length / 2), (0.011, 0.9 * 0.034, half))
+        arms = ((0.011, half, design.length / 2), (0.011, 0.027, half))
         return [neck, *(chamfered_box((x, 0, 0), arm, 0.003, metal) for arm in arms)]
     if design.style == "T bar":
         return [neck, chamfered_box((x, 0, 0), (0.013, half, design.length / 2), 0.003, metal)]

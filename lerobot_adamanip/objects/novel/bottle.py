@@ -25,7 +25,7 @@ RECIPES: dict[str, Recipe] = {
         ("gold", "copper", "black"), ("minimal",), depth=(0.46, 0.54), squareness=(0.6, 1.0),
     ),
     "preserve jar": Recipe(
-        (0.105, 0.120), (0.036, 0.041), (0.78, 0.84), (0.93, 0.96), "round", (0.92, 0.97), (0.0265, 0.0295),
+        (0.105, 0.120), (0.036, 0.041), (0.78, 0.84), (0.93, 0.96), "round", (0.92, 0.97), (0.0246, 0.0256),
         (0.020, 0.024), ("fluted", "beaker"), ("chilli", "orange drink", "green sauce", "berry drink"),
         ("gold", "red", "white"), ("dairy", "oval"), ribs=(3, 4),
     ),
@@ -42,7 +42,7 @@ RECIPES: dict[str, Recipe] = {
     "bell": Recipe(
         (0.16, 0.19), (0.036, 0.041), (0.60, 0.68), (0.86, 0.90), "ogee", (0.84, 0.92), (0.0165, 0.0195),
         (0.026, 0.032), ("ball", "smooth"), ("teal plastic", "mint plastic", "blush plastic", "black plastic"),
-        ("copper", "silver", "white"), ("oval", "minimal"), taper=(1.14, 1.22),
+        ("copper", "silver", "white"), ("oval", "minimal"), taper=(1.05, 1.07),
     ),
 }  # fmt: skip
 _STREAM = 0xB0771E

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Material
-from lerobot_adamanip.objects.coffee_maker.generator import CoffeeMakerDesign, build_coffee_maker, draw_design
-from lerobot_adamanip.objects.coffee_maker.looks import BLACK
+from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign, draw_design
+from lerobot_adamanip.objects.coffee_maker.generator import build_coffee_maker
 
 PANEL_STYLES = ("twin gauge", "slot")
 _COLORS = ((0.72, 0.30, 0.04), (0.30, 0.05, 0.20), (0.10, 0.28, 0.10), (0.72, 0.54, 0.10), (0.20, 0.36, 0.56))

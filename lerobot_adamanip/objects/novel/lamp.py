@@ -12,7 +12,7 @@ from lerobot_adamanip.objects.geometry.shapes import rod
 from lerobot_adamanip.objects.lamp.generator import LampDesign, build_lamp, draw_design
 from lerobot_adamanip.objects.lamp.heads import HAND_CLEARANCE, METALS, Head, Place
 
-RADII = {"pagoda": (0.060, 0.072), "stack": (0.046, 0.056), "candle": (0.024, 0.030), "tulip": (0.050, 0.062)}
+RADII = {"pagoda": (0.060, 0.072), "stack": (0.046, 0.056), "candle": (0.046, 0.056), "tulip": (0.050, 0.062)}
 _GLOW, _OPAL = Material((0.92, 0.74, 0.30), 0.4), Material((0.86, 0.82, 0.70), 0.35)
 _COLORS = ((0.66, 0.28, 0.06), (0.30, 0.08, 0.30), (0.60, 0.58, 0.12), (0.02, 0.32, 0.30), (0.72, 0.36, 0.42))
 
@@ -52,8 +52,9 @@ class NovelHead(Head):
 
     def _candle(self, place: Place) -> tuple[Shape, ...]:
         """A thick candle in a dish, with its flame."""
-        r, up = self.radius, 0.30 * self.height
-        dish = revolved(place.at(0, 0, up), ((0.4 * r, 0.0), (1.9 * r, 0.012), (1.9 * r, 0.016)), self.metal)
+        dish_radius, up = self.radius, 0.30 * self.height
+        r, outline = 0.53 * dish_radius, ((0.2 * dish_radius, 0.0), (dish_radius, 0.012), (dish_radius, 0.016))
+        dish = revolved(place.at(0, 0, up), outline, self.metal)
         wax = revolved(place.at(0, 0, up + 0.014), ((r, 0.0), (r, 0.12), (0.9 * r, 0.124)), self.shade)
         flame = ((0.003, 0.0), (0.010, 0.012), (0.009, 0.022), (0.002, 0.042))
         return (*self._stem(place, up), dish, wax, revolved(place.at(0, 0, up + 0.142), flame, _GLOW))
@@ -96,7 +97,7 @@ def draw_novel_design(rng: np.random.Generator) -> LampDesign:
         thickness=rng.uniform(0.022, 0.034),
         base=paint if rng.random() < 0.6 else head.metal,
         knob_style="fluted",
-        knob_radius=rng.uniform(0.0205, 0.0235),
+        knob_radius=rng.uniform(0.0202, 0.0218),
     )
 
 

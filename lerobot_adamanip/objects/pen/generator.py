@@ -121,7 +121,14 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
     rolls = TWO_FINGERS if pen.squareness else CLIP_ROLLS
     parts = (annotate(links, "cap", "cap", grasp, rolls),)
     size = (float(stand.width), float(stand.depth), float(lip + pen.cap_height))
-    return ArticulatedObject(object_id, "pen", links, parts, size, f"{pen.kind}, {pen.clip} clip, {stand.kind}")
+    return ArticulatedObject(
+        object_id,
+        "pen",
+        links,
+        parts,
+        size,
+        f"{pen.kind}, {'no' if pen.clip == 'none' else pen.clip} clip, {stand.kind}",
+    )
 
 
 def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:

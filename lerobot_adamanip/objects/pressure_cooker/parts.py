@@ -122,10 +122,10 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
             revolved((0, 0, top + 0.006), [(0.022, 0), (0.019, 0.008), (0.010, 0.018), (0.003, 0.021)], design.accent),
         ]
     elif design.valve_style == "twin":
-        for side_y, size in ((0.018, 0.008), (-0.016, 0.011)):
+        for along, size in ((0.018, 0.008), (-0.016, 0.011)):
             shapes += [
-                upright((0, side_y, top + 0.006), size, 0.010, black),
-                upright((0, side_y, top + 0.017), 0.7 * size, 0.002, design.accent, collides=False),
+                upright((along, 0, top + 0.006), size, 0.010, black),
+                upright((along, 0, top + 0.017), 0.7 * size, 0.002, design.accent, collides=False),
             ]
     elif design.valve_style == "weight":
         shapes += [
