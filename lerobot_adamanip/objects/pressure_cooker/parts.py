@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.revolved import SMOOTH, revolved
 from lerobot_adamanip.objects.geometry.rounded import bar, upright
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
+from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign
 from lerobot_adamanip.rotations import transform
-
-if TYPE_CHECKING:
-    from lerobot_adamanip.objects.pressure_cooker.generator import PressureCookerDesign
 
 GAP = 0.0015
 """Between the pot's rim and what turns on it [m]."""
