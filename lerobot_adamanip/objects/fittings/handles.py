@@ -174,14 +174,9 @@ def _lever(design: HandleDesign) -> list[Shape]:
         middle = (end + half) / 2
         return [neck, chamfered_box((x, 0, middle), (0.010, half, half - middle), 0.002, metal)]
     if design.style == "paddle lever":
-        blade = [
-            (x + sx * 0.009, sy * half * w, z)
-            for z, w in ((0.012, 1.5), (0.008, 1.7))
-            for sx in (-1, 1)
-            for sy in (-1, 1)
-        ]
-        blade += [(x + sx * 0.008, sy * half, z) for z in (-0.030, end) for sx in (-1, 1) for sy in (-1, 1)]
-        return [neck, convex_mesh(np.asarray(blade, dtype=np.float64), np.eye(4), metal)]
+        # Two pieces: in one convex hull the sides that are held would be a wedge, and a pull would slip along it.
+        hub = chamfered_box((x, 0, -0.006), (0.010, 1.7 * half, 0.018), 0.004, metal)
+        return [neck, hub, chamfered_box((x, 0, end / 2), (0.010, half, -end / 2), 0.002, metal)]
     if design.style == "ball lever":
         ball = rod((x, 0, end), (x, 0, end + 0.0005), 1.5 * half, metal)
         return [
