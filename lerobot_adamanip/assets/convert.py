@@ -139,6 +139,7 @@ class _Assembly:
             (width, depth, height),
             f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
             self_collides=False,
+            weightless=True,
         )
 
     def _order(self, link: str) -> tuple[int, bool]:

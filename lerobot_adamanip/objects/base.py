@@ -202,6 +202,7 @@ class ArticulatedObject:
         description: the drawn parameters, for labels and cards.
         self_collides: whether its links stop each other. Those of a generated object never meet; an external
             asset's meshes often overlap a little, and must not jam.
+        weightless: whether gravity leaves its links alone, as upstream has it: external assets state no springs.
     """
 
     object_id: str
@@ -211,6 +212,7 @@ class ArticulatedObject:
     size: tuple[float, float, float]
     description: str = ""
     self_collides: bool = True
+    weightless: bool = False
 
     def part(self, name: str) -> PartAnnotation:
         """Returns the annotation of a part; KeyError that lists the parts if there is none of that name."""

@@ -220,6 +220,13 @@ def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
     half, radius, metal = design.handle_length / 2, design.handle_radius, design.metal
     grip_x = GRASP_REACH
     foot_plates = tuple(disk((0.002, y, z + s * half), radius * 1.7, 0.002, metal, collides=False) for s in (-1, 1))
+    if design.handle_style == "fin":
+        return (chamfered_box((grip_x / 2, y, z), (grip_x / 2 + 0.008, radius, half), 0.003, metal), *foot_plates)
+    if design.handle_style == "ball bar":
+        tips = [np.array([grip_x, y, z + s * half]) for s in (-1, 1)]
+        balls = tuple(rod(tip, tip - (0, 0, 5e-4), 1.6 * radius, metal) for tip in tips)
+        stems = tuple(rod((0.0, y, tip[2]), tip, radius * 0.8, metal) for tip in tips)
+        return (rod(tips[0], tips[1], radius * 0.9, metal), *balls, *stems, *foot_plates)
     if design.handle_style == "flat bar":
         bar = chamfered_box((grip_x, y, z), (radius * 0.7, radius, half + radius), 0.002, metal)
         posts = tuple(
@@ -245,6 +252,17 @@ def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
             prism(((tip + 0.008) / 2, 0, 0), radius, (tip - 0.008) / 2, 8, metal, top=0.96),
         ]
         pointer_z, pointer_x = radius * 0.55, tip
+    elif design.knob_style == "hexagon":
+        shapes = [
+            disk((0.006, 0, 0), radius * 1.3, 0.006, metal),
+            prism(((tip + 0.012) / 2, 0, 0), 0.9 * radius, (tip - 0.012) / 2, 6, dark, top=0.98),
+        ]
+        pointer_z, pointer_x = radius * 0.55, tip
+    elif design.knob_style == "cross":
+        arms = [(0.0080, 1.25 * radius), (1.1 * radius, 0.0095)]
+        shapes = [disk((0.017, 0, 0), 0.62 * radius, 0.017, dark)]
+        shapes += [chamfered_box(((0.03 + tip) / 2, 0, 0), ((tip - 0.03) / 2, *arm), 0.002, metal) for arm in arms]
+        pointer_z, pointer_x = radius * 0.95, tip
     else:
         slim = 0.0075 if design.knob_style == "thumb turn" else 0.009
         base = 0.022

@@ -115,6 +115,31 @@ def unidoormanip_door(folder: Path) -> Path:
     return folder
 
 
+def full_size_door(folder: Path, width: float = 0.9, height: float = 2.0, lever_height: float = 1.0) -> Path:
+    """A door as houses have it, in UniDoorManip's layout: a leaf of ``width`` x ``height``, a lever on a neck [m]."""
+    middle, spindle = height / 2, width - 0.06
+    up = lever_height - middle
+    for x in (-width / 2 - 0.05, width / 2 + 0.05):
+        write_box(folder / "texture_dae" / f"post{int(x > 0)}.obj", (0.08, height + 0.1, 0.12), (x, 0.05, -0.06))
+    write_box(folder / "texture_dae" / "head.obj", (width + 0.02, 0.08, 0.12), (0, middle + 0.06, -0.06))
+    write_box(folder / "texture_dae" / "leaf.obj", (width, height, 0.04), (width / 2, 0, -0.02))
+    write_box(folder / "texture_dae" / "lever.obj", (0.13, 0.02, 0.02), (-0.055, 0, 0.055))
+    write_box(folder / "texture_dae" / "neck.obj", (0.02, 0.02, 0.055), (0, 0, 0.0275))
+    frame = ("texture_dae/post0.obj", "texture_dae/post1.obj", "texture_dae/head.obj")
+    write_urdf(
+        folder,
+        link("base"),
+        link("link_0", *frame),
+        link("link_1", "texture_dae/leaf.obj"),
+        link("link_2", "texture_dae/lever.obj", "texture_dae/neck.obj"),
+        joint("joint_0", "fixed", "base", "link_0", rpy=UPRIGHT),
+        joint("joint_1", "revolute", "link_0", "link_1", (-width / 2, 0, 0), (0, -1, 0), (0, 1.508)),
+        joint("joint_2", "revolute", "link_1", "link_2", (spindle, up, 0), (0, 0, 1), (0, 1.05)),
+    )
+    (folder / "handle_bounding.json").write_text(json.dumps({"goal_pos": [-0.07, 0.0, 0.055]}))
+    return folder
+
+
 def partnet_safe(folder: Path) -> Path:
     """PartNet-Mobility: about one unit large, names of its own, several meshes a link with materials, no grasps."""
     meshes = folder / "textured_objs"

@@ -7,13 +7,14 @@ import pytest
 from caps import check_cap_and_joints, check_grip, check_shapes, check_size, check_turning_and_lifting
 from solids import fingerprint
 
-from lerobot_adamanip.catalog import parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, novel_objects, seen_objects, unseen_objects
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.bottle import CAP_RANGE, make_bottle
 from lerobot_adamanip.objects.bottle.recipes import RECIPES
 
 SEEN, UNSEEN = seen_objects("bottle"), unseen_objects("bottle", 8)
-BOTTLES = {name: make_bottle(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
+NOVEL = novel_objects("bottle", 8)
+BOTTLES = {name: make_object(name) for name in (*SEEN, *UNSEEN, *NOVEL)}
 every_bottle = pytest.mark.parametrize("bottle", BOTTLES.values(), ids=BOTTLES)
 
 
@@ -30,12 +31,17 @@ def test_every_kind_is_among_the_seen_ones() -> None:
         assert sum(text.startswith(f"{kind} bottle") for text in descriptions) == len(SEEN) // len(RECIPES)
 
 
-@every_bottle
-def test_it_has_the_size_of_a_bottle_and_stands_behind_its_origin(bottle: ArticulatedObject) -> None:
+@pytest.mark.parametrize("name", [*SEEN, *UNSEEN])
+def test_it_has_the_size_of_a_bottle(name: str) -> None:
+    bottle = BOTTLES[name]
     width, depth, height = bottle.size
     assert 0.12 <= height <= 0.32
     assert 0.035 <= depth <= 0.095
     assert 0.05 <= width <= 0.17
+
+
+@every_bottle
+def test_it_stands_behind_its_origin_and_fills_its_box(bottle: ArticulatedObject) -> None:
     check_size(bottle)
 
 

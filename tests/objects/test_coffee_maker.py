@@ -7,13 +7,14 @@ import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 from test_pressure_cooker import HALF_OPENING, fingers, palm
 
-from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, novel_objects, parse_object_id, seen_objects, unseen_objects
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.coffee_maker import DROP_UPPER, PORTAFILTER_RANGE, make_coffee_maker
 from lerobot_adamanip.rotations import rotation_about
 
 SEEN, UNSEEN = seen_objects("coffee_maker"), unseen_objects("coffee_maker", 4)
-MACHINES = {name: make_coffee_maker(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
+NOVEL = novel_objects("coffee_maker", 8)
+MACHINES = {name: make_object(name) for name in (*SEEN, *UNSEEN, *NOVEL)}
 every_machine = pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
 TURNS = PORTAFILTER_RANGE * np.linspace(-1, 1, 5)
 GRAVITY = 9.81
@@ -72,8 +73,9 @@ def test_friction_carries_the_portafilter_and_a_hand_overcomes_it(machine: Artic
     assert 1.3 * weight < friction < weight + 10
 
 
-@every_machine
-def test_sizes_are_those_of_home_machines(machine: ArticulatedObject) -> None:
+@pytest.mark.parametrize("name", [*SEEN, *UNSEEN])
+def test_sizes_are_those_of_home_machines(name: str) -> None:
+    machine = MACHINES[name]
     width, depth, height = machine.size
     assert 0.20 <= width <= 0.32
     assert 0.24 <= depth <= 0.34

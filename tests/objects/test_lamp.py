@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
-from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, novel_objects, parse_object_id, seen_objects, unseen_objects
 from lerobot_adamanip.objects import ArticulatedObject, Link
 from lerobot_adamanip.objects.lamp import GRIP_DEPTH, build_lamp, draw_design, make_lamp
 from lerobot_adamanip.objects.lamp.heads import HEADS
 
 SEEN, UNSEEN = seen_objects("lamp"), unseen_objects("lamp", 25)
-LAMPS = {name: make_lamp(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
+NOVEL = novel_objects("lamp", 8)
+LAMPS = {name: make_object(name) for name in (*SEEN, *UNSEEN, *NOVEL)}
 every_lamp = pytest.mark.parametrize("lamp", LAMPS.values(), ids=LAMPS)
 HAND_SWEEP, HAND_BEHIND, OFF = 0.106, 0.055, 0.024
 """Radius that the hand's body sweeps when it turns, how far behind the tool point it starts, what its approach may be

@@ -7,13 +7,14 @@ import pytest
 from caps import check_cap_and_joints, check_grip, check_shapes, check_size, check_turning_and_lifting
 from solids import fingerprint, solid
 
-from lerobot_adamanip.catalog import parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, novel_objects, seen_objects, unseen_objects
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.pen import CAP_RANGE, make_pen
 from lerobot_adamanip.objects.pen.recipes import RECIPES, STANDS
 
 SEEN, UNSEEN = seen_objects("pen"), unseen_objects("pen", 8)
-PENS = {name: make_pen(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
+NOVEL = novel_objects("pen", 8)
+PENS = {name: make_object(name) for name in (*SEEN, *UNSEEN, *NOVEL)}
 every_pen = pytest.mark.parametrize("pen", PENS.values(), ids=PENS)
 
 

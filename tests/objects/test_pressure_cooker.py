@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
-from lerobot_adamanip.catalog import make_object, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import make_object, novel_objects, parse_object_id, seen_objects, unseen_objects
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.pressure_cooker import LID_RANGE, LIFT_UPPER, make_pressure_cooker
 from lerobot_adamanip.rotations import rotation_about
 
 SEEN, UNSEEN = seen_objects("pressure_cooker"), unseen_objects("pressure_cooker", 4)
-COOKERS = {name: make_pressure_cooker(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
+NOVEL = novel_objects("pressure_cooker", 8)
+COOKERS = {name: make_object(name) for name in (*SEEN, *UNSEEN, *NOVEL)}
 every_cooker = pytest.mark.parametrize("cooker", COOKERS.values(), ids=COOKERS)
 TURNS = LID_RANGE * np.linspace(-1, 1, 5)
 FINGER_LENGTH, HALF_OPENING, FINGER_DEPTH, FINGER_HALF_WIDTH = 0.045, 0.04, 0.014, 0.0105
@@ -77,8 +78,9 @@ def test_it_is_a_pot_with_a_lid_that_lifts_and_turns_either_way(cooker: Articula
     assert [motion.joint for motion in cooker.part("handle").motions] == ["lift", "lid"]
 
 
-@every_cooker
-def test_sizes_are_those_of_pots_for_three_to_eight_litres(cooker: ArticulatedObject) -> None:
+@pytest.mark.parametrize("name", [*SEEN, *UNSEEN])
+def test_sizes_are_those_of_pots_for_three_to_eight_litres(name: str) -> None:
+    cooker = COOKERS[name]
     width, depth, height = cooker.size
     assert 0.18 <= width <= 0.26
     assert width <= depth <= width + 0.06

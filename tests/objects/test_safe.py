@@ -13,14 +13,22 @@ import pytest
 import torch
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
-from lerobot_adamanip.catalog import make_object, object_id, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.catalog import (
+    make_object,
+    novel_objects,
+    object_id,
+    parse_object_id,
+    seen_objects,
+    unseen_objects,
+)
 from lerobot_adamanip.mechanisms import SafeMechanism
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.objects.safe import DOOR_UPPER, GRASP_REACH, build_safe, draw_design, make_safe
 from lerobot_adamanip.rotations import rotation_about, transform
 
 SEEN, UNSEEN = seen_objects("safe"), unseen_objects("safe", 12)
-SAFES = {name: make_safe(parse_object_id(name)[1]) for name in (*SEEN, *UNSEEN)}
+NOVEL = novel_objects("safe", 8)
+SAFES = {name: make_object(name) for name in (*SEEN, *UNSEEN, *NOVEL)}
 every_safe = pytest.mark.parametrize("safe", SAFES.values(), ids=SAFES)
 FINGER_LENGTH, HALF_OPENING, FINGER_DEPTH, FINGER_HALF_WIDTH = 0.045, 0.04, 0.014, 0.0105
 """Free length of a finger behind the tool point, opening (8 cm in all), thickness and half width [m]."""

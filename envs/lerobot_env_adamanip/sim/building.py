@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +11,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
 from lerobot_adamanip.rotations import quaternion_from_matrix, rotation_with_x_along
+from lerobot_env_adamanip.sim.mesh_files import mesh_file
 
 FRICTION = 1.2
 """Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
@@ -49,6 +46,8 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
         links[link.name] = made
     articulation = builder.build(name=obj.object_id, fix_root_link=True)
     _set_springs(articulation, obj)
+    for made in articulation._objs[0].links if obj.weightless else ():
+        made.disable_gravity = True
     return articulation
 
 
@@ -111,7 +110,7 @@ def _add_visual(link: Any, shape: Shape) -> None:
     elif shape.kind == "capsule":
         link.add_capsule_visual(pose, shape.size[0], shape.size[1], material)
     else:
-        link.add_visual_from_file(str(_mesh_file(shape)), pose, material=material)
+        link.add_visual_from_file(str(mesh_file(shape)), pose, material=material)
 
 
 def _add_collision(link: Any, shape: Shape, material: Any) -> None:
@@ -123,26 +122,4 @@ def _add_collision(link: Any, shape: Shape, material: Any) -> None:
     elif shape.kind == "cylinder":
         link.add_cylinder_collision(pose, shape.size[0], shape.size[1], material)
     else:
-        link.add_convex_collision_from_file(str(_mesh_file(shape)), pose=pose, material=material)
-
-
-def _mesh_file(shape: Shape) -> Path:
-    """SAPIEN reads meshes from files only: writes the mesh once under a name made of its content."""
-    import trimesh
-
-    assert shape.vertices is not None
-    assert shape.faces is not None
-    digest = hashlib.sha256(shape.vertices.tobytes() + shape.faces.tobytes()).hexdigest()[:24]
-    # Per user: on a shared machine the others may neither write to the folder nor read the files.
-    folder = Path(tempfile.gettempdir()) / f"adamanip_meshes_{os.getuid()}"
-    path = folder / f"{digest}.obj"
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        # Flat shading: each face keeps its own vertices and normals, or chamfers would be smeared round.
-        flat = trimesh.Trimesh(
-            shape.vertices[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3), process=False
-        )
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".obj", delete=False) as stream:
-            stream.write(str(flat.export(file_type="obj", include_normals=True)).encode())
-        Path(stream.name).replace(path)
-    return path
+        link.add_convex_collision_from_file(str(mesh_file(shape)), pose=pose, material=material)

@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from lerobot_adamanip.errors import UnreachableError, require_choice
 from lerobot_adamanip.keyframes import PRE_GRASP
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
-from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_adamanip.rotations import interpolate, rotation_about, transform
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
 
 Array = NDArray[np.float64]
 
 PATH_STEPS = 6
 """Poses checked on each leg of a path."""
+APPROACH_STEPS, POSTURE_STEPS = 8, 5
+"""Poses checked on each leg of the way to a part, and steps at each that also pull the elbow towards rest: in a motion
+there is one of those a control tick, so several for each pose here."""
 
 
 @dataclass(frozen=True)
@@ -84,56 +87,81 @@ def draw_placement(
     obj: ArticulatedObject,
     kinematics: ArmKinematics,
     reaches: tuple[ReachRequirement, ...],
-    randomization: Randomization,
+    spread: Randomization,
     *,
     nominal_x: float,
     floor_z: float,
+    nominal_y: float = 0.0,
     tries: int = 30,
 ) -> Placement:
     """Draws poses until the arm reaches every part, held and turned; one draw decides everything.
 
     Args:
-        rng: generator of this episode's placement.
+        rng: generator of this episode's layout.
         obj: the object.
         kinematics: of the arm.
         reaches: part motions to check.
-        randomization: half widths.
+        spread: half widths.
         nominal_x: distance of the object's front from the robot's base [m].
         floor_z: height of the surface it stands on [m].
+        nominal_y: of the middle of the object's front [m].
         tries: draws at most.
 
     Raises:
         UnreachableError: none of the draws could be reached.
     """
     for _ in range(tries):
-        x, y = nominal_x + rng.uniform(-1, 1) * randomization.object_x, rng.uniform(-1, 1) * randomization.object_y
-        yaw = np.pi + rng.uniform(-1, 1) * randomization.object_yaw
+        x, y = nominal_x + rng.uniform(-1, 1) * spread.object_x, nominal_y + rng.uniform(-1, 1) * spread.object_y
+        yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
         pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
-        start = np.clip(kinematics.rest + rng.normal(size=7) * randomization.joint, kinematics.lower, kinematics.upper)
-        annotations = _reachable(obj, pose, kinematics, reaches)
+        start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
+        annotations = _reachable(obj, pose, kinematics, reaches, start)
         if annotations is not None:
             return Placement(pose, start, annotations)
-    raise UnreachableError(
+    raise _unreachable(obj, f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m")
+
+
+def _unreachable(obj: ArticulatedObject, tried: str) -> UnreachableError:
+    return UnreachableError(
         f"{obj.object_id} cannot be placed where the arm reaches its parts.",
-        got=f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m",
-        allowed="every part within reach, held and turned",
+        got=tried,
+        allowed="every part within reach, on the way to it, held and turned",
         hint="--env.poses=fixed, or another object",
     )
 
 
 def _reachable(
-    obj: ArticulatedObject, pose: Array, kinematics: ArmKinematics, reaches: tuple[ReachRequirement, ...]
+    obj: ArticulatedObject, pose: Array, kinematics: ArmKinematics, reaches: tuple[ReachRequirement, ...], start: Array
 ) -> dict[str, PartAnnotation] | None:
     found = {}
     for reach in reaches:
         part = obj.part(reach.part).in_frame(pose)
         candidates = [part.rolled(angle) if angle else part for angle in part.rolls]
         costs = [_cost(each, reach, kinematics) for each in candidates]
-        scored = [(cost, k) for k, cost in enumerate(costs) if cost is not None]
-        if not scored:
+        best = sorted((cost, k) for k, cost in enumerate(costs) if cost is not None)
+        chosen = next((k for _, k in best if approachable(candidates[k].grasp, kinematics, start)), None)
+        if chosen is None:
             return None
-        found[reach.part] = candidates[min(scored)[1]]
+        found[reach.part] = candidates[chosen]
     return found
+
+
+def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
+    """Returns whether the arm gets from ``start`` (7,) [rad] straight to before a grasp (4, 4), and on to it.
+
+    A pose that has a solution is not enough: near its full stretch the arm may not come there on a straight line. The
+    steps are those of `KeyframeDriver`, but fewer.
+    """
+    qpos, here = start, kinematics.tcp_in_base(start)
+    for goal in (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp):
+        for share in np.arange(1, APPROACH_STEPS + 1) / APPROACH_STEPS:
+            waypoint = interpolate(here, goal, float(share))
+            solution = kinematics.solve(waypoint, qpos, iterations=80, posture_steps=POSTURE_STEPS)
+            if not solution.within(5e-3, 0.03):
+                return False
+            qpos = solution.qpos
+        here = goal
+    return True
 
 
 def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinematics) -> float | None:

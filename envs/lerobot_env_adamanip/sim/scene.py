@@ -30,18 +30,20 @@ class ObjectScene:
     Args:
         scene: ManiSkill's, to build in.
         obj: what to build.
-        part_height: where the plinth lifts the first part to [m].
+        floor_z: height of the surface it stands on [m].
+        ground_z: height of the ground; below 0, the robot's base stands on a column [m].
         plinth_least: half of the plinth's least width and depth [m].
     """
 
     def __init__(
-        self, scene: ManiSkillScene, obj: ArticulatedObject, *, part_height: float, plinth_least: float
+        self, scene: ManiSkillScene, obj: ArticulatedObject, *, floor_z: float, ground_z: float, plinth_least: float
     ) -> None:
         self.obj = obj
-        self.floor_z = float(np.clip(part_height - obj.parts[0].grasp[2, 3], 0.04, 0.7))
-        """Height of the surface the object stands on [m]."""
-        build_ground(scene)
-        self._plinth = self._build_plinth(scene, plinth_least)
+        self.floor_z = floor_z
+        build_ground(scene, altitude=ground_z)
+        if ground_z < 0.0:
+            _build_column(scene, -ground_z)
+        self._plinth = self._build_plinth(scene, plinth_least) if floor_z > ground_z else None
         self.articulation: Articulation = build_object(scene, obj, np.eye(4))
 
     def _build_plinth(self, scene: ManiSkillScene, least: float) -> Any:
@@ -58,10 +60,21 @@ class ObjectScene:
         """Puts the object's root at (4, 4) with its joints at zero, and the plinth under it."""
         self.articulation.set_pose(sapien_pose(object_in_base))
         self.articulation.set_qpos(np.zeros((1, self.articulation.max_dof), np.float32))
+        if self._plinth is None:
+            return
         plinth = object_in_base.copy()
         plinth[:3, 3] += object_in_base[:3, :3] @ (-self.obj.size[1] / 2, 0.0, 0.0)
         plinth[2, 3] = self.floor_z / 2
         self._plinth.set_pose(sapien_pose(plinth))
+
+
+def _build_column(scene: ManiSkillScene, height: float) -> None:
+    """What the robot's base stands on, above lower ground: to be seen; nothing comes near it."""
+    builder = scene.create_actor_builder()
+    material = sapien.render.RenderMaterial(base_color=[0.25, 0.26, 0.28, 1.0], roughness=0.7)
+    builder.add_box_visual(half_size=[0.10, 0.10, height / 2], material=material)
+    builder.initial_pose = sapien.Pose([-0.05, 0, -height / 2])
+    builder.build_static(name="column")
 
 
 def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:

@@ -10,7 +10,7 @@ from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.lathe import Ring, fluted, grip_solid, turned
 from lerobot_adamanip.objects.geometry.shapes import chamfered_box
 
-_EXTRA = {"nozzle": 0.020, "spout": 0.018, "bulb": 0.024, "dome": 0.006}
+_EXTRA = {"nozzle": 0.020, "spout": 0.018, "bulb": 0.024, "dome": 0.006, "ball": 0.019}
 """What stands on top of the part to hold [m]."""
 
 
@@ -19,7 +19,8 @@ class Cap:
     """A cap.
 
     Attributes:
-        kind: ``fluted``, ``smooth``, ``long``, ``dome``, ``flip``, ``nozzle``, ``spout``, ``bulb`` or ``beaker``.
+        kind: ``fluted``, ``smooth``, ``long``, ``dome``, ``flip``, ``nozzle``, ``spout``, ``bulb``, ``beaker``,
+            ``ball``.
         radius: of what the fingers hold [m].
         height: of what the fingers hold [m].
         look: material.
@@ -84,6 +85,10 @@ def _on_top(cap: Cap) -> tuple[Shape, ...]:
     if cap.kind == "dome":
         steps = np.linspace(0, np.pi / 2, 6)[:-1]
         return turned([Ring(h + 0.006 * np.sin(a), (r - 0.0025) * np.cos(a)) for a in steps], cap.look, collides=False)
+    if cap.kind == "ball":
+        half, middle = min(0.92 * r, 0.0135), h + 0.009
+        turns = np.linspace(-0.7, np.pi / 2 - 0.1, 8)
+        return turned([Ring(middle + 0.010 * np.sin(a), half * np.cos(a)) for a in turns], cap.look)
     if cap.kind == "flip":
         lip = chamfered_box((0.93 * r, 0, h - 0.004), (0.003, 0.3 * r, 0.0018), 0.0008, cap.look, collides=False)
         seam = turned(_band(0.62 * h, 0.0005, 0.957 * r + 0.0004), cap.look.darker(), collides=False)

@@ -7,6 +7,7 @@ turns loose, and how far) is drawn per episode by the mechanism and leaves no tr
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,9 +73,9 @@ class BottleDesign:
         return self.rings[-1].height + CAP_GAP
 
 
-def draw_design(rng: np.random.Generator, kind: str) -> BottleDesign:
-    """Draws the parameters of one bottle of a kind."""
-    recipe = RECIPES[kind]
+def draw_design(rng: np.random.Generator, kind: str, recipes: Mapping[str, Recipe] = RECIPES) -> BottleDesign:
+    """Draws the parameters of one bottle of a kind, a name of ``recipes``."""
+    recipe = recipes[kind]
     cap = Cap(
         kind=str(rng.choice(recipe.caps)),
         radius=rng.uniform(*recipe.cap_radius),
@@ -130,6 +131,8 @@ def _profile(
 
 def _rise(kind: str, part: float) -> float:
     """How much of the body's width is left, ``part`` of the way up the shoulder."""
+    if kind == "cone":
+        return float(1 - part)
     if kind == "round":
         return float(np.sqrt(max(0.0, 1 - part**1.8)))
     return float(0.5 * (1 + np.cos(np.pi * part**1.15)))

@@ -44,7 +44,7 @@ def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> Articulated
         Link("portafilter", _portafilter_shapes(design), mass=0.45, parent="puck", joint=turn),
     )
     grip = (design.axis_x + design.grip_radius, 0.0, design.group_z + HANDLE_Z + 0.002)
-    top = {"cups": 0.062, "rail": 0.03, "hopper": 0.085, "plain": 0.0}[design.top_style]
+    top = {"cups": 0.062, "rail": 0.03, "hopper": 0.085, "plain": 0.0, "boiler": 0.082}[design.top_style]
     return ArticulatedObject(
         object_id,
         "coffee_maker",
@@ -101,6 +101,11 @@ def _handle_shapes(design: CoffeeMakerDesign, start: float) -> list[Shape]:
     collar = disk((start - 0.001, 0, z), 0.92 * w, 0.004, design.chrome, collides=False)
     if design.handle_style == "straight":
         bars = [bar([(start, z, w, h), (end - 0.004, z, w, h), (end, z, 0.8 * w, 0.8 * h)], grip, squareness=0.7)]
+    elif design.handle_style == "ball end":
+        bars = [
+            bar([(start, z, w, h), (end - 0.010, z, w, h), (end - 0.008, z, 0.8 * w, 0.8 * h)], grip, squareness=0.5)
+        ]
+        bars.append(rod((end - 0.004, 0, z), (end - 0.003, 0, z), 1.25 * w, grip))
     elif design.handle_style == "tapered":
         stations = [(start, z, 0.78 * w, 0.78 * h), (start + 0.030, z, w, h), (end - 0.012, z, w, h),
                     (end - 0.003, z, 0.85 * w, 0.85 * h), (end, z, 0.6 * w, 0.6 * h)]  # fmt: skip

@@ -14,7 +14,13 @@ GLASS = Material((0.01, 0.012, 0.015), 0.12)
 WHITE = Material((0.85, 0.85, 0.83), 0.4)
 RED = Material((0.65, 0.03, 0.02), 0.4)
 GROUP_RADIUS = 0.039
-_CORNERS = {"box": (0.010, 0.004), "column": (0.016, 0.006), "rounded": (0.048, 0.020)}
+_CORNERS = {
+    "box": (0.010, 0.004),
+    "column": (0.016, 0.006),
+    "rounded": (0.048, 0.020),
+    "slim": (0.003, 0.0015),
+    "barrel": (0.09, 0.012),
+}
 """Radius of the vertical edges and bevel of the horizontal ones [m]."""
 
 
@@ -117,7 +123,14 @@ def _panel(design: CoffeeMakerDesign) -> list[Shape]:
     z = (design.group_z + 0.062 + design.height - 0.016) / 2
     side = design.width / 2 - 0.048
     away = -design.wand_side * side
-    builders = {"gauge": _gauge_panel, "buttons": _button_panel, "dial": _dial_panel, "display": _display_panel}
+    builders = {
+        "gauge": _gauge_panel,
+        "buttons": _button_panel,
+        "dial": _dial_panel,
+        "display": _display_panel,
+        "twin gauge": _twin_gauge_panel,
+        "slot": _slot_panel,
+    }
     plate_z = design.group_z + 0.052 if design.body_style != "box" else design.height - 0.020
     plate = box(
         (face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome, collides=False
@@ -161,6 +174,21 @@ def _button_panel(design: CoffeeMakerDesign, face: float, z: float, away: float)
         shapes.append(disk((face + 0.004, y, z), 0.0125, 0.003, design.chrome, collides=False))
         shapes.append(disk((face + 0.0072, y, z), 0.004, 0.0006, Material((0.55, 0.75, 0.95), 0.3), collides=False))
     return shapes
+
+
+def _twin_gauge_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
+    apart = min(0.030, 0.3 * design.width)
+    return [shape for y in (-apart, apart) for shape in _gauge(face, y, z, 0.024, design.chrome)]
+
+
+def _slot_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
+    glow = Material((0.95, 0.55, 0.10), 0.3)
+    wide = design.width / 2 - 0.035
+    return [
+        box((face + 0.001, 0, z + 0.008), (0.0015, wide, 0.006), BLACK, collides=False),
+        box((face + 0.0028, -0.4 * wide, z + 0.008), (0.0004, 0.4 * wide, 0.0018), glow, collides=False),
+        *(disk((face + 0.003, y, z - 0.014), 0.006, 0.003, design.chrome, collides=False) for y in (-0.02, 0.0, 0.02)),
+    ]
 
 
 def _dial_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
@@ -226,6 +254,15 @@ def _top(design: CoffeeMakerDesign) -> list[Shape]:
     if design.top_style == "plain":
         slots = np.linspace(-0.5, 0.5, 5) * w
         return [box(((front + back) / 2, y, z + 0.002), (0.05, 0.004, 0.0012), BLACK, collides=False) for y in slots]
+    if design.top_style == "boiler":
+        x = (front + back) / 2
+        r = min(0.6 * w + 0.02, 0.07)
+        return [
+            revolved(
+                (x, 0, z), [(r, 0), (r, 0.030), (0.86 * r, 0.050), (0.5 * r, 0.064), (0.1 * r, 0.070)], design.chrome
+            ),
+            upright((x, 0, z + 0.074), 0.008, 0.006, BLACK),
+        ]
     if design.top_style == "hopper":
         smoke, x = Material((0.10, 0.075, 0.06), 0.15), (front + back) / 2 - 0.01
         return [

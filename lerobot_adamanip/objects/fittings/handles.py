@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, prism, rod
 from lerobot_adamanip.rotations import rotation_about, transform
 
-LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever")
-KNOBS = ("ball knob", "drum knob", "tulip knob")
-CENTRED = ("T bar", "olive")
+LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever", "paddle lever", "ball lever")
+KNOBS = ("ball knob", "drum knob", "tulip knob", "octagon knob")
+CENTRED = ("T bar", "olive", "cross bar")
 PLATES = ("round rose", "square rose", "long plate")
 METALS = (
     Material((0.76, 0.76, 0.77), 0.28, 0.9),
@@ -173,6 +173,18 @@ def _lever(design: HandleDesign) -> list[Shape]:
     if design.style == "flat lever":
         middle = (end + half) / 2
         return [neck, chamfered_box((x, 0, middle), (0.010, half, half - middle), 0.002, metal)]
+    if design.style == "paddle lever":
+        # Two pieces: in one convex hull the sides that are held would be a wedge, and a pull would slip along it.
+        hub = chamfered_box((x, 0, -0.006), (0.010, 1.7 * half, 0.018), 0.004, metal)
+        return [neck, hub, chamfered_box((x, 0, end / 2), (0.010, half, -end / 2), 0.002, metal)]
+    if design.style == "ball lever":
+        ball = rod((x, 0, end), (x, 0, end + 0.0005), 1.5 * half, metal)
+        return [
+            neck,
+            rod((x, 0, 0.006), (x, 0, end), half, metal),
+            rod((x, 0, 0), (x, 0, 0.0005), 1.45 * half, metal),
+            ball,
+        ]
     if design.style == "tapered lever":
         return [rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False), _tapered(x, end, half, metal)]
     if design.style == "swept lever":
@@ -197,6 +209,9 @@ def _tapered(x: float, end: float, half: float, metal: Material) -> Shape:
 def _knob(design: HandleDesign) -> list[Shape]:
     """A neck, and a turned head whose widest band is where the pads come."""
     x, radius = design.standoff, design.thickness / 2
+    if design.style == "octagon knob":
+        shank = rod((0.002, 0, 0), (x - 0.012, 0, 0), 0.5 * radius, design.metal, round_ends=False)
+        return [shank, prism((x, 0, 0), 0.98 * radius, 0.018, 8, design.metal, top=0.96)]
     profiles = {
         "ball knob": ((-0.026, 0.45), (-0.021, 0.72), (-0.014, 0.92), (-0.006, 1.0), (0.006, 1.0), (0.014, 0.92),
                       (0.021, 0.70), (0.026, 0.36)),
@@ -221,6 +236,9 @@ def _centred(design: HandleDesign) -> list[Shape]:
     """A bar across the pivot, or an oval knob: held on the axis by two flat sides."""
     x, half, metal = design.standoff, design.thickness / 2, design.metal
     neck = rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False)
+    if design.style == "cross bar":
+        arms = ((0.011, half, design.length / 2), (0.011, 0.027, half))
+        return [neck, *(chamfered_box((x, 0, 0), arm, 0.003, metal) for arm in arms)]
     if design.style == "T bar":
         return [neck, chamfered_box((x, 0, 0), (0.013, half, design.length / 2), 0.003, metal)]
     points = [

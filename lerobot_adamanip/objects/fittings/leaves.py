@@ -41,7 +41,7 @@ def leaf_shapes(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
     fields = _fields(plan)
     shapes = [_member(plan, hinge_side, member) for member in _members(plan, fields)]
     for number, field in enumerate(fields):
-        if plan.style == "half glazed" and number == len(fields) - 1:
+        if plan.style in ("half glazed", "high window") and number == len(fields) - 1:
             shapes += glazing(field, hinge_side, plan.thickness, plan.paint, bars=_bars(plan))
         elif plan.style == "louvres":
             shapes += _slats(plan, hinge_side, field)
@@ -61,7 +61,7 @@ def _fields(plan: LeafPlan) -> list[Field]:
     left, right, h, s = plan.stile, plan.width - plan.stile, plan.height, plan.stile
     middle, rail = plan.width / 2, 0.9 * plan.stile
     columns = [(left, right)]
-    if plan.style in ("four panels", "six panels"):
+    if plan.style in ("four panels", "six panels", "eight panels"):
         columns = [(left, middle - 0.022), (middle + 0.022, right)]
     low, mid, high = 1.3 * s, 0.48 * h, h - s
     rows = {
@@ -71,6 +71,14 @@ def _fields(plan: LeafPlan) -> list[Field]:
         "six panels": [(low, mid - rail), (mid + rail, 0.79 * h), (0.79 * h + 0.045, high)],
         "half glazed": [(low, mid - rail), (mid + rail, high)],
         "louvres": [(low, mid - rail), (mid + rail, high)],
+        "ladder": [(low, 0.24 * h), (0.24 * h + 0.05, mid - rail), (mid + rail, 0.75 * h), (0.75 * h + 0.05, high)],
+        "eight panels": [
+            (low, 0.24 * h),
+            (0.24 * h + 0.04, mid - rail),
+            (mid + rail, 0.75 * h),
+            (0.75 * h + 0.04, high),
+        ],
+        "high window": [(low, mid - rail), (0.70 * h, high)],
     }[plan.style]
     return [(u0, u1, v0, v1) for v0, v1 in rows for u0, u1 in columns]
 

@@ -24,10 +24,8 @@ from lerobot_adamanip.objects.base import (
 from lerobot_adamanip.objects.geometry.revolved import revolved
 from lerobot_adamanip.objects.geometry.rounded import slab
 from lerobot_adamanip.objects.geometry.shapes import box, rod
-from lerobot_adamanip.objects.lamp.heads import BRASS, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
+from lerobot_adamanip.objects.lamp.heads import BRASS, HAND_CLEARANCE, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
 
-HAND_CLEARANCE = 0.135
-"""Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
 BASE_STYLES = ("plate", "block", "stadium", "discs")
 KNOB_STYLES = ("smooth", "knurled", "faceted")
 CAP_HEIGHT = 0.034
@@ -166,6 +164,10 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
             for at, r in ((place.switch, design.knob_margin), (place.foot, margin))
         ]
         return (*rounds, bridge, rosette)
+    if design.base_style == "stepped":
+        low = slab((-half_x, 0.0, 0.2 * t), (half_x, half_y, 0.2 * t), 0.006, material, bevel=0.002)
+        high = slab((-half_x, 0.0, 0.7 * t), (half_x - 0.012, half_y - 0.012, 0.3 * t), 0.006, material, bevel=0.003)
+        return (low, high, rosette)
     radius = {"plate": 0.010, "block": 0.016, "stadium": 0.95 * min(half_x, half_y)}[design.base_style]
     top = slab(
         center, (half_x, half_y, t / 2), radius, material, bevel=0.004 if design.base_style == "block" else 0.002
@@ -190,7 +192,7 @@ def _plunger_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
 def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
     """The cap: the same from every side in which fingers may close, and mirrored for both directions of turning."""
     radius, low = design.knob_radius, top - CAP_HEIGHT
-    sides = 8 if design.knob_style == "faceted" else 32
+    sides = {"faceted": 8, "fluted": 16}.get(design.knob_style, 32)
     profile = ((radius, low), (radius, top - 0.004), (radius - 0.003, top))
     shapes = [revolved((0, 0, 0), profile, design.knob, sides=sides)]
     if design.knob_style == "knurled":

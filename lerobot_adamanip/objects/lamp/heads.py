@@ -14,6 +14,8 @@ from lerobot_adamanip.objects.geometry.revolved import revolved, shell
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh, rod
 from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
+HAND_CLEARANCE = 0.135
+"""Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
 BRASS = Material((0.72, 0.53, 0.20), 0.3, 0.9)
 METALS = (
     Material((0.72, 0.72, 0.73), 0.28, 0.9),
@@ -270,4 +272,4 @@ _RADII = {
 }  # fmt: skip
 _LEANING = ("drum", "empire", "globe", "banker")
 WIDE = ("banker", "bar", "ring")
-"""ReachRequirement out to both sides of the stem: they stand behind the switch, not beside it."""
+"""Reach out to both sides of the stem: they stand behind the switch, not beside it."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.geometry.rounded import plate
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
 from lerobot_adamanip.objects.microwave.looks import (
     BLACK,
     LOOKS,
@@ -273,6 +273,9 @@ def _button_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
     if design.button_style == "round":
         rim = disk((out - 0.0035, 0, 0), half_z + 0.0015, 0.0008, design.look.trim, collides=False)
         return (disk((center, 0, 0), half_z, half, material), rim)
+    if design.button_style == "octagon":
+        rim = disk((out - 0.001, 0, 0), 0.45 * half_z, 0.0013, design.look.trim, collides=False)
+        return (prism((center, 0, 0), half_z, half, 8, material), rim)
     radius = 0.004 if design.button_style == "square" else 0.45 * half_z
     mark = box((out, 0, 0), (0.0003, 0.35 * half_y, 0.0012), design.look.trim, collides=False)
     return (plate((center, 0, 0), (half, half_y, half_z), radius, material, bevel=0.002), mark)

@@ -33,7 +33,8 @@ class Look:
     """Materials and styles of one oven.
 
     Attributes:
-        window: ``framed`` (a window in a painted door), ``glass`` (all glass) or ``rounded`` (a retro window).
+        window: ``framed`` (a window in a painted door), ``glass`` (all glass), ``rounded`` (a retro
+            window) or ``porthole``.
         controls: of the panel: ``keypad``, ``dials``, ``touch`` or ``retro``.
         clock: four digits.
     """
@@ -201,11 +202,13 @@ def door_front(look: Look, middle: float, half: tuple[float, float], free: float
     rim, (half_w, half_h) = 0.030, half
     y = middle - free_side * (free - rim) / 2
     win_w, win_h = half_w - (free + rim) / 2, half_h - (0.040 if look.window != "glass" else 0.034)
-    radius = {"framed": 0.006, "glass": 0.004, "rounded": 0.045}[look.window]
+    if look.window == "porthole":
+        win_w = win_h = min(win_w, win_h)
+    radius = {"framed": 0.006, "glass": 0.004, "rounded": 0.045, "porthole": 0.99 * win_h}[look.window]
     pane = Material((0.022, 0.023, 0.026), 0.15) if look.window == "glass" else GLASS
     shapes = [plate((0.0, y, 0.006), (0.0012, win_w, win_h), radius, pane, collides=False)]
     if look.window != "glass":
-        frame = look.trim if look.window == "rounded" else _shaded(look.door, 0.72)
+        frame = look.trim if look.window in ("rounded", "porthole") else _shaded(look.door, 0.72)
         around = plate((0.0, y, 0.006), (0.0008, win_w + 0.006, win_h + 0.006), radius + 0.006, frame, collides=False)
         shapes.insert(0, around)
     shapes += _mesh(y, win_w - 0.010, win_h - 0.010, max(0.0, radius - 0.01))
@@ -239,7 +242,7 @@ def handle_shapes(
     """An upright handle that stands off the door; all of it solid.
 
     Args:
-        style: ``round bar``, ``flat bar``, ``bow`` or ``pull``.
+        style: ``round bar``, ``flat bar``, ``bow``, ``pull``, ``fin`` or ``ball bar``.
         grip: (3,) its middle, door frame [m].
         length: of the handle [m].
         radius: half its thickness [m].
@@ -253,6 +256,13 @@ def handle_shapes(
             box((x / 2, y, z + s * (half - 0.012)), (x / 2, 0.75 * radius, 0.75 * radius), material) for s in (-1, 1)
         ]
         return (bar, *posts)
+    if style == "fin":
+        return (chamfered_box((x / 2, y, z), (x / 2 + 0.008, radius, half), 0.003, material),)
+    if style == "ball bar":
+        tips = [np.array([x, y, z + s * half]) for s in (-1, 1)]
+        balls = [rod(tip, tip - (0, 0, 5e-4), 1.5 * radius, material) for tip in tips]
+        stems = [rod((0.0, y, tip[2]), tip, 0.75 * radius, material) for tip in tips]
+        return (rod(tips[0], tips[1], radius, material), *balls, *stems)
     if style == "pull":
         bar = plate((x, y, z), (0.010, radius, half), radius, material, bevel=0.003)
         posts = [box((x / 2, y, z + s * (half - 0.020)), (x / 2, radius, 0.018), material) for s in (-1, 1)]

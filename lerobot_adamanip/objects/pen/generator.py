@@ -6,6 +6,7 @@ turns loose, and how far) is drawn per episode by the mechanism and leaves no tr
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ from lerobot_adamanip.objects.base import (
 )
 from lerobot_adamanip.objects.geometry.lathe import swivelled
 from lerobot_adamanip.objects.pen.parts import Pen, barrel_shapes, cap_shapes, tip_shapes
-from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS
+from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS, Recipe
 from lerobot_adamanip.objects.pen.stands import Stand, draw_stand, stand_shapes
 from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
@@ -52,9 +53,14 @@ class PenDesign:
     clip_turn: float
 
 
-def draw_design(rng: np.random.Generator, kind: str) -> PenDesign:
-    """Draws the parameters of one pen of a kind, and of its stand."""
-    recipe = RECIPES[kind]
+def draw_design(
+    rng: np.random.Generator,
+    kind: str,
+    recipes: Mapping[str, Recipe] = RECIPES,
+    stands: Sequence[str] = STANDS,
+) -> PenDesign:
+    """Draws the parameters of one pen of a kind, a name of ``recipes``, and of its stand, one of ``stands``."""
+    recipe = recipes[kind]
     barrel = LOOKS[str(rng.choice(recipe.barrels))]
     cap = LOOKS[str(rng.choice(recipe.caps))] if recipe.caps else barrel
     trim = str(rng.choice(recipe.trims)) if recipe.trims else ""
@@ -78,7 +84,7 @@ def draw_design(rng: np.random.Generator, kind: str) -> PenDesign:
         trim=LOOKS[trim] if trim else cap,
     )
     turn = CLIP_TURN + rng.uniform(-1, 1) * CLIP_SPREAD
-    return PenDesign(pen, draw_stand(rng, str(rng.choice(STANDS)), _stand_materials(rng)), turn)
+    return PenDesign(pen, draw_stand(rng, str(rng.choice(stands)), _stand_materials(rng)), turn)
 
 
 def _stand_materials(rng: np.random.Generator) -> tuple[Material, Material, Material]:
@@ -115,7 +121,14 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
     rolls = TWO_FINGERS if pen.squareness else CLIP_ROLLS
     parts = (annotate(links, "cap", "cap", grasp, rolls),)
     size = (float(stand.width), float(stand.depth), float(lip + pen.cap_height))
-    return ArticulatedObject(object_id, "pen", links, parts, size, f"{pen.kind}, {pen.clip} clip, {stand.kind}")
+    return ArticulatedObject(
+        object_id,
+        "pen",
+        links,
+        parts,
+        size,
+        f"{pen.kind}, {'no' if pen.clip == 'none' else pen.clip} clip, {stand.kind}",
+    )
 
 
 def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:

@@ -24,7 +24,7 @@ class Pen:
         radius: half width of the cap.
         length: of the cap, from its lip to where its upper end begins to narrow.
         end: a name of `END`.
-        clip: ``bar``, ``arrow``, ``ball``, ``moulded`` or ``flat``.
+        clip: ``bar``, ``arrow``, ``ball``, ``moulded``, ``flat`` or ``none``.
         tip: ``nib``, ``ball``, ``felt``, ``chisel`` or ``brush``.
         barrel_radius: half width of the barrel.
         exposed: length of the barrel between stand and cap.
@@ -95,6 +95,8 @@ def _end(pen: Pen) -> list[Ring]:
 
 def _clip(pen: Pen) -> tuple[Shape, ...]:
     """Held at its upper end, free at its lower: it keeps to one side, where fingers that close across it are not."""
+    if pen.clip == "none":
+        return ()
     front, top = pen.radius * pen.depth, pen.length - 0.002
     look = pen.trim if pen.clip != "moulded" else pen.cap
     reach = min(0.74 * pen.length, 0.042)

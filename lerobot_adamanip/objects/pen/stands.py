@@ -50,7 +50,7 @@ class Stand:
 def draw_stand(rng: np.random.Generator, kind: str, materials: tuple[Material, Material, Material]) -> Stand:
     """Draws the sizes of a stand of a kind. ``materials``: body, socket, extra."""
     width, depth, height = (rng.uniform(*values) for values in _SIZES[kind])
-    if kind in ("disc", "column"):
+    if kind in ("disc", "column", "cone"):
         depth = width
     side = int(rng.choice([-1, 1]))
     shift = side * rng.uniform(0.20, 0.27) * width if kind in ("ink stand", "note tray", "slab") else 0.0
@@ -68,6 +68,8 @@ _SIZES = {
     "ink stand": ((0.17, 0.20), (0.085, 0.10), (0.014, 0.020)),
     "column": ((0.042, 0.056), (0.05, 0.05), (0.036, 0.055)),
     "note tray": ((0.18, 0.21), (0.10, 0.12), (0.012, 0.016)),
+    "steps": ((0.095, 0.125), (0.095, 0.125), (0.030, 0.042)),
+    "cone": ((0.085, 0.11), (0.05, 0.05), (0.040, 0.058)),
 }
 
 
@@ -98,6 +100,17 @@ def _body(stand: Stand) -> tuple[Shape, ...]:
         r = stand.width / 2
         profile = [(0, r - 0.001), (0.001, r), (h - 0.003, r), (h - 0.001, r - 0.0012), (h, r - 0.003)]
         return turned([Ring(z, w) for z, w in profile], stand.body, axis=(x, 0.0))
+    if stand.kind == "cone":
+        r = stand.width / 2
+        return turned(
+            [Ring(0, r), Ring(0.004, r), Ring(h - 0.001, 0.34 * r), Ring(h, 0.31 * r)], stand.body, axis=(x, 0.0)
+        )
+    if stand.kind == "steps":
+        levels = [(k * h / 3, 1 - 0.28 * k) for k in range(3)]
+        return tuple(
+            chamfered_box((x, 0, low + h / 6), (size * half[0], size * half[1], h / 6), 0.002, stand.body)
+            for low, size in levels
+        )
     return (chamfered_box((x, 0, h / 2), half, 0.004 if stand.kind == "block" else 0.0025, stand.body),)
 
 

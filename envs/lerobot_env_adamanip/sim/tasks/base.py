@@ -201,7 +201,14 @@ class AdaManipTask(BaseEnv):
         chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
         obj, task = get_object(str(chosen), self._assets), self.definition
         self._rules = make_mechanism(obj, self.mechanism_preset)
-        self._objects = ObjectScene(self.scene, obj, part_height=task.part_height, plinth_least=task.plinth_least)
+        self._stand = task.stand(obj)
+        self._objects = ObjectScene(
+            self.scene,
+            obj,
+            floor_z=self._stand.floor_z,
+            ground_z=self._stand.ground_z,
+            plinth_least=task.plinth_least,
+        )
         self._kinematics = ArmKinematics(self.agent.robot._objs[0], task.rest)
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
@@ -209,10 +216,11 @@ class AdaManipTask(BaseEnv):
             self._stream(_PLACEMENT_STREAM),
             self.obj,
             self._kinematics,
-            self.definition.reaches(self.obj),
+            self._stand.reaches,
             self.randomization,
-            nominal_x=self.definition.nominal_x,
-            floor_z=self._objects.floor_z,
+            nominal_x=self._stand.x,
+            nominal_y=self._stand.y,
+            floor_z=self._stand.floor_z,
         )
         self._objects.place(self.placement.object_in_base)
         self.agent.reset(np.concatenate([self.placement.start_qpos, [0.04, 0.04]]).astype(np.float32))

@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.catalog import is_asset_id
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.keyframes import DEFAULT_MOTION, MotionLimits
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.kinematics import LEVEL_REST
 from lerobot_env_adamanip.sim.placement import ReachRequirement
+from lerobot_env_adamanip.sim.stand import ExternalStand, Stand, external_stand, generated_stand
 
 Reaches = Callable[[ArticulatedObject], tuple[ReachRequirement, ...]]
 SWING_REACH = float(np.deg2rad(44))
@@ -37,6 +39,7 @@ class CategoryTask:
         motion: how the arm moves, and when it gives up.
         solver_iterations: of the physics engine for positions: how hard what touches is, not how exactly joints are
             driven.
+        external: how external assets stand.
         rest: the arm's posture at the start, and the one its elbow is drawn to (7,) [rad].
     """
 
@@ -50,7 +53,15 @@ class CategoryTask:
     plinth_least: float = 0.02
     motion: MotionLimits = DEFAULT_MOTION
     solver_iterations: int = 15
+    external: ExternalStand = field(default_factory=ExternalStand)
     rest: NDArray[np.float64] = field(default_factory=lambda: LEVEL_REST)
+
+    def stand(self, obj: ArticulatedObject) -> Stand:
+        """Returns where an object stands nominally, and what the arm must be able to do there."""
+        reaches, where = self.reaches(obj), {"nominal_x": self.nominal_x, "part_height": self.part_height}
+        if is_asset_id(obj.object_id):
+            return external_stand(obj, reaches, self.external, **where)
+        return generated_stand(obj, reaches, **where)
 
     @property
     def documentation(self) -> str:

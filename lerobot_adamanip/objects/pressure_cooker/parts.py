@@ -1,160 +1,33 @@
-"""Pressure cookers: a pot, a domed lid with a valve, and two long handles over each other. Sizes of 3 to 8 litre pots.
-
-The lid's handle stands over the pot's, as on a closed cooker, and turns either way before the lid can be lifted off.
-Which way and how far is drawn per episode by the mechanism and leaves no trace in the geometry.
-"""
+"""Parts of pressure cookers: pot, gasket, lid with its valve, and the two handles."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.revolved import SMOOTH, revolved
 from lerobot_adamanip.objects.geometry.rounded import bar, upright
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
+from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign
 from lerobot_adamanip.rotations import transform
 
-LID_RANGE = 0.824
-"""Nominal turn of the lid to either side [rad] (paper code)."""
-LIFT_UPPER = 0.05
-"""How far the lid lifts [m] (paper code)."""
 GAP = 0.0015
 """Between the pot's rim and what turns on it [m]."""
-_LOOP_DEPTH = 0.045
+LOOP_DEPTH = 0.045
 HANDLE_GAP = 0.010
 """Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
 
-_STEELS = (
-    Material((0.80, 0.81, 0.83), 0.25, 0.7),
-    Material((0.66, 0.67, 0.69), 0.32, 0.75),
-    Material((0.76, 0.75, 0.72), 0.42, 0.7),
-)
-_ENAMELS = (
-    Material((0.50, 0.02, 0.025), 0.25, 0.1),
-    Material((0.03, 0.08, 0.22), 0.25, 0.1),
-    Material((0.04, 0.20, 0.12), 0.25, 0.1),
-    Material((0.60, 0.20, 0.02), 0.25, 0.1),
-    Material((0.70, 0.68, 0.60), 0.25, 0.1),
-    Material((0.07, 0.07, 0.075), 0.35, 0.2),
-)
-_PLASTICS = tuple(
-    Material(color, 0.45)
-    for color in ((0.018, 0.018, 0.02), (0.05, 0.05, 0.055), (0.11, 0.02, 0.015), (0.09, 0.05, 0.03))
-)
-_ACCENTS = tuple(
-    Material(color, 0.35) for color in ((0.65, 0.05, 0.02), (0.75, 0.38, 0.02), (0.05, 0.30, 0.10), (0.60, 0.60, 0.62))
-)
-BODY_STYLES = ("straight", "bellied", "tapered")
-LID_STYLES = ("dome", "stepped", "flat")
-VALVE_STYLES = ("weight", "indicator", "dial")
-HANDLE_STYLES = ("straight", "tapered", "moulded")
 
-
-@dataclass(frozen=True)
-class PressureCookerDesign:
-    """The parameters of one cooker [m]."""
-
-    radius: float
-    height: float
-    body_style: str
-    lid_style: str
-    lid_rise: float
-    valve_style: str
-    handle_style: str
-    handle_reach: float
-    handle_length: float
-    handle_half: tuple[float, float]
-    helper_loop: bool
-    band: bool
-    body: Material
-    lid: Material
-    steel: Material
-    plastic: Material
-    accent: Material
-
-    @property
-    def axis_x(self) -> float:
-        """Where the pot's axis is: a radius behind its front [m]."""
-        return -self.radius
-
-    @property
-    def handle_z(self) -> float:
-        """Height of the lid handle's middle [m]."""
-        return self.height + 0.002 + self.handle_half[1]
-
-    @property
-    def grip_radius(self) -> float:
-        """Distance of the grip from the pot's axis [m]."""
-        return self.radius + self.handle_reach
-
-
-def draw_design(rng: np.random.Generator) -> PressureCookerDesign:
-    """Draws the parameters of one cooker. The grip is far enough out for a hand to clear the dome."""
-    radius = rng.uniform(0.092, 0.124)
-    reach = rng.uniform(0.066, 0.078)
-    steel = _STEELS[rng.integers(len(_STEELS))]
-    enamel = _ENAMELS[rng.integers(len(_ENAMELS))]
-    coloured = rng.random() < 0.45
-    return PressureCookerDesign(
-        radius=radius,
-        height=float(np.clip(2 * radius * rng.uniform(0.58, 0.88), 0.12, 0.185)),
-        body_style=str(rng.choice(BODY_STYLES)),
-        lid_style=str(rng.choice(LID_STYLES)),
-        lid_rise=rng.uniform(0.024, 0.042),
-        valve_style=str(rng.choice(VALVE_STYLES)),
-        handle_style=str(rng.choice(HANDLE_STYLES)),
-        handle_reach=reach,
-        handle_length=reach + rng.uniform(0.045, 0.075),
-        handle_half=(rng.uniform(0.011, 0.0145), rng.uniform(0.0105, 0.0135)),
-        helper_loop=bool(rng.random() < 0.75),
-        band=bool(rng.random() < 0.5),
-        body=enamel if coloured else steel,
-        lid=steel if not coloured or rng.random() < 0.7 else enamel,
-        steel=steel,
-        plastic=_PLASTICS[rng.integers(len(_PLASTICS))],
-        accent=_ACCENTS[rng.integers(len(_ACCENTS))],
-    )
-
-
-def make_pressure_cooker(number: int) -> ArticulatedObject:
-    """Builds cooker ``number`` (6 in the paper's set; any number is an object)."""
-    design = draw_design(np.random.default_rng([number, 0xC270]))
-    return build_pressure_cooker(f"pressure_cooker_{number:03d}", design)
-
-
-def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> ArticulatedObject:
-    """Builds the links and the annotation of a design: joints ``lift`` and ``lid``, part ``handle`` (the lid's)."""
-    rim = (design.axis_x, 0.0, design.height)
-    up = (0.0, 0.0, 1.0)
-    # An arm reaching down gives by half a millimetre per newton: a lid of sheet aluminium, as light as real ones are.
-    lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), friction=0.3, damping=8.0)
-    lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), friction=0.15, damping=0.15)
-    links = (
-        Link("pot", _pot_shapes(design), mass=2.5),
-        Link("seal", _seal_shapes(design), mass=0.05, parent="pot", joint=lift),
-        Link("lid", _lid_shapes(design), mass=0.4, parent="seal", joint=lid),
-    )
-    grip = (design.axis_x + design.grip_radius, 0.0, design.handle_z + 0.002)
-    depth = 2 * design.radius + (_LOOP_DEPTH if design.helper_loop else 0.0)
-    return ArticulatedObject(
-        object_id,
-        "pressure_cooker",
-        links,
-        (annotate(links, "lid", "handle", from_above(grip)),),
-        (2 * design.radius, depth, design.height + design.lid_rise + 0.035),
-        f"{design.body_style} pot, {design.lid_style} lid, {design.valve_style} valve, {design.handle_style} handle",
-    )
-
-
-def _pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+def pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    """The pot with its handle and helper loop."""
     r, h, axis = design.radius, design.height, (design.axis_x, 0.0, 0.0)
     outlines = {
         "straight": [(r - 0.006, 0.004), (r, 0.012), (r, h)],
         "bellied": [(0.86 * r, 0.004), (0.95 * r, 0.14 * h), (r, 0.32 * h), (r, 0.62 * h), (0.985 * r, 0.85 * h),
                     (0.97 * r, h)],
         "tapered": [(0.82 * r, 0.004), (0.86 * r, 0.012), (r, 0.8 * h), (r, h)],
+        "bowl": [(0.52 * r, 0.004), (0.74 * r, 0.10 * h), (0.90 * r, 0.30 * h), (0.98 * r, 0.62 * h), (r, h)],
+        "chamfered": [(0.74 * r, 0.004), (r, 0.26 * h), (r, 0.80 * h), (0.95 * r, h)],
     }  # fmt: skip
     outline = outlines[design.body_style]
     base = outline[0][0] - 0.004
@@ -187,7 +60,7 @@ def _pot_handle_shapes(design: PressureCookerDesign) -> list[Shape]:
 
 def _loop_shapes(design: PressureCookerDesign) -> list[Shape]:
     z, back = 0.72 * design.height, 2 * design.axis_x
-    out = back - _LOOP_DEPTH + 0.012
+    out = back - LOOP_DEPTH + 0.012
     radius, half = 0.009, 0.036
     ends = [(out, -half, z), (out, half, z)]
     shapes = [rod(ends[0], ends[1], radius, design.plastic)]
@@ -197,7 +70,7 @@ def _loop_shapes(design: PressureCookerDesign) -> list[Shape]:
     return shapes
 
 
-def _seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+def seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     """The gasket under the lid: it lifts with the lid and does not turn."""
     rubber = Material((0.30, 0.30, 0.31), 0.9)
     r = 0.93 * design.radius
@@ -205,7 +78,7 @@ def _seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     return (revolved((0, 0, 0), profile, rubber, sides=SMOOTH, collides=False),)
 
 
-def _lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     """The lid about its axis, z from the rim."""
     r, rise = design.radius + 0.004, design.lid_rise
     edge = 0.011
@@ -213,6 +86,8 @@ def _lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
         "dome": [(r, edge)] + [(r * np.sin(a), edge + (rise - edge) * np.cos(a)) for a in np.linspace(1.25, 0.12, 6)],
         "stepped": [(r, edge), (r - 0.004, edge + 0.003), (0.80 * r, rise - 0.005), (0.74 * r, rise - 0.001),
                     (0.66 * r, rise)],
+        "cone": [(r, edge), (0.55 * r, 0.62 * rise), (0.16 * r, rise)],
+        "plateau": [(r, edge), (0.90 * r, 0.92 * rise), (0.84 * r, rise)],
         "flat": [(r, edge), (0.96 * r, edge + 0.004), (0.90 * r, 0.66 * rise), (0.45 * r, 0.72 * rise)],
     }  # fmt: skip
     outline = outlines[design.lid_style]
@@ -237,7 +112,18 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
         upright((0.05 * design.radius, side, low), 0.009, 0.007, design.accent),
         upright((0.05 * design.radius, side, low + 0.007), 0.0045, 0.002, steel, collides=False),
     ]
-    if design.valve_style == "weight":
+    if design.valve_style == "bell":
+        shapes += [
+            upright((0, 0, top), 0.006, 0.008, steel),
+            revolved((0, 0, top + 0.006), [(0.022, 0), (0.019, 0.008), (0.010, 0.018), (0.003, 0.021)], design.accent),
+        ]
+    elif design.valve_style == "twin":
+        for along, size in ((0.018, 0.008), (-0.016, 0.011)):
+            shapes += [
+                upright((along, 0, top + 0.006), size, 0.010, black),
+                upright((along, 0, top + 0.017), 0.7 * size, 0.002, design.accent, collides=False),
+            ]
+    elif design.valve_style == "weight":
         shapes += [
             upright((0, 0, top), 0.0045, 0.010, steel),
             revolved((0, 0, top + 0.008), [(0.011, 0), (0.014, 0.003), (0.014, 0.017), (0.010, 0.021)], black),
@@ -289,6 +175,13 @@ def _grip_shapes(
     if design.handle_style == "straight":
         stations = [(start, z, w, h), (tail, z, w, h), (end - 0.003, low, w, 0.9 * h), (end, low, 0.8 * w, 0.7 * h)]
         return [bar(stations, plastic, squareness=0.45), _eyelet(design, end, low)]
+    if design.handle_style == "banded":
+        stations = [(start, z, w, h), (tail, z, w, h), (end, low, w, 0.95 * h)]
+        rings = [
+            box((at, 0, z), (0.0022, w + 0.0004, h + 0.0004), design.accent, collides=False)
+            for at in (tail, end - 0.006)
+        ]
+        return [bar(stations, plastic, squareness=0.9), *rings]
     if design.handle_style == "tapered":
         stations = [(start, z, w, h), (tail, z, w, 0.92 * h), (end, low, 0.72 * w, 0.62 * h)]
         return [bar(stations, plastic, squareness=0.6), _eyelet(design, end, low)]

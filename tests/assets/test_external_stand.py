@@ -1,0 +1,82 @@
+"""External assets keep their real size: where they stand before the arm, and that it opens a door of full size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asset_folders import adamanip_safe, full_size_door
+
+from lerobot_adamanip.assets import load_object
+from lerobot_adamanip.catalog import make_object
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
+from lerobot_env_adamanip.sim.placement import ReachRequirement
+from lerobot_env_adamanip.sim.stand import ExternalStand, external_stand, generated_stand
+
+PULL = (ReachRequirement("lever", ({"lever": 1.0}, {"lever": 1.0, "leaf": 0.77})),)
+RULE = ExternalStand(wide_farthest={"leaf": 0.5})
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.mark.parametrize(("width", "lever"), [(0.9, 1.0), (0.75, 1.1), (0.85, 0.8)])
+def test_a_full_size_door_stands_where_its_lever_is_at_hand_and_in_the_cloud(
+    tmp_path: Path, width: float, lever: float
+) -> None:
+    door = load_object(full_size_door(tmp_path / "big", width, 2.0, lever), "door")
+    assert door.size[2] > 2.0, "its real size"
+    stand = external_stand(door, PULL, RULE, nominal_x=0.66, part_height=0.72)
+    turned = np.diag([-1.0, -1.0, 1.0])
+    grip = np.array([stand.x, stand.y, stand.floor_z]) + turned @ door.part("lever").grasp[:3, 3]
+    assert grip[2] == pytest.approx(0.72)
+    assert abs(grip[1]) == pytest.approx(RULE.wide_y)
+    assert stand.ground_z == stand.floor_z < 0
+    opened = door.part("lever").moved({"leaf": 0.5})[:3, 3]
+    end = np.array([stand.x, stand.y, stand.floor_z]) + turned @ opened
+    assert end[0] < grip[0] - 0.25, "it comes towards the robot"
+    assert abs(end[1]) < 0.2, "and not past it"
+    assert DEFAULT_WORKSPACE.contains(np.array([grip, end], np.float32)).all()
+    assert stand.reaches[0].paths[0][1] == {"lever": 1.0, "leaf": 0.5}
+
+
+def test_small_assets_and_generated_objects_stand_as_they_did(tmp_path: Path) -> None:
+    door = make_object("door_003")
+    stand = generated_stand(door, PULL, nominal_x=0.66, part_height=0.72)
+    assert (stand.x, stand.y, stand.reaches) == (0.66, 0.0, PULL)
+    assert stand.floor_z == pytest.approx(0.72 - door.part("lever").grasp[2, 3])
+    safe = load_object(adamanip_safe(tmp_path / "sa1"), "safe")
+    reaches = (ReachRequirement("handle", ({"door": 0.77},)),)
+    stand = external_stand(safe, reaches, RULE, nominal_x=0.66, part_height=0.72)
+    assert (stand.x, stand.y, stand.reaches) == (0.66, 0.0, reaches)
+    far = replace(RULE, part_y=0.05)
+    shifted = external_stand(safe, reaches, far, nominal_x=0.66, part_height=0.72)
+    assert shifted.y == pytest.approx(0.05 - 0.08), "the handle, 8 cm aside, is brought within 5 cm"
+
+
+@pytest.mark.sim
+def test_the_adaptive_expert_opens_a_full_size_door_and_the_camera_sees_what_it_holds(tmp_path: Path) -> None:
+    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+    full_size_door(tmp_path / "door" / "big")
+    env = KeyframeEnv("door", objects="door:big", assets=str(tmp_path), image_size=64, num_points=512)
+    try:
+        observation, info = env.reset(seed=1)
+        lever = env.annotations["lever"].grasp[:3, 3]
+        near = np.linalg.norm(observation["point_cloud"] - lever, axis=1) < 0.10
+        assert near.sum() >= 5
+        expert = make_expert("door", "adaptive", env.annotations, generator=np.random.default_rng(1))
+        goal = next(expert)
+        for _ in range(45):
+            *_, info = env.step(goal.action())
+            if info["is_success"]:
+                break
+            goal = expert.send(env.feedback)
+        assert info["is_success"]
+    finally:
+        env.close()
