@@ -33,9 +33,9 @@ _BEAT_SECONDS = 1.0
 
 Beat = Callable[[], None]
 """Called by whoever runs an item, now and then: a sign of life."""
-Work = Callable[[object, Beat], object]
+type Work[Item] = Callable[[Item, Beat], object]
 """Runs one item."""
-Session = Callable[[], AbstractContextManager[Work]]
+type Session[Item] = Callable[[], AbstractContextManager[Work[Item]]]
 """Made in a worker: what it holds from item to item. A function of a module, or a `functools.partial` of one."""
 
 
@@ -78,7 +78,7 @@ class WorkerPool[Item]:
         timeout: a worker that gives no sign of life for so long [s] is ended, as if it had died.
     """
 
-    def __init__(self, session: Session, count: int, *, timeout: float = DEFAULT_TIMEOUT) -> None:
+    def __init__(self, session: Session[Item], count: int, *, timeout: float = DEFAULT_TIMEOUT) -> None:
         if count < 1 or not timeout > 0:
             got = f"{count} workers, timeout {timeout} s"
             raise ConfigurationError(
@@ -207,7 +207,7 @@ def _thread_limits(workers: int) -> Iterator[None]:
 # In the worker ----------------------------------------------------------------------------------------------------
 
 
-def _work(pipe: Connection, session: Session) -> None:
+def _work[Item](pipe: Connection, session: Session[Item]) -> None:
     """Serves items from ``pipe`` until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides what it means
     threading.Thread(target=_die_with_parent, daemon=True).start()

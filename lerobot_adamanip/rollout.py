@@ -72,6 +72,7 @@ class KeyFrame:
         feedback: what was felt once the action had ended.
         following: the observation after it.
         success: whether the task is done by now.
+        labels: what it tried, and what came of that.
     """
 
     observation: Observation
@@ -79,6 +80,7 @@ class KeyFrame:
     feedback: Feedback
     following: Observation
     success: bool
+    labels: KeyFrameLabels
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,8 @@ def rollout(
     observation: Observation,
     expert: KeyFrames,
     on_key_frame: Callable[[KeyFrame], None] | None = None,
+    *,
+    past_success: bool = False,
 ) -> RolloutResult:
     """Lets an expert work on a freshly reset environment until the task is done, time is up, or it has no more ideas.
 
@@ -103,6 +107,8 @@ def rollout(
         observation: the first one.
         expert: not yet primed; closed at the end.
         on_key_frame: observer, told of every key frame.
+        past_success: go on beyond the success threshold until the expert ends, as demonstrations do: a door is then
+            pulled wide open, and not left at the angle that just counts.
     """
     success, reason, key_frames = False, "the expert ended without success", 0
     try:
@@ -112,11 +118,11 @@ def rollout(
             key_frames += 1
             success = success or bool(info["is_success"])
             if on_key_frame is not None:
-                on_key_frame(KeyFrame(observation, goal, env.feedback, following, success))
-            if terminated or truncated:
+                on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels))
+            if truncated or (terminated and not past_success):
                 break
             observation = following
-            goal = _next_goal(expert, env.feedback)
+            goal = next_goal(expert, env.feedback)
         if goal is not None:
             reason = "time limit"
     finally:
@@ -124,7 +130,8 @@ def rollout(
     return RolloutResult(success, key_frames, "success" if success else reason)
 
 
-def _next_goal(expert: KeyFrames, feedback: Feedback) -> Goal | None:
+def next_goal(expert: KeyFrames, feedback: Feedback) -> Goal | None:
+    """Tells an expert what was felt; returns where it wants to go next, None if it has no more ideas."""
     try:
         return expert.send(feedback)
     except StopIteration:

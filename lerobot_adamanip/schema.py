@@ -51,6 +51,11 @@ FPS = 4
 
 SKIP_VIDEOS = "_adamanip_skip_videos"
 """Attribute of a LeRobot dataset's metadata: no reader of it looks at videos."""
+LABEL_DTYPES = {
+    PHASE: "int64", TRIAL: "int64", OUTCOME: "int64", TRIED: "int64", FAILED: "bool", PROGRESS: "float32",
+    SUCCESS: "bool", DONE: "bool",
+}  # fmt: skip
+"""Columns about a row's action and what came of it: one number each, never a policy's input."""
 
 Statistics = dict[str, dict[str, NDArray[Any]]]
 """Feature key -> statistic name -> values, as LeRobot keeps them."""
@@ -72,9 +77,7 @@ def dataset_features(num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMA
         EFFORT: {"dtype": "float32", "shape": (NUM_JOINTS,), "names": list(EFFORT_NAMES)},
         FRONT_IMAGE: {"dtype": "video", "shape": (image_size, image_size, 3), "names": ["height", "width", "channels"]},
         ACTION: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
-        PHASE: {"dtype": "int64", "shape": (1,), "names": None},
-        TRIAL: {"dtype": "int64", "shape": (1,), "names": None},
-        OUTCOME: {"dtype": "int64", "shape": (1,), "names": None},
+        **{key: {"dtype": dtype, "shape": (1,), "names": None} for key, dtype in LABEL_DTYPES.items()},
     }
 
 

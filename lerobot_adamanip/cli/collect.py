@@ -7,17 +7,24 @@ import dataclasses
 import json
 import shlex
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.demos.collect import CollectSummary, Listener, collect
-from lerobot_adamanip.demos.collection import CollectionSpec
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.demos.collect import CollectOptions, collect
+from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, CollectionSpec
+from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.demos.summary import CollectSummary
+from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.hub.publish import publish, require_hub_name
+from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
+from lerobot_adamanip.options import EnvironmentOptions, require_known
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -47,15 +54,19 @@ class Collect:
     """seen, unseen, FIRST:END (0:4), or ids separated by commas (safe_000,safe_007)."""
 
     assets: Path | None = None
-    """Folder of objects of others, to use instead of generated ones; seen then means all of them."""
+    """Folder of external assets, to use instead of generated objects; seen then means all of them. Give it again to
+    resume: the dataset remembers what is in it, not where it is."""
 
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper's protocol has 4096; LeRobot reads fewer much faster."""
 
-    pose_preset: Literal["default", "paper"] = "default"
-    """default randomises object, robot and camera pose; paper fixes them."""
+    image_size: int = schema.IMAGE_SIZE
+    """Side of the front image [px]."""
 
-    mechanism_preset: Literal["paper", "upstream"] = "paper"
+    poses: Literal["randomized", "fixed"] = "randomized"
+    """randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream's code has them."""
+
+    mechanism_preset: str = "paper"
     """paper: mechanisms as the paper's text has them. upstream: as its released code has them."""
 
     expert_preset: Literal["paper", "upstream"] = "paper"
@@ -64,11 +75,20 @@ class Collect:
     trials: int = 1
     """Failed tries the adaptive expert demonstrates before it changes its mind."""
 
+    late_starts: float = DEFAULT_LATE_STARTS
+    """Share of episodes that start where another hand has driven some key frames and lost its grip."""
+
+    keep_failed: bool = False
+    """Keep failed episodes too, in a second dataset, ROOT-failed."""
+
     seed: int = 0
     """Of the whole collection."""
 
     workers: int = 1
     """Processes, each with a simulator of its own. Does not change the data."""
+
+    worker_timeout: float = DEFAULT_TIMEOUT
+    """A worker that gives no sign of life (a key frame, an episode) for so long is replaced [s]."""
 
     repo_id: str | None = None
     """Name of the dataset, in its card and on the Hub. local/<folder name> by default."""
@@ -86,33 +106,19 @@ class Collect:
     """Make the uploaded dataset private."""
 
     json: bool = False
-    """Print one JSON object when done, and no progress."""
+    """Print one JSON object when done. Progress goes to stderr."""
+
+    pose_preset: Annotated[str | None, tyro.conf.Suppress] = None
 
     def run(self) -> int:
         """Collects, and publishes if asked to; 0 when the dataset is complete, 130 after Ctrl-C."""
+        if self.pose_preset is not None:
+            require_known({"pose_preset": self.pose_preset})
         if self.push_to_hub:
             require_hub_name(self.repo_id)
-        options = CollectionSpec(
-            category=self.category,
-            objects=self._objects(),
-            expert=self.expert,
-            episodes_per_object=self.episodes_per_object,
-            num_points=self.num_points,
-            trials=self.trials,
-            seed=self.seed,
-        )
-        env_options = _changed(
-            assets=(None if self.assets is None else str(self.assets.resolve()), None),
-            poses=({"default": "randomized", "paper": "fixed"}[self.pose_preset], "randomized"),
-            mechanism_preset=(self.mechanism_preset, "paper"),
-        )
-        expert_options = _changed(preset=(self.expert_preset, "paper"))
-        if env_options:
-            options = dataclasses.replace(options, env_options=env_options)
-        if expert_options:
-            options = dataclasses.replace(options, expert_options=expert_options)
+        spec, options = self.spec(), self.options()
         try:
-            summary = self._collect(options)
+            summary = self._collect(spec, options)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
@@ -122,23 +128,45 @@ class Collect:
         self._print(summary)
         return 0
 
-    def _objects(self) -> tuple[str, ...]:
-        if self.category != ALL:
-            return select_objects(self.category, self.objects, self.assets)
-        return tuple(name for category in CATEGORIES for name in select_objects(category, self.objects, self.assets))
+    def spec(self) -> CollectionSpec:
+        """Returns what is to be collected; raises `ConfigurationError` for what cannot be."""
+        require_choice("category", self.category, (*CATEGORIES, ALL))
+        categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
+        environment = EnvironmentOptions(
+            category=categories[0],
+            objects=self.objects,
+            assets=None if self.assets is None else str(self.assets.resolve()),
+            num_points=self.num_points,
+            image_size=self.image_size,
+            poses=self.poses,
+            mechanism_preset=self.mechanism_preset,
+        )
+        return CollectionSpec(
+            environment=environment,
+            objects=tuple(name for each in categories for name in select_objects(each, self.objects, self.assets)),
+            expert=self.expert,
+            expert_preset=self.expert_preset,
+            episodes_per_object=self.episodes_per_object,
+            trials=self.trials,
+            late_starts=self.late_starts,
+            keep_failed=self.keep_failed,
+            seed=self.seed,
+        )
 
-    def _collect(self, options: CollectionSpec) -> CollectSummary:
+    def options(self) -> CollectOptions:
+        """Returns how it is to be collected; raises `ConfigurationError` for what cannot be."""
+        return CollectOptions(
+            workers=self.workers,
+            worker_timeout=self.worker_timeout,
+            max_attempts=self.max_attempts,
+            allow_missing=self.allow_missing,
+            repo_id=self.repo_id,
+        )
+
+    def _collect(self, spec: CollectionSpec, options: CollectOptions) -> CollectSummary:
         # What libraries print must not get into the JSON.
-        with _progress(quiet=self.json) as listener, contextlib.redirect_stdout(sys.stderr):
-            return collect(
-                self.root,
-                options,
-                workers=self.workers,
-                repo_id=self.repo_id,
-                max_attempts=self.max_attempts,
-                allow_missing=self.allow_missing,
-                listener=listener,
-            )
+        with show_progress(_STAGES, every_stage=True) as listener, contextlib.redirect_stdout(sys.stderr):
+            return collect(self.root, spec, factories(), options, listener)
 
     def _print(self, summary: CollectSummary) -> None:
         if self.json:
@@ -152,7 +180,7 @@ class Collect:
             f"{summary.episodes} episodes in {summary.root} ({summary.bytes / 1e6:.1f} MB): "
             f"{summary.recorded} recorded in {summary.recording_seconds:.0f} s, "
             f"{summary.episodes_per_minute:.1f} per minute; the expert succeeded in "
-            f"{100 * summary.expert_success_rate:.1f} % of its attempts."
+            f"{100 * summary.expert_success_rate:.1f} % of its {summary.attempted} attempts."
         )
         if len(summary.categories) > 1:
             _print_categories(summary)
@@ -160,9 +188,12 @@ class Collect:
             print(f"missing: {line}")
 
 
-def _changed(**presets: tuple[str | None, str | None]) -> dict[str, str | None]:
-    """Returns the presets that are not the default ones: a manifest holds no more than what was asked for."""
-    return {name: value for name, (value, default) in presets.items() if value != default}
+def factories() -> Factories:
+    """Returns what demonstrations are recorded with: the simulator and the scripted experts."""
+    from lerobot_adamanip.experts import make_expert
+    from lerobot_env_adamanip.factory import make_keyframe_env
+
+    return Factories(make_keyframe_env, make_expert)
 
 
 def _print_categories(summary: CollectSummary) -> None:
@@ -170,26 +201,3 @@ def _print_categories(summary: CollectSummary) -> None:
     for name, row in summary.categories.items():
         rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
         print(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")
-
-
-@contextlib.contextmanager
-def _progress(*, quiet: bool) -> Iterator[Listener]:
-    from rich import progress as bars
-    from rich.console import Console
-
-    columns = (
-        bars.TextColumn("{task.description}"),
-        bars.BarColumn(),
-        bars.MofNCompleteColumn(),
-        bars.TimeElapsedColumn(),
-        bars.TimeRemainingColumn(),
-    )
-    with bars.Progress(*columns, console=Console(stderr=True), disable=quiet) as progress:
-        tasks: dict[str, bars.TaskID] = {}
-
-        def listen(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = progress.add_task(_STAGES.get(stage, stage.removeprefix("record ")), total=total)
-            progress.update(tasks[stage], completed=done, total=total)
-
-        yield listen

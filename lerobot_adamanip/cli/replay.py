@@ -9,14 +9,15 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from lerobot_adamanip.demos.replay import replay
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.demos.replay import ReplayResult, replay
 
 
 @dataclass
 class Replay:
     """Replays a recorded episode in the simulator, from its stored seed and actions, and compares what is seen.
 
-    Exit status 0 if the same happened again, 1 if not.
+    Exit status 0 if the same happened again, 1 if not. Says which part of the code has changed since.
     """
 
     root: Path
@@ -24,6 +25,9 @@ class Replay:
 
     episode: int = 0
     """Index of the episode."""
+
+    assets: Path | None = None
+    """Folder of external assets, if the dataset was recorded with any."""
 
     video: Path | None = None
     """Write a video: the recording on the left, the replay on the right."""
@@ -36,8 +40,7 @@ class Replay:
 
     def run(self) -> int:
         """Replays and compares; 0 if everything agrees."""
-        with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
-            result = replay(self.root, self.episode, video=self.video)
+        result = self._replay()
         agrees = result.agrees(self.tolerance)
         if self.json:
             print(json.dumps({**dataclasses.asdict(result), "agrees": agrees}))
@@ -47,5 +50,21 @@ class Replay:
         print(f"  success     {result.success} replayed, {result.recorded_success} recorded")
         for name, value in result.differences.items():
             print(f"  {name:<24} largest difference {value:.3g}")
+        if result.changed:
+            print(f"Recorded under another fingerprint: {', '.join(result.changed)} differ.")
         print("The same happened again." if agrees else f"It went differently (tolerance {self.tolerance:g}).")
         return 0 if agrees else 1
+
+    def _replay(self) -> ReplayResult:
+        from lerobot_env_adamanip.factory import make_keyframe_env
+
+        # What libraries print must not get into the JSON.
+        with show_progress({"replay": "key frames"}) as progress, contextlib.redirect_stdout(sys.stderr):
+            return replay(
+                self.root,
+                self.episode,
+                make_keyframe_env,
+                assets=self.assets,
+                video=self.video,
+                progress=lambda done, total: progress("replay", done, total),
+            )

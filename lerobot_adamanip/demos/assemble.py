@@ -1,61 +1,104 @@
-"""From episode files to a LeRobotDataset, in a folder beside the final one and renamed to it when whole."""
+"""From episode files to a LeRobotDataset: built beside its place, synced, read back, and only then put there."""
 
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, write_manifest
-from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard, sync_folder, write_atomically
+from lerobot_adamanip import files, schema
+from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl
+from lerobot_adamanip.demos.collection import assembling, manifest_path
+from lerobot_adamanip.demos.loading import read_back
+from lerobot_adamanip.demos.manifest import Manifest, write_manifest
+from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.cards import dataset_card
 
 _VIDEO_FILE_MB = 25
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
-_PLAIN_COLUMNS = ("object_id", "seed", "expert", "trials", "success", "attempts", "slot")
-_JSON_COLUMNS = ("hidden_state", "camera", "versions", "failures", "episode_record")
+_PLAIN_COLUMNS = (
+    "object_id", "seed", "expert", "tries", "failed_tries", "success", "attempts", "attempt", "slot", "late",
+    "fingerprint",
+)  # fmt: skip
+_JSON_COLUMNS = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "failures", "episode_record")
 
 
-def assemble(
-    folders: CollectionPaths,
-    options: CollectionSpec,
-    shards: list[Path],
-    repo_id: str,
-    progress: Callable[[int, int], None],
-) -> None:
-    """Writes the dataset of ``shards``, in this order, and puts it in place. Starts over if it was interrupted.
+@dataclass(frozen=True)
+class Contents:
+    """What a dataset is made of.
+
+    Attributes:
+        manifest: of the collection.
+        shards: files of its episodes, in order.
+        attempts: all that were made for the collection.
+        repo_id: written into its card.
+    """
+
+    manifest: Manifest
+    shards: list[Path]
+    attempts: list[AttemptRecord]
+    repo_id: str
+
+
+def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None]) -> Path:
+    """Writes a dataset, syncs it and reads it back. Starts over if it was interrupted.
+
+    Args:
+        root: where it is to be put in the end, by `files.move_durably`.
+        contents: what it is made of.
+        progress: told of episodes written, and all.
+
+    Returns:
+        The folder it is in.
 
     Raises:
-        DatasetError: if there are no shards, or one is damaged.
+        DatasetError: if there are no shards, or one is damaged, or what was written cannot be read back.
     """
-    if not shards:
+    if not contents.shards:
         raise DatasetError(
             "No episode was recorded.", got="0 episodes", allowed="1 or more", hint="a larger --max-attempts"
         )
-    shutil.rmtree(folders.assembling, ignore_errors=True)
-    first = read_shard(shards[0])
-    dataset = _create(folders.assembling, options, first, repo_id)
+    folder = assembling(root)
+    files.remove_tree(folder)
+    files.crash_point("assembly begun")
+    dataset = _create(folder, contents.manifest, read_shard(contents.shards[0]), contents.repo_id)
     records: list[dict[str, Any]] = []
-    for number, path in enumerate(shards):
+    lengths: list[int] = []
+    for number, path in enumerate(contents.shards):
         episode = read_shard(path)
         _append(dataset, episode)
         records.append(episode.record)
-        progress(number + 1, len(shards))
+        lengths.append(len(episode))
+        files.crash_point("episode assembled")
+        progress(number + 1, len(contents.shards))
     dataset.finalize()
-    _finish(folders.assembling, options, records, repo_id)
-    os.replace(folders.assembling, folders.root)
-    sync_folder(folders.root.parent)
+    files.crash_point("dataset written")
+    _describe(folder, contents, records)
+    card = dataset_card(
+        folder,
+        root.name,
+        manifest=contents.manifest,
+        records=records,
+        attempts=contents.attempts,
+        repo_id=contents.repo_id,
+    )
+    (folder / "README.md").write_text(card)
+    files.crash_point("dataset described")
+    files.sync_tree(folder)
+    files.crash_point("dataset synced")
+    read_back(folder, lengths)
+    files.crash_point("dataset verified")
+    return folder
 
 
-def _create(root: Path, options: CollectionSpec, first: RecordedEpisode, repo_id: str) -> Any:
+def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str) -> Any:
     import av
     import datasets
     from lerobot.configs.video import RGBEncoderConfig
@@ -63,7 +106,8 @@ def _create(root: Path, options: CollectionSpec, first: RecordedEpisode, repo_id
 
     av.logging.set_libav_level(av.logging.ERROR)
     datasets.disable_progress_bars()
-    features = schema.dataset_features(options.num_points, options.image_size)
+    environment = manifest.spec.environment
+    features = schema.dataset_features(environment.num_points, environment.image_size)
     camera = first.record["camera"]
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base"}
     features[schema.FRONT_IMAGE]["info"] = {"intrinsics": camera.get("intrinsics"), "cameras": "meta/cameras.json"}
@@ -88,7 +132,7 @@ def _append(dataset: Any, episode: RecordedEpisode) -> None:
     dataset.save_episode()
 
 
-def _finish(root: Path, options: CollectionSpec, records: list[dict[str, Any]], repo_id: str) -> None:
+def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:
     from lerobot.datasets.io_utils import load_stats, write_stats
 
     stats = load_stats(root)
@@ -100,10 +144,10 @@ def _finish(root: Path, options: CollectionSpec, records: list[dict[str, Any]], 
     write_stats(dict(sorted(schema.fix_pose_statistics(stats).items())), root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in _JSON_COLUMNS})
-    write_atomically(root / "meta" / "cameras.json", _cameras([record["camera"] for record in records]))
-    write_atomically(root / "README.md", dataset_card(root, options, records, repo_id).encode())
+    (root / "meta" / "cameras.json").write_bytes(_cameras([record["camera"] for record in records]))
+    (root / "meta" / "attempts.jsonl").write_bytes(attempts_jsonl(contents.attempts))
     shutil.rmtree(root / "images", ignore_errors=True)
-    write_manifest(root / "meta" / "collection.json", options)
+    write_manifest(manifest_path(root), contents.manifest)
 
 
 def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
@@ -124,7 +168,7 @@ def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
         table = table.replace_schema_metadata(None)
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression="snappy")
-        write_atomically(path, sink.getvalue().to_pybytes())
+        files.write_atomically(path, sink.getvalue().to_pybytes())
 
 
 def _cameras(cameras: list[dict[str, Any]]) -> bytes:

@@ -4,155 +4,126 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from lerobot_adamanip.demos.assemble import assemble
-from lerobot_adamanip.demos.collection import (
-    CollectionPaths,
-    CollectionSpec,
-    EpisodeSpec,
-    read_manifest,
-    require_same,
-    write_manifest,
+from lerobot_adamanip import files
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.demos.assemble import Contents, assemble
+from lerobot_adamanip.demos.attempts import all_attempts, count
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
+from lerobot_adamanip.demos.loading import read_back
+from lerobot_adamanip.demos.manifest import Manifest, read_manifest, require_same, write_manifest
+from lerobot_adamanip.demos.record import (
+    Attempt,
+    Factories,
+    ItemReport,
+    RecordingJob,
+    recording_session,
+    write_given_up,
 )
-from lerobot_adamanip.demos.pool import WorkerPool
 from lerobot_adamanip.demos.shards import read_record
-from lerobot_adamanip.demos.worker import Report
+from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.jobs import DEFAULT_TIMEOUT, JobResult, WorkerPool
 
 Listener = Callable[[str, int, int], None]
 """Told of progress: stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, in all."""
 
 
 @dataclass(frozen=True)
-class CategorySummary:
-    """A category's share of a dataset, and what this run did for it.
+class CollectOptions:
+    """How a collection is made; nothing of it changes the data.
 
     Attributes:
-        episodes: in the dataset.
-        attempts: episodes the expert tried for them.
-        mean_key_frames: of an episode.
-        recorded: by this run.
-        worker_seconds: spent on it by this run, all workers together.
+        workers: processes, each with a simulator of its own.
+        worker_timeout: a worker without a sign of life for so long is replaced [s].
+        max_attempts: seeds to try per episode until the expert succeeds.
+        allow_missing: make a dataset even if some episodes were given up.
+        repo_id: written into the dataset card; ``local/<folder name>`` by default.
     """
 
-    episodes: int
-    attempts: int
-    mean_key_frames: float
-    recorded: int
-    worker_seconds: float
+    workers: int = 1
+    worker_timeout: float = DEFAULT_TIMEOUT
+    max_attempts: int = 5
+    allow_missing: bool = False
+    repo_id: str | None = None
 
-    @property
-    def episodes_per_worker_minute(self) -> float:
-        """Returns the rate of one worker."""
-        return 60.0 * self.recorded / self.worker_seconds if self.recorded else 0.0
-
-
-@dataclass(frozen=True)
-class CollectSummary:
-    """What a run of `collect` did.
-
-    Attributes:
-        root: of the dataset.
-        episodes: in the dataset.
-        recorded: by this run; the others were there already.
-        attempts: episodes this run tried for them.
-        seconds: this run took, from start to finished dataset.
-        recording_seconds: of those, spent recording.
-        expert_success_rate: successes over attempts of all episodes in the dataset.
-        bytes: size of the dataset on disk.
-        failures: lines about items that were given up; empty in a complete dataset.
-        categories: by name, in the order of the dataset.
-    """
-
-    root: str
-    episodes: int
-    recorded: int
-    attempts: int
-    seconds: float
-    recording_seconds: float
-    expert_success_rate: float
-    bytes: int
-    failures: tuple[str, ...] = ()
-    categories: dict[str, CategorySummary] = field(default_factory=dict)
-
-    @property
-    def episodes_per_minute(self) -> float:
-        """Returns the rate of this run's recording."""
-        return 60.0 * self.recorded / self.recording_seconds if self.recorded else 0.0
+    def __post_init__(self) -> None:
+        if self.workers < 1 or self.max_attempts < 1 or not self.worker_timeout > 0:
+            raise ConfigurationError(
+                "Too small.",
+                got=f"workers = {self.workers}, max_attempts = {self.max_attempts}, timeout = {self.worker_timeout}",
+                allowed="1 or more, and a timeout above 0",
+                hint="--workers 2 --max-attempts 5",
+            )
 
 
 def collect(
     root: Path,
-    options: CollectionSpec,
-    *,
-    workers: int = 1,
-    repo_id: str | None = None,
-    max_attempts: int = 5,
-    allow_missing: bool = False,
-    listener: Listener | None = None,
+    spec: CollectionSpec,
+    factories: Factories,
+    options: CollectOptions = CollectOptions(),
+    listener: Listener = lambda stage, done, total: None,
 ) -> CollectSummary:
     """Records the episodes that ``root`` still lacks and makes a LeRobotDataset of them all.
 
-    Neither ``workers`` nor interruptions change the data. A complete dataset is left as it is.
+    Neither workers nor interruptions change the data. A complete dataset is left as it is. Until it is complete,
+    episodes are kept in ``<root>.partial``; nothing there is removed before the dataset is synced and read back.
 
     Args:
-        root: of the dataset. Until it is complete, episodes are kept in ``<root>.partial``.
-        options: what to collect.
-        workers: processes, each with a simulator of its own.
-        repo_id: written into the dataset card; ``local/<folder name>`` by default.
-        max_attempts: seeds to try per episode until the expert succeeds.
-        allow_missing: make a dataset even if some episodes were given up.
+        root: of the dataset.
+        spec: what to collect.
+        factories: of environments and experts.
+        options: how.
         listener: told of progress.
 
     Raises:
         DatasetError: if ``root`` holds something else, another collection of it is running, or episodes were given up.
         WorkerError: if a worker failed for good.
     """
-    if workers < 1 or max_attempts < 1:
-        raise ConfigurationError(
-            "Too small.",
-            got=f"workers = {workers}, max_attempts = {max_attempts}",
-            allowed="1 or more",
-            hint="--workers 2 --max-attempts 5",
-        )
     begin = time.monotonic()
-    folders = CollectionPaths(root.absolute())
-    tell = listener or (lambda stage, done, total: None)
-    if _is_complete(folders, options):
-        folders.clean()
-        return _summary(folders.root, options, [], begin=begin)
-    with _prepared(folders, options):
-        reports = _record(folders, options, workers, max_attempts, tell)
+    paths = CollectionPaths(root.absolute())
+    manifest = Manifest.of(spec, _fingerprint(spec, factories))
+    if _is_complete(paths, manifest):
+        paths.clean()
+        return summarize(paths.root, spec, [], begin=begin)
+    with _prepared(paths, manifest):
+        job = RecordingJob(spec, factories, paths, options.max_attempts, manifest.fingerprint)
+        results = _record(job, options, listener)
         recording = time.monotonic() - begin
-        failures = tuple(_describe(report) for report in reports if not report.recorded)
-        if failures and not allow_missing:
-            raise DatasetError(
-                f"{len(failures)} episodes could not be recorded.",
-                got="\n           ".join(failures),
-                allowed=f"a success within {max_attempts} attempts each",
-                hint="the same command with a larger --max-attempts, or --allow-missing to do without",
-            )
-        shards = [path for item in options.items() if (path := folders.episodes / item.file_name).exists()]
-        assemble(folders, options, shards, repo_id or f"local/{root.name}", lambda i, n: tell("assemble", i, n))
-        summary = _summary(folders.root, options, reports, begin=begin, recording=recording, failures=failures)
-        folders.clean()
+        failures = tuple(_reasons(each) for each in results if not each.report.kept)
+        _require_all(failures, options)
+        files.crash_point("all recorded")
+        _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
+        summary = summarize(paths.root, spec, results, begin=begin, recording=recording, failures=failures)
+        paths.clean()
     return summary
 
 
-def _is_complete(folders: CollectionPaths, options: CollectionSpec) -> bool:
-    if folders.manifest.exists():
-        require_same(read_manifest(folders.manifest), options, folders.root)
+def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
+    env = factories.environment(spec.environment_of(spec.categories[0]))
+    try:
+        return dict(env.fingerprint())
+    finally:
+        env.close()
+
+
+def _is_complete(paths: CollectionPaths, manifest: Manifest) -> bool:
+    """Returns whether the dataset is there: read back once more, if episode files are still beside it."""
+    if paths.manifest.exists():
+        require_same(read_manifest(paths.manifest, manifest.spec.environment.assets), manifest, paths.root)
+        if paths.episodes.is_dir():
+            read_back(paths.root)
         return True
-    if folders.root.is_file() or (folders.root.is_dir() and any(folders.root.iterdir())):
+    if paths.root.is_file() or (paths.root.is_dir() and any(paths.root.iterdir())):
         raise DatasetError(
             "There is something else at the root of the dataset.",
-            got=folders.root,
+            got=paths.root,
             allowed="a folder that does not exist, is empty, or was made by `adamanip collect`",
             hint="another --root",
         )
@@ -160,104 +131,98 @@ def _is_complete(folders: CollectionPaths, options: CollectionSpec) -> bool:
 
 
 @contextlib.contextmanager
-def _prepared(folders: CollectionPaths, options: CollectionSpec) -> Iterator[None]:
+def _prepared(paths: CollectionPaths, manifest: Manifest) -> Iterator[None]:
     """Makes the partial folder, or checks the one there, and keeps other collections out of it meanwhile."""
-    folders.episodes.mkdir(parents=True, exist_ok=True)
-    with open(folders.partial / "lock", "w") as lock:
+    for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
+        folder.mkdir(parents=True, exist_ok=True)
+    with open(paths.partial / "lock", "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise DatasetError(
                 "Another collection is at work here.",
-                got=folders.partial,
+                got=paths.partial,
                 allowed="one at a time",
                 hint="--workers 2 for more speed, or another --root",
             ) from error
-        if any(folders.episodes.glob("*.safetensors")) and folders.partial_manifest.exists():
-            require_same(read_manifest(folders.partial_manifest), options, folders.partial)
+        if any(paths.episodes.glob("*.safetensors")) and paths.partial_manifest.exists():
+            assets = manifest.spec.environment.assets
+            require_same(read_manifest(paths.partial_manifest, assets), manifest, paths.partial)
         else:
-            write_manifest(folders.partial_manifest, options)
+            write_manifest(paths.partial_manifest, manifest)
+        for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
+            files.remove_temporaries(folder)
+        files.sync_tree(paths.partial)
+        files.sync(paths.root.parent)
+        files.crash_point("collection prepared")
         yield
 
 
-def _record(
-    folders: CollectionPaths,
-    options: CollectionSpec,
-    workers: int,
-    max_attempts: int,
-    tell: Callable[[str, int, int], None],
-) -> list[Report]:
-    items = options.items()
-    missing = [item for item in items if not _is_recorded(folders, item)]
+def _record(job: RecordingJob, options: CollectOptions, listener: Listener) -> list[ItemResult]:
+    items = job.spec.items()
+    missing = [item for item in items if not _is_recorded(job.paths, item)]
     # Category by category, because changing it costs a worker seconds. The dataset's order is another one.
-    order = {name: place for place, name in enumerate(dict.fromkeys(map(options.category_of, options.objects)))}
-    missing.sort(key=lambda item: order[options.category_of(item.object_id)])
-    totals = Counter(options.category_of(item.object_id) for item in items)
-    done = totals - Counter(options.category_of(item.object_id) for item in missing)
+    missing.sort(key=lambda item: job.spec.categories.index(category_of(item.object_id)))
+    totals = Counter(category_of(item.object_id) for item in items)
+    done = totals - Counter(category_of(item.object_id) for item in missing)
     for category, total in totals.items():
-        tell(f"record {category}", done[category], total)
-    reports = []
-    with WorkerPool(min(workers, max(1, len(missing))), options, folders.episodes, max_attempts) as pool:
-        for report in pool.run(missing):
-            reports.append(report)
-            assert report.item is not None
-            category = options.category_of(report.item.object_id)
-            done[category] += report.recorded
-            tell(f"record {category}", done[category], totals[category])
-            tell("record", done.total(), len(items))
-    return reports
+        listener(f"record {category}", done[category], total)
+    results = []
+    session = functools.partial(recording_session, job)
+    workers = min(options.workers, max(1, len(missing)))
+    with WorkerPool[EpisodeSpec](session, workers, timeout=options.worker_timeout) as pool:
+        for outcome in pool.run(missing):
+            results.append(_result(job.paths, outcome))
+            category = category_of(outcome.item.object_id)
+            done[category] += results[-1].report.kept
+            listener(f"record {category}", done[category], totals[category])
+            listener("record", done.total(), len(items))
+    return results
 
 
-def _is_recorded(folders: CollectionPaths, item: EpisodeSpec) -> bool:
-    path = folders.episodes / item.file_name
+def _result(paths: CollectionPaths, outcome: JobResult[EpisodeSpec]) -> ItemResult:
+    if isinstance(outcome.value, ItemReport):
+        return ItemResult(outcome.item, outcome.value, outcome.seconds)
+    lost = Attempt(0, None, False, f"its worker died twice ({outcome.death})", 0, False)
+    write_given_up(paths, outcome.item, [lost])
+    return ItemResult(outcome.item, ItemReport((lost,)), outcome.seconds)
+
+
+def _is_recorded(paths: CollectionPaths, item: EpisodeSpec) -> bool:
+    path = paths.episodes / item.file_name
     return path.exists() and read_record(path) is not None
 
 
-def _describe(report: Report) -> str:
-    assert report.item is not None
-    reasons = "; ".join(f"seed {failure['seed']}: {failure['reason']}" for failure in report.failures)
-    return f"{report.item.object_id}, episode {report.item.slot}: {reasons}"
+def _reasons(result: ItemResult) -> str:
+    reasons = "; ".join(f"seed {attempt.seed}: {attempt.reason}" for attempt in result.report.attempts)
+    return f"{result.item}: {reasons}"
 
 
-def _summary(
-    root: Path,
-    options: CollectionSpec,
-    reports: list[Report],
-    *,
-    begin: float,
-    recording: float = 0.0,
-    failures: tuple[str, ...] = (),
-) -> CollectSummary:
-    from lerobot_adamanip.demos.loading import episode_table
-
-    rows = episode_table(root).select(["object_id", "attempts", "length"]).to_pylist()
-    tried = [int(row["attempts"]) for row in rows]
-    return CollectSummary(
-        root=str(root),
-        episodes=len(tried),
-        recorded=sum(report.recorded for report in reports),
-        attempts=sum(report.attempts for report in reports),
-        seconds=time.monotonic() - begin,
-        recording_seconds=recording,
-        expert_success_rate=len(tried) / sum(tried) if tried else 0.0,
-        bytes=sum(path.stat().st_size for path in root.rglob("*") if path.is_file()),
-        failures=failures,
-        categories=_by_category(options, rows, reports),
-    )
-
-
-def _by_category(
-    options: CollectionSpec, rows: list[dict[str, Any]], reports: list[Report]
-) -> dict[str, CategorySummary]:
-    summaries = {}
-    for category in dict.fromkeys(options.category_of(name) for name in options.objects):
-        mine = [row for row in rows if options.category_of(row["object_id"]) == category]
-        done = [each for each in reports if each.item and options.category_of(each.item.object_id) == category]
-        summaries[category] = CategorySummary(
-            episodes=len(mine),
-            attempts=sum(int(row["attempts"]) for row in mine),
-            mean_key_frames=sum(int(row["length"]) for row in mine) / max(1, len(mine)),
-            recorded=sum(each.recorded for each in done),
-            worker_seconds=sum(each.seconds for each in done),
+def _require_all(failures: tuple[str, ...], options: CollectOptions) -> None:
+    if failures and not options.allow_missing:
+        raise DatasetError(
+            f"{len(failures)} episodes could not be recorded.",
+            got="\n           ".join(failures),
+            allowed=f"a success within {options.max_attempts} attempts each",
+            hint="the same command with a larger --max-attempts, or --allow-missing to do without",
         )
-    return summaries
+
+
+def _publish(
+    paths: CollectionPaths, manifest: Manifest, options: CollectOptions, progress: Callable[[int, int], None]
+) -> None:
+    """Assembles the dataset, and that of failed episodes, and puts both in place; the kept one last."""
+    items = manifest.spec.items()
+    shards = [path for item in items if (path := paths.episodes / item.file_name).exists()]
+    records = [record for path in shards if (record := read_record(path)) is not None]
+    attempts = all_attempts(paths, items, records)
+    counted = replace(manifest, attempts=count(attempts, len(items)))
+    repo_id = options.repo_id or f"local/{paths.root.name}"
+    failed = sorted(paths.failed_episodes.glob("*.safetensors")) if manifest.spec.keep_failed else []
+    if failed:
+        built = assemble(paths.failed, Contents(counted, failed, attempts, f"{repo_id}-failed"), progress)
+        if manifest_path(paths.failed).exists():  # left by a run that was interrupted before the other was in place
+            files.remove_tree(paths.failed)
+        files.move_durably(built, paths.failed)
+    files.move_durably(assemble(paths.root, Contents(counted, shards, attempts, repo_id), progress), paths.root)
+    files.crash_point("dataset in place")

@@ -1,26 +1,30 @@
-"""What a collection is: its options, its work items, their seeds, and the folders it lives in."""
+"""What a collection is: its options, its episodes, their seeds, and the folders it lives in."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import schema
+from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.categories import ALL
-from lerobot_adamanip.demos.shards import write_atomically
-from lerobot_adamanip.errors import ConfigurationError, DatasetError, require_choice
-from lerobot_adamanip.experts import EXPERT_KINDS
+from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.seeds import SPLITS
 
-DEMO_SEED_START = 2**24
-"""Demonstration seeds lie in [2^24, 2^31); evaluation uses seeds below a million, so the two never meet."""
-DEMO_SEED_END = 2**31
-ENV_FACTORY = "lerobot_env_adamanip.factory:make_keyframe_env"
-EXPERT_FACTORY = "lerobot_adamanip.experts:make_expert"
+SPLIT = "train"
+DEMO_SEED_START, DEMO_SEED_END = SPLITS[SPLIT]
+"""Demonstration seeds lie apart from those of evaluation, so the two never meet."""
+DEFAULT_LATE_STARTS = 0.15
+LIMITS: Mapping[str, tuple[int, int]] = {
+    "episodes_per_object": (1, 100_000), "trials": (1, 20), "seed": (0, 2**63 - 1),
+}  # fmt: skip
+MAX_OBJECTS, MAX_EPISODES = 5_000, 1_000_000
 
 
 def episode_seed(seed: int, category: str, object_id: str, slot: int, attempt: int) -> int:
@@ -41,6 +45,9 @@ class EpisodeSpec:
     slot: int
     object_id: str
 
+    def __str__(self) -> str:
+        return f"{self.object_id}, episode {self.slot}"
+
     @property
     def file_name(self) -> str:
         """Name of its episode file."""
@@ -52,66 +59,65 @@ class CollectionSpec:
     """Everything that decides which data a collection holds. Two collections of equal options are equal.
 
     Attributes:
-        category: of object, or ``all`` for objects of several.
-        objects: ids, in the order of the dataset.
+        environment: options of the environments; its ``category`` is that of the first object.
+        objects: ids, in the order of the dataset; of one category or of several.
         expert: ``adaptive`` or ``static``.
+        expert_preset: see `lerobot_adamanip.experts.EXPERT_PRESETS`.
         episodes_per_object: successes to keep of each object.
-        num_points: points per cloud.
         trials: adaptive trials the expert may demonstrate (the paper's second table).
         seed: of the whole collection.
-        image_size: height and width of the front image [px].
-        env_options: passed on to the environment.
-        expert_options: passed on to the expert.
-        env_factory: ``module:function``, called as (category, num_points, image_size=, **env_options).
-        expert_factory: ``module:function``, called as (category, kind, annotations, trials=, generator=, hidden=,
-            **expert_options).
+        late_starts: share of episodes that start late, see `lerobot_adamanip.demos.late_starts`.
+        keep_failed: whether failed episodes are kept, in a dataset of their own.
     """
 
-    category: str
+    environment: EnvironmentOptions
     objects: tuple[str, ...]
     expert: str = "adaptive"
+    expert_preset: str = "paper"
     episodes_per_object: int = 20
-    num_points: int = schema.DEFAULT_NUM_POINTS
     trials: int = 1
     seed: int = 0
-    image_size: int = schema.IMAGE_SIZE
-    env_options: dict[str, Any] = field(default_factory=dict)
-    expert_options: dict[str, Any] = field(default_factory=dict)
-    env_factory: str = ENV_FACTORY
-    expert_factory: str = EXPERT_FACTORY
+    late_starts: float = DEFAULT_LATE_STARTS
+    keep_failed: bool = False
 
     def __post_init__(self) -> None:
         require_choice("expert", self.expert, EXPERT_KINDS)
-        for name in ("episodes_per_object", "num_points", "trials", "image_size"):
-            if getattr(self, name) < 1:
-                raise ConfigurationError(
-                    f"{name} is too small.", got=getattr(self, name), allowed="1 or more", hint=f"{name} = 1"
-                )
-        if not self.objects or len(set(self.objects)) != len(self.objects):
-            raise ConfigurationError(
-                "Objects must be given, each once.",
-                got=self.objects,
-                allowed="different object ids",
-                hint="--objects 0:4",
-            )
+        require_choice("expert preset", self.expert_preset, EXPERT_PRESETS)
+        for name, (lowest, highest) in LIMITS.items():
+            _require(lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}")
+        _require(0 <= self.late_starts <= 1, "late_starts", self.late_starts, "a share, 0 ... 1")
+        different = len(set(self.objects)) == len(self.objects)
+        _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", self.objects, "ids, each once")
+        count = len(self.objects) * self.episodes_per_object
+        _require(count <= MAX_EPISODES, "number of episodes", count, f"at most {MAX_EPISODES}")
+        for category in self.categories:
+            self.environment_of(category)
 
-    def category_of(self, object_id: str) -> str:
-        """Returns the category of one of the objects."""
-        return category_of(object_id) if self.category == ALL else self.category
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Of the objects, in their order."""
+        return tuple(dict.fromkeys(map(category_of, self.objects)))
+
+    @property
+    def category(self) -> str:
+        """Of all objects, or ``all`` for several."""
+        return self.categories[0] if len(self.categories) == 1 else ALL
+
+    def environment_of(self, category: str) -> EnvironmentOptions:
+        """Returns the options of the environment for a category's objects; raises `ConfigurationError`."""
+        mine = ",".join(name for name in self.objects if category_of(name) == category)
+        return self.environment.changed(
+            category=category, objects=mine, observe_images=True, split=SPLIT, seed_offset=0
+        )
 
     def items(self) -> list[EpisodeSpec]:
         """Returns the episodes in dataset order: the first of every object, then the second: any prefix is balanced."""
         return [EpisodeSpec(slot, name) for slot in range(self.episodes_per_object) for name in self.objects]
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary."""
-        plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return plain
 
-    @classmethod
-    def from_json(cls, content: dict[str, Any]) -> CollectionSpec:
-        """Reads `to_json` back."""
-        return cls(**{**content, "objects": tuple(content["objects"])})
+def _require(holds: bool, name: str, got: object, allowed: str) -> None:
+    if not holds:
+        raise ConfigurationError(f"Wrong {name} of a collection.", got=got, allowed=allowed, hint="adamanip collect -h")
 
 
 @dataclass(frozen=True)
@@ -122,61 +128,69 @@ class CollectionPaths:
 
     @property
     def partial(self) -> Path:
-        """Episodes recorded so far."""
+        """What was recorded so far."""
         return self.root.with_name(self.root.name + ".partial")
 
     @property
     def episodes(self) -> Path:
-        """RecordedEpisode files."""
+        """Files of the episodes to keep."""
         return self.partial / "episodes"
 
     @property
-    def assembling(self) -> Path:
-        """The dataset under construction."""
-        return self.root.with_name(self.root.name + ".assembling")
+    def attempts(self) -> Path:
+        """What became of items without such a file."""
+        return self.partial / "attempts"
+
+    @property
+    def failed_episodes(self) -> Path:
+        """Files of failed episodes, where they are kept."""
+        return self.partial / "failed"
+
+    @property
+    def failed(self) -> Path:
+        """The dataset of failed episodes."""
+        return self.root.with_name(self.root.name + "-failed")
 
     @property
     def partial_manifest(self) -> Path:
-        """Options of an unfinished collection."""
+        """Manifest of an unfinished collection."""
         return self.partial / "collection.json"
 
     @property
     def manifest(self) -> Path:
-        """Options of a finished one."""
-        return self.root / "meta" / "collection.json"
+        """Manifest of a finished one."""
+        return manifest_path(self.root)
 
     def clean(self) -> None:
         """Removes what only an unfinished collection needs."""
-        for folder in (self.partial, self.assembling):
-            shutil.rmtree(folder, ignore_errors=True)
+        for folder in (assembling(self.root), assembling(self.failed), self.episodes, self.partial):
+            files.remove_tree(folder)
+            files.crash_point("shards partly removed")
+        files.crash_point("cleaned")
 
 
-def read_manifest(path: Path) -> CollectionSpec:
-    """Reads options back; raises `DatasetError` if the file is damaged."""
-    try:
-        return CollectionSpec.from_json(json.loads(path.read_text()))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise DatasetError(
-            "Cannot read the options of a collection.",
-            got=f"{path}: {error}",
-            allowed="the file `adamanip collect` wrote",
-            hint="another --root",
-        ) from error
+def assembling(root: Path) -> Path:
+    """Returns where the dataset of ``root`` is being built."""
+    return root.with_name(root.name + ".assembling")
 
 
-def write_manifest(path: Path, options: CollectionSpec) -> None:
-    """Writes options, durably."""
-    write_atomically(path, (json.dumps(options.to_json(), indent=2, sort_keys=True) + "\n").encode())
+def manifest_path(root: Path) -> Path:
+    """Returns where a dataset says how it was collected."""
+    return root / "meta" / "collection.json"
 
 
-def require_same(stored: CollectionSpec, wanted: CollectionSpec, where: Path) -> None:
-    """Raises `DatasetError` naming every option in which a collection on disk differs from the one asked for."""
-    old, new = stored.to_json(), wanted.to_json()
-    different = [name for name in new if old[name] != new[name]]
-    if different:
-        raise DatasetError(
-            f"{where} holds a collection made with other options: {', '.join(different)}.",
-            got="; ".join(f"{name} = {new[name]!r}" for name in different),
-            allowed="; ".join(f"{name} = {old[name]!r}" for name in different),
-            hint="the same options, or another --root (a dataset does not grow: collect the rest elsewhere)",
-        )
+def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
+    """Returns what of an environment's options decides data, JSON-able: no path, and nothing of this machine."""
+    plain = environment.to_json()
+    return {name: plain[name] for name in DECIDING}
+
+
+DECIDING = (
+    "num_points", "image_size", "poses", "mechanism_preset", "max_key_frames", "hidden_overrides", "workspace",
+)  # fmt: skip
+"""Options of an environment that a manifest holds."""
+NOT_DECIDING = (
+    "category", "objects", "assets", "observe_images", "split", "seed_offset", "render_backend", "episode_log",
+)  # fmt: skip
+"""Options that it does not: category and objects stand beside them, images and split are the same for every
+collection, a path is of one machine, and the fingerprint tells the renderer."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.checked_json import read
 from lerobot_adamanip.demos.collection import CollectionPaths
 from lerobot_adamanip.errors import DatasetError
+
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+"""LeRobot's own templates. A dataset that names other places in its metadata is refused: they could lie anywhere."""
+_KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
+_DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
 
 def load_check(root: str | Path, *, num_points: int | None = None) -> dict[str, Any]:
@@ -80,12 +88,66 @@ def _half_written(what: object) -> DatasetError:
 
 def _info(folder: Path) -> dict[str, Any]:
     try:
-        info: dict[str, Any] = json.loads((folder / "meta" / "info.json").read_text())
-        json.loads((folder / "meta" / "stats.json").read_text())
-        _ = info["features"], info["total_frames"], info["total_episodes"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        info: dict[str, Any] = read(folder / "meta" / "info.json")
+        read(folder / "meta" / "stats.json", max_bytes=100_000_000)
+        for total in ("total_frames", "total_episodes", "fps"):
+            if not isinstance(info[total], int) or isinstance(info[total], bool):
+                raise ValueError(f"{total} is no whole number")
+        for name, template in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
+            if info.get(name) not in (template, None):
+                raise ValueError(f"{name} is not LeRobot's: {str(info[name])[:100]!r}")
+        for key, feature in info["features"].items():
+            _check_feature(key, feature)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise _half_written(f"{folder}: {error}") from error
     return info
+
+
+def _check_feature(key: str, feature: dict[str, Any]) -> None:
+    """A column's name is part of a path where it is a video."""
+    sizes = feature["shape"]
+    sound = all(isinstance(size, int) and 0 < size <= 1_000_000 for size in sizes) and len(sizes) <= 4
+    if not _KEY.fullmatch(key) or not sound or not _DTYPE.fullmatch(feature["dtype"]):
+        raise ValueError(f"column {key[:100]!r} cannot be")
+
+
+def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
+    """Reads a whole dataset: every row, and every frame of its videos.
+
+    Args:
+        root: of the dataset.
+        lengths: rows of each episode, if known.
+
+    Raises:
+        DatasetError: if anything is missing, or cannot be read.
+    """
+    folder = Path(root).absolute()
+    info = load_check(folder)
+    try:
+        found = [int(row["length"]) for row in episode_table(folder).to_pylist()]
+        rows = sum(pq.read_table(path).num_rows for path in (folder / "data").glob("*/*.parquet"))
+        frames = {
+            key: sum(_decoded(path) for path in (folder / "videos" / key).glob("*/*.mp4"))
+            for key, feature in info["features"].items()
+            if feature["dtype"] == "video"
+        }
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise _half_written(f"{folder}: {error}") from error
+    wanted = list(found if lengths is None else lengths)
+    if found != wanted or any(count != sum(wanted) for count in (rows, *frames.values())):
+        raise _half_written(
+            f"{folder}: {len(found)} episodes, {rows} rows, frames {frames}; {sum(wanted)} were written"
+        )
+
+
+def _decoded(path: Path) -> int:
+    import av
+
+    frames = 0
+    with av.open(str(path)) as container:
+        for _ in container.decode(video=0):
+            frames += 1
+    return frames
 
 
 def _check_rows(folder: Path, info: dict[str, Any]) -> None:

@@ -9,37 +9,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.keyframes import Goal, KeyFrameLabels, Outcome
 from lerobot_adamanip.observation import observation_columns
 from lerobot_adamanip.rollout import KeyFrame
+
+Row = dict[str, NDArray[Any]]
 
 
 @dataclass
 class EpisodeRecorder:
     """Collects key frames. Row t: observation t, the action sent from it, its labels, and how that action ended.
 
+    The last row is terminal: the final observation, with an action that stays where the tool is, which was not sent.
+
     Attributes:
-        rows: so far, column -> array.
-        trials: tries at the mechanism so far.
+        failed_before: failed tries before the recording began, which its rows do not count.
+        rows: so far, column -> array, without the terminal one.
+        tries: at a joint so far.
+        failed_tries: of those.
     """
 
-    rows: list[dict[str, NDArray[Any]]] = field(default_factory=list)
-    trials: int = 0
+    failed_before: int = 0
+    rows: list[Row] = field(default_factory=list)
+    tries: int = 0
+    failed_tries: int = 0
+    _last: KeyFrame | None = None
 
     def record(self, key_frame: KeyFrame) -> None:
         """Adds one key frame."""
-        goal, feedback = key_frame.goal, key_frame.feedback
-        if feedback.outcome is None:
+        outcome = key_frame.feedback.outcome
+        if outcome is None:
             raise ValueError("Feedback of a finished key frame carries an outcome; this one is from before the first.")
-        self.trials = max(self.trials, goal.trial + 1)
-        labels = {schema.PHASE: goal.phase, schema.TRIAL: goal.trial, schema.OUTCOME: feedback.outcome}
+        labels = key_frame.labels
+        self.tries += labels.tried >= 0
+        self.failed_tries += labels.failed
+        self._last = key_frame
         self.rows.append(
-            {
-                **observation_columns(key_frame.observation),
-                schema.ACTION: goal.action().astype(np.float32),
-                **{key: np.array([int(value)], dtype=np.int64) for key, value in labels.items()},
-            }
+            self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
         )
 
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Returns the episode as one (T, ...) array per dataset column."""
-        return {key: np.stack([row[key] for row in self.rows]) for key in self.rows[0]} if self.rows else {}
+    def columns(self) -> Row:
+        """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal."""
+        if self._last is None:
+            return {}
+        last = self._last
+        stay = Goal(last.feedback.tcp_in_base, last.goal.gripper, last.goal.phase)
+        labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
+        end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
+        return {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
+
+    def _row(
+        self, observation: Any, goal: Goal, outcome: Outcome, labels: KeyFrameLabels, *, success: bool, done: bool
+    ) -> Row:
+        values = {
+            schema.PHASE: goal.phase,
+            schema.TRIAL: labels.trial - self.failed_before,
+            schema.OUTCOME: outcome,
+            schema.TRIED: labels.tried,
+            schema.FAILED: labels.failed,
+            schema.PROGRESS: labels.progress,
+            schema.SUCCESS: success,
+            schema.DONE: done,
+        }
+        return {
+            **observation_columns(observation),
+            schema.ACTION: goal.action().astype(np.float32),
+            **{key: np.array([value], dtype=schema.LABEL_DTYPES[key]) for key, value in values.items()},
+        }

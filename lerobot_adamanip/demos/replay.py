@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collection import read_manifest
-from lerobot_adamanip.demos.loading import episode_table, open_dataset
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.checked_json import flag, integer, optional, parse, text
+from lerobot_adamanip.demos.collection import manifest_path
+from lerobot_adamanip.demos.late_starts import read_start
+from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
+from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, asset_hash, differing_parts, read_manifest
+from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.demos.video import write_video
-from lerobot_adamanip.demos.worker import make_env
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.observation import observation_columns
 from lerobot_adamanip.rollout import KeyframeEnvironment
 
 _COMPARED = (schema.STATE, schema.POINT_CLOUD, schema.EFFORT)
+_LONGEST = 10_000
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -34,6 +41,7 @@ class ReplayResult:
         differences: column -> largest absolute difference over all key frames, in the column's units.
         success: whether the replay did the task.
         recorded_success: whether the recording did.
+        changed: parts of the fingerprint that differ between the recording and this program.
     """
 
     episode: int
@@ -44,6 +52,7 @@ class ReplayResult:
     differences: dict[str, float]
     success: bool
     recorded_success: bool
+    changed: tuple[str, ...] = ()
 
     def agrees(self, tolerance: float) -> bool:
         """Returns whether the same thing happened, up to ``tolerance`` in every column."""
@@ -53,72 +62,140 @@ class ReplayResult:
 
 @dataclass(frozen=True)
 class _Recording:
+    """An episode as recorded: columns of all rows, facts about it, and the actions that led to its start."""
+
     columns: dict[str, NDArray[Any]]
-    row: dict[str, Any]
+    object_id: str
+    seed: int
+    success: bool
+    overrides: dict[str, Any] | None
+    prefix: NDArray[np.float32] = field(repr=False)
 
 
-def replay(root: str | Path, episode: int, *, video: str | Path | None = None) -> ReplayResult:
-    """Runs an episode's recorded actions from its recorded seed and compares what is seen.
+def replay(
+    root: str | Path,
+    episode: int,
+    make_env: EnvFactory,
+    *,
+    assets: str | Path | None = None,
+    video: str | Path | None = None,
+    progress: Progress = lambda done, total: None,
+) -> ReplayResult:
+    """Runs an episode's recorded actions from its recorded start and compares what is seen.
 
     Args:
         root: of a dataset that ``adamanip collect`` wrote.
         episode: index.
+        make_env: builds the environment; nothing in the dataset does.
+        assets: folder of external assets, if the dataset used any.
         video: where to write recording (left) and replay (right) side by side, if anywhere.
+        progress: told of key frames done, and all.
 
     Raises:
-        DatasetError: if the dataset is not there, or not whole.
+        DatasetError: if the dataset is not there, not whole, or damaged.
         ConfigurationError: if it has no such episode.
     """
-    recording = _read(Path(root), episode)
-    env = make_env(read_manifest(Path(root) / "meta" / "collection.json"), recording.row["object_id"])
+    load_check(root)
+    manifest = read_manifest(manifest_path(Path(root)), assets)
+    recording = _read(Path(root), episode, manifest)
+    if assets is not None:
+        _require_content(manifest, recording.object_id, assets)
+    env = make_env(manifest.spec.environment_of(category_of(recording.object_id)))
     try:
-        seen, success = _run(env, recording)
+        changed = differing_parts(manifest.fingerprint, env.fingerprint())
+        seen, success = _run(env, recording, progress)
     finally:
         env.close()
-    count = len(seen)
     differences = {
         key: float(max(np.abs(frame[key] - recording.columns[key][t]).max() for t, frame in enumerate(seen)))
         for key in _COMPARED
     }
     if video is not None:
         recorded = recording.columns[schema.FRONT_IMAGE]
-        pairs = [np.concatenate([recorded[t], seen[t][schema.FRONT_IMAGE]], axis=1) for t in range(count)]
+        pairs = [np.concatenate([recorded[t], frame[schema.FRONT_IMAGE]], axis=1) for t, frame in enumerate(seen)]
         write_video(video, pairs, schema.FPS)
-    row = recording.row
     return ReplayResult(
         episode=episode,
-        object_id=row["object_id"],
-        seed=row["seed"],
-        key_frames=row["length"],
-        replayed=count,
+        object_id=recording.object_id,
+        seed=recording.seed,
+        key_frames=len(recording.columns[schema.ACTION]) - 1,
+        replayed=len(seen) - 1,
         differences=differences,
         success=success,
-        recorded_success=row["success"],
+        recorded_success=recording.success,
+        changed=changed,
     )
 
 
-def _read(root: Path, episode: int) -> _Recording:
+def _require_content(manifest: Manifest, object_id: str, assets: str | Path) -> None:
+    if asset_hash(assets, object_id) != manifest.external_assets[object_id]:
+        raise DatasetError(
+            "The external asset is not the one that was recorded.",
+            got=f"{object_id} in {assets}",
+            allowed="a folder of the same content",
+            hint="--assets with the folder of before",
+        )
+
+
+def _read(root: Path, episode: int, manifest: Manifest) -> _Recording:
     dataset = open_dataset(root, video_backend="pyav")
     if not 0 <= episode < dataset.num_episodes:
         raise ConfigurationError(
             "No such episode.", got=episode, allowed=f"0 to {dataset.num_episodes - 1}", hint="--episode 0"
         )
     row = episode_table(root).slice(episode, 1).to_pylist()[0]
-    frames = [dataset[index] for index in range(row["dataset_from_index"], row["dataset_to_index"])]
+    try:
+        facts = _facts(row, manifest)
+        first, end = (
+            integer(0, len(dataset))(name, row.get(name)) for name in ("dataset_from_index", "dataset_to_index")
+        )
+        integer(2, _LONGEST)("number of rows", end - first)
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(
+            "What the dataset tells of this episode cannot be.",
+            got=f"episode {episode} of {root}: {error}",
+            allowed="a row as `adamanip collect` writes it",
+            hint="another episode, or collect the dataset again",
+        ) from error
+    frames = [dataset[index] for index in range(first, end)]
     columns = {key: np.stack([frame[key].numpy() for frame in frames]) for key in (*_COMPARED, schema.ACTION)}
     images = np.stack([frame[schema.FRONT_IMAGE].numpy() for frame in frames]).transpose(0, 2, 3, 1)
     columns[schema.FRONT_IMAGE] = np.round(images * 255.0).astype(np.uint8)
-    return _Recording(columns, row)
+    return _Recording(columns, **facts)
 
 
-def _run(env: KeyframeEnvironment, recording: _Recording) -> tuple[list[dict[str, NDArray[Any]]], bool]:
-    """Returns what was seen before each action, until the recording or the replayed episode ends, and success."""
-    observation, _ = env.reset(seed=recording.row["seed"], options={"object_id": recording.row["object_id"]})
-    seen, success = [], False
-    for action in recording.columns[schema.ACTION]:
+def _facts(row: dict[str, Any], manifest: Manifest) -> dict[str, Any]:
+    """Returns what a replay needs of an episode's row; raises ValueError or KeyError for what cannot be."""
+    if row["object_id"] not in manifest.spec.objects:
+        raise ValueError("object_id is none of the collection's")
+    return {
+        "object_id": row["object_id"],
+        "seed": integer(0, 2**63 - 1)("seed", row["seed"]),
+        "success": flag("success", row["success"]),
+        "overrides": optional(HIDDEN_STATE)("hidden_overrides", _parsed(row, "hidden_overrides")),
+        "prefix": read_start(text(r"(?s).*", "text")("start", row["start"])),
+    }
+
+
+def _parsed(row: dict[str, Any], name: str) -> Any:
+    return parse(text(r"(?s).*", "text")(name, row[name]))
+
+
+def _run(
+    env: KeyframeEnvironment, recording: _Recording, progress: Progress
+) -> tuple[list[dict[str, NDArray[Any]]], bool]:
+    """Returns what was seen before each action and after the last, until the replayed episode ends, and success."""
+    overrides = {} if recording.overrides is None else {"hidden_overrides": recording.overrides}
+    observation, _ = env.reset(seed=recording.seed, options={"object_id": recording.object_id, **overrides})
+    for action in recording.prefix:
+        observation, *_ = env.step(action)
+    actions = recording.columns[schema.ACTION][:-1]  # the terminal row's was never sent
+    seen, success = [observation_columns(observation)], False
+    for number, action in enumerate(actions):
+        observation, _, _, truncated, info = env.step(action)
         seen.append(observation_columns(observation))
-        observation, _, terminated, truncated, info = env.step(action)
         success = success or bool(info["is_success"])
-        if terminated or truncated:
+        progress(number + 1, len(actions))
+        if truncated:
             break
     return seen, success

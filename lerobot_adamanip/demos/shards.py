@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from PIL import Image
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from lerobot_adamanip import schema
+from lerobot_adamanip import files, schema
 from lerobot_adamanip.errors import DatasetError
 
 _PNG = f"{schema.FRONT_IMAGE}.png"
@@ -39,26 +38,6 @@ class RecordedEpisode:
         return len(self.columns[schema.ACTION])
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Writes a file that is either there in full after a crash, or not there (or as it was)."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-    sync_folder(path.parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Makes renames inside a folder durable."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def write_shard(path: Path, episode: RecordedEpisode) -> None:
     """Writes an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
     tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
@@ -66,7 +45,8 @@ def write_shard(path: Path, episode: RecordedEpisode) -> None:
     tensors[_PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
     tensors[_PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
     header = {_RECORD: json.dumps(episode.record, sort_keys=True)}
-    write_atomically(path, save(tensors, metadata=header))
+    content = save(tensors, metadata=header)
+    files.write_atomically(path, content, crash_points=("shard written", "shard in place"))
 
 
 def read_shard(path: Path) -> RecordedEpisode:

@@ -7,28 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from demos_helpers import ATTEMPTS, OPTIONS
+from demos_helpers import fakes, make_spec, patiently
 
 from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.collection import CollectionSpec
 from lerobot_adamanip.errors import AdaManipError
 
 
 @pytest.fixture(scope="session")
-def options() -> Callable[..., CollectionSpec]:
-    """Builds options of a small fake collection, with changes."""
-    return lambda **changes: CollectionSpec(**{**OPTIONS, **changes})
-
-
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory, options: Callable[..., CollectionSpec]) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A complete dataset, recorded by one worker without interruption. Not to be written to."""
     root = tmp_path_factory.mktemp("finished") / "dataset"
-    collect(root, options(), max_attempts=ATTEMPTS)
+    collect(root, make_spec(), fakes(), patiently())
     return root
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def refuses() -> Callable[[type[AdaManipError], Callable[[], Any]], str]:
     """Calls something that must raise; returns the message, which has to say all four things."""
 

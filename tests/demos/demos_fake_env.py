@@ -11,32 +11,37 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip import schema
+from lerobot_adamanip import files, schema
 from lerobot_adamanip.errors import UnreachableError
-from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
+from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.rotations import transform
 
-ENV_FACTORY = "demos_fake_env:make_env"
-EXPERT_FACTORY = "demos_fake_env:make_expert"
 UNREACHABLE_SHARE = 0.2
 EXPERT_FAILS_SHARE = 0.3
+OPEN_AT = 0.5
 
 
 class FakeEnv:
     """Opens when the goal's x exceeds 0.5; while locked, a try stalls. Its state depends on nothing but the seed."""
 
-    max_key_frames = 12
+    max_key_frames = 20
     task_description = "open the fake"
 
     def __init__(
-        self, num_points: int, image_size: int, *, delay: float, crash: str | None, hopeless: str | None
+        self, options: EnvironmentOptions, *, delay: float, crash: str | None, hopeless: str | None, code: str
     ) -> None:
-        self.num_points, self.image_size = num_points, image_size
-        self.delay, self.crash, self.hopeless = delay, crash, hopeless
+        self.options = options
+        self.num_points, self.image_size = options.num_points, options.image_size
+        self.delay, self.crash, self.hopeless, self.code = delay, crash, hopeless, code
         self.annotations: Mapping[str, Any] = {}
 
+    def fingerprint(self) -> dict[str, str]:
+        return {"fake": "1", "code": self.code}
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        self.object_id = (options or {})["object_id"]
+        wanted = options or {}
+        self.object_id = wanted["object_id"]
         if self.crash is not None and _crashes(self.crash, self.object_id):
             os.kill(os.getpid(), signal.SIGKILL)
         self.seed = seed
@@ -44,25 +49,36 @@ class FakeEnv:
         if self.generator.random() < UNREACHABLE_SHARE or self.object_id == self.hopeless:
             raise UnreachableError("no layout")
         self.locked = bool(self.generator.random() < 0.5)
+        self.locked = {**self.options.hidden_overrides, **wanted.get("hidden_overrides", {})}.get("locked", self.locked)
+        self.drawn, self.lid, self.opened = self.locked, 0.0, False
         self.pose = transform((0.3, 0.0, 0.2))
-        self.feedback = Feedback(self.pose, 1.0)
+        self.feedback, self.labels = Feedback(self.pose, 1.0), KeyFrameLabels()
         self.steps = 0
         return self._observation(), {"is_success": False}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         time.sleep(self.delay)
         self.steps += 1
-        stalled = self.locked and action[0] > 0.4 and action[schema.GRIPPER_DIM] < 0.5
+        pulls = bool(action[0] > 0.4 and action[schema.GRIPPER_DIM] < 0.5)
+        stalled = self.locked and pulls
+        failed = self.labels.trial + self.labels.failed
+        way = 0.0 if stalled else float(action[0]) - self.pose[0, 3]
+        self.labels = KeyFrameLabels(0, stalled, way, failed) if pulls else KeyFrameLabels(trial=failed)
         if action[2] > 0.5:
             self.locked = False
         if not stalled:
             self.pose = transform(action[:3])
+            self.lid = float(action[0]) if pulls else self.lid
         self.feedback = Feedback(self.pose, float(action[-1]), Outcome.STALLED if stalled else Outcome.REACHED)
-        success = not self.locked and self.pose[0, 3] > 0.5
-        return self._observation(), 0.0, success, self.steps >= self.max_key_frames, {"is_success": success}
+        self.opened = self.opened or (not self.locked and self.lid > OPEN_AT)
+        truncated = not self.opened and self.steps >= self.max_key_frames
+        return self._observation(), 0.0, self.opened, truncated, {"is_success": self.opened}
+
+    def part_positions(self) -> dict[str, float]:
+        return {"lid": self.lid}
 
     def hidden_state(self) -> dict[str, Any]:
-        return {"locked": self.locked}
+        return {"locked": self.drawn}
 
     def episode_record(self) -> dict[str, Any]:
         return {"seed": self.seed, "object_id": self.object_id, "key_frames": self.steps}
@@ -92,25 +108,35 @@ def _crashes(crash: str, object_id: str) -> bool:
     kind, _, marker = crash.partition(":")
     if kind != "once":
         return object_id == crash
-    if Path(marker).exists():
+    return _first_time(Path(marker))
+
+
+def _first_time(marker: Path) -> bool:
+    if marker.exists():
         return False
-    Path(marker).touch()
+    marker.touch()
     return True
 
 
 def make_env(
-    category: str,
-    num_points: int,
+    options: EnvironmentOptions,
     *,
-    image_size: int = 64,
     delay: float = 0.0,
     crash: str | None = None,
     hopeless: str | None = None,
     broken: bool = False,
+    code: str = "a",
+    crash_point: str | None = None,
+    built: Path | None = None,
 ) -> FakeEnv:
+    """Builds the fake; ``crash_point`` ends the process where `files` passes it, ``built`` notes that it was built."""
     if broken:
         raise RuntimeError("no simulator here")
-    return FakeEnv(num_points, image_size, delay=delay, crash=crash, hopeless=hopeless)
+    if crash_point is not None:
+        files.on_crash_point = lambda name: os._exit(9) if name == crash_point else None
+    if built is not None:
+        built.touch()
+    return FakeEnv(options, delay=delay, crash=crash, hopeless=hopeless, code=code)
 
 
 def make_expert(
@@ -121,19 +147,27 @@ def make_expert(
     trials: int = 1,
     generator: np.random.Generator,
     hidden: Mapping[str, Any] | None = None,
+    preset: str = "paper",
+    mechanism_preset: str = "paper",
+    positions: Mapping[str, float] | None = None,
+    feedback: Feedback | None = None,
 ) -> KeyFrames:
-    """Pulls; where that stalls, unlocks and pulls again. Sometimes it gives up."""
+    """Pulls; where that stalls, unlocks and pulls again, and then farther. Sometimes it gives up."""
     assert (hidden is None) == (kind == "adaptive")
+    assert (positions is None) == (feedback is None)
     y = float(generator.normal(scale=0.1))
     if generator.random() < EXPERT_FAILS_SHARE:
         yield Goal(transform((0.35, y, 0.2)), 1.0, Phase.APPROACH)
         return
     yield Goal(transform((0.4, y, 0.2)), 1.0, Phase.APPROACH)
-    trial = 0
     if hidden is None:
         feedback = yield Goal(transform((0.6, y, 0.2)), 0.0, Phase.TRY)
-        if not feedback.failed:
-            return
-        trial = 1
-    yield Goal(transform((0.3, y, 0.6)), 0.0, Phase.UNLOCK, trial)
-    yield Goal(transform((0.6, y, 0.2)), 0.0, Phase.OPEN, trial)
+        if feedback.failed:
+            yield Goal(transform((0.3, y, 0.6)), 0.0, Phase.UNLOCK)
+            yield Goal(transform((0.6, y, 0.2)), 0.0, Phase.OPEN)
+    else:
+        if hidden["locked"]:
+            yield Goal(transform((0.3, y, 0.6)), 0.0, Phase.UNLOCK)
+        yield Goal(transform((0.45, y, 0.2)), 0.0, Phase.OPEN)
+        yield Goal(transform((0.6, y, 0.2)), 0.0, Phase.OPEN)
+    yield Goal(transform((0.65, y, 0.2)), 0.0, Phase.OPEN)

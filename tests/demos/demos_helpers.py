@@ -2,22 +2,51 @@
 
 from __future__ import annotations
 
+import functools
+import json
 from pathlib import Path
+from typing import Any
 
+import demos_fake_env
 import numpy as np
 import pyarrow.parquet as pq
 
+from lerobot_adamanip.demos.collect import CollectOptions
+from lerobot_adamanip.demos.collection import CollectionSpec
+from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.options import EnvironmentOptions
+
 HERE = str(Path(__file__).parent)
-OPTIONS = {
-    "category": "fake",
-    "objects": ("fake_000", "fake_001"),
-    "episodes_per_object": 3,
-    "num_points": 8,
-    "image_size": 64,
-    "env_factory": "demos_fake_env:make_env",
-    "expert_factory": "demos_fake_env:make_expert",
-}
 ATTEMPTS = 25
+OBJECTS = ("safe_000", "safe_001")
+LATE = 0.5
+_ENVIRONMENT = ("num_points", "image_size", "poses", "mechanism_preset", "max_key_frames", "hidden_overrides", "assets")
+
+
+def make_spec(**changes: Any) -> CollectionSpec:
+    """A small collection, with changes of its or its environment's options."""
+    environment = {"num_points": 8, "image_size": 64} | {k: changes.pop(k) for k in _ENVIRONMENT if k in changes}
+    category = changes.pop("category", "safe")
+    values = {"objects": OBJECTS, "episodes_per_object": 3, "late_starts": LATE, **changes}
+    return CollectionSpec(EnvironmentOptions(category, objects=values["objects"][0], **environment), **values)
+
+
+def fakes(**behaviour: Any) -> Factories:
+    """Factories of the fake environment, which behaves as told."""
+    return Factories(functools.partial(demos_fake_env.make_env, **behaviour), demos_fake_env.make_expert)
+
+
+def patiently(**options: Any) -> CollectOptions:
+    """Many attempts, for an expert that fails often."""
+    return CollectOptions(**{"max_attempts": ATTEMPTS, **options})
+
+
+def same_bytes(first: Path, second: Path) -> None:
+    """Asserts that two datasets are equal, byte for byte."""
+    names = sorted(path.relative_to(first) for path in first.rglob("*") if path.is_file())
+    assert names == sorted(path.relative_to(second) for path in second.rglob("*") if path.is_file())
+    for name in names:
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
 
 
 def same_content(first: Path, second: Path) -> None:
@@ -29,7 +58,7 @@ def same_content(first: Path, second: Path) -> None:
     for name in files:
         assert pq.read_table(first / name).equals(pq.read_table(second / name)), name
     for name in ("meta/stats.json", "meta/info.json", "meta/cameras.json", "meta/collection.json"):
-        assert (first / name).read_text() == (second / name).read_text(), name
+        assert json.loads((first / name).read_text()) == json.loads((second / name).read_text()), name
     one, other = (LeRobotDataset("local/x", root=root, video_backend="pyav") for root in (first, second))
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a["observation.images.front"], b["observation.images.front"])

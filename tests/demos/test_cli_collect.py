@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import functools
 import json
 import os
 import signal
@@ -12,34 +11,36 @@ from typing import Any
 
 import pytest
 import tyro
-from demos_helpers import ATTEMPTS, HERE, OPTIONS
+from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.collect import CollectOptions
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec
 from lerobot_adamanip.demos.loading import episode_table
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
-FACTORIES = {key: OPTIONS[key] for key in ("env_factory", "expert_factory", "image_size")}
-SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--max-attempts", str(ATTEMPTS)]
+SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--image-size", "64", "--late-starts",
+         "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
 
 # Tests may run in the background of a shell, where processes start with SIGINT ignored; a terminal's do not.
 SCRIPT = """
-import functools, json, signal, sys
+import signal, sys
+sys.path.insert(0, sys.argv.pop(1))
+from demos_helpers import fakes
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.main import main
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.path.insert(0, sys.argv.pop(1))
-    command.CollectionSpec = functools.partial(command.CollectionSpec, **json.loads(sys.argv.pop(1)))
+    command.factories = lambda: fakes(delay=0.1)
     sys.exit(main())
 """
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "CollectionSpec", functools.partial(CollectionSpec, **FACTORIES))
+    monkeypatch.setattr(command, "factories", fakes)
 
 
 @pytest.mark.usefixtures("fake")
@@ -49,7 +50,7 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
     content: dict[str, Any] = json.loads(capfd.readouterr().out)
     attempts = episode_table(root)["attempts"].to_pylist()
     assert content["episodes"] == content["recorded"] == len(attempts) == 4
-    assert content["attempts"] == sum(attempts)
+    assert content["attempts"] == content["attempted"] == sum(attempts)
     assert content["expert_success_rate"] == pytest.approx(4 / sum(attempts))
     assert content["episodes_per_minute"] == pytest.approx(240 / content["recording_seconds"], rel=1e-3)
     assert content["bytes"] == sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
@@ -63,15 +64,15 @@ def test_a_person_sees_progress_and_figures(tmp_path: Path, capfd: pytest.Captur
     output, progress = capfd.readouterr()
     assert "4 episodes in" in output
     assert "per minute" in output
-    assert "4/4" in progress
+    assert "recorded in all: 4/4 (100 %)" in progress  # there is no terminal: a line now and then
+    assert "writing the dataset: 4/4" in progress
 
 
 def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
     root = tmp_path / "dataset"
     script = tmp_path / "adamanip"
     script.write_text(SCRIPT)
-    extra = json.dumps({**FACTORIES, "env_options": {"delay": 0.2}})
-    line = [sys.executable, str(script), HERE, extra, "collect", "--root", str(root), *SMALL, "--workers", "2"]
+    line = [sys.executable, str(script), HERE, "collect", "--root", str(root), *SMALL, "--workers", "2"]
     process = subprocess.Popen(line, start_new_session=True, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 60
     while not list(CollectionPaths(root).episodes.glob("*.safetensors")):
@@ -98,21 +99,25 @@ def test_impossible_requests_fail_before_anything_is_recorded(
         ["--workers", "0"],
         ["--push-to-hub"],
         ["--push-to-hub", "--repo-id", "local/safes"],
+        ["--worker-timeout", "0"],
+        ["--late-starts", "2"],
+        ["--pose-preset", "paper"],
+        ["--num-points", "0"],
     ):
         assert main(["collect", "--root", str(tmp_path / "dataset"), *arguments]) == 2
-        assert "allowed:" in capsys.readouterr().err
+        assert "allowed:" in (told := capsys.readouterr().err)
+        assert "--pose-preset" not in arguments or "--poses fixed" in told
     assert list(tmp_path.iterdir()) == []
 
 
 def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     published: list[tuple[Path, str, bool]] = []
-    monkeypatch.setattr(command, "CollectionSpec", functools.partial(CollectionSpec, **FACTORIES))
+    monkeypatch.setattr(command, "factories", fakes)
     monkeypatch.setattr(command, "publish", lambda root, name, private: published.append((root, name, private)))
     call = tyro.cli(Collect, args=["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
     assert call.run() == 0
     assert published == [(tmp_path / "d", "me/safes", False)]
-    hopeless = functools.partial(CollectionSpec, **FACTORIES, env_options={"hopeless": "safe_001"})
-    monkeypatch.setattr(command, "CollectionSpec", hopeless)
+    monkeypatch.setattr(command, "factories", lambda: fakes(hopeless="safe_001"))
     call.root = tmp_path / "e"
     with pytest.raises(DatasetError):
         call.run()
@@ -127,16 +132,22 @@ def test_the_name_for_the_hub_is_checked_first(tmp_path: Path) -> None:
 def test_every_option_that_decides_the_data_reaches_the_collection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[CollectionSpec] = []
+    asked: list[tuple[CollectionSpec, CollectOptions]] = []
 
-    def stop(root: Path, options: CollectionSpec, **_: object) -> None:
-        asked.append(options)
+    def stop(root: Path, spec: CollectionSpec, made: object, options: CollectOptions, listener: object) -> None:
+        asked.append((spec, options))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "collect", stop)
-    line = ["--expert", "static", "--trials", "2", "--seed", "7", "--pose-preset", "paper", "--objects", "unseen"]
+    line = ["--expert", "static", "--trials", "2", "--seed", "7", "--poses", "fixed", "--objects", "unseen",
+            "--mechanism-preset", "upstream", "--expert-preset", "upstream", "--late-starts", "0.3", "--keep-failed",
+            "--image-size", "32", "--num-points", "9", "--worker-timeout", "5", "--max-attempts", "3"]  # fmt: skip
     assert main(["collect", "--root", str(tmp_path / "d"), *line]) == 130
-    (options,) = asked
-    assert (options.expert, options.trials, options.seed) == ("static", 2, 7)
-    assert options.env_options == {"poses": "fixed"}
-    assert options.objects[0] == "safe_036"
+    ((spec, options),) = asked
+    assert (spec.expert, spec.trials, spec.seed, spec.expert_preset) == ("static", 2, 7, "upstream")
+    assert (spec.late_starts, spec.keep_failed) == (0.3, True)
+    environment = spec.environment
+    assert (environment.poses, environment.mechanism_preset) == ("fixed", "upstream")
+    assert (environment.image_size, environment.num_points) == (32, 9)
+    assert (options.worker_timeout, options.max_attempts) == (5.0, 3)
+    assert spec.objects[0] == "safe_036"

@@ -1,33 +1,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 import pytest
+from demos_helpers import make_spec
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_adamanip.demos.collection import (
+    DECIDING,
     DEMO_SEED_END,
     DEMO_SEED_START,
-    CollectionSpec,
+    NOT_DECIDING,
     episode_seed,
-    read_manifest,
-    require_same,
-    write_manifest,
 )
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.seeds import SPLITS, split_of
 
-EVALUATION_SEEDS_END = 1_000_000
-Options = Callable[..., CollectionSpec]
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 
 @given(st.integers(0, 2**32), st.integers(0, 1000), st.integers(0, 50))
 def test_demo_seeds_never_meet_evaluation_seeds(seed: int, slot: int, attempt: int) -> None:
     value = episode_seed(seed, "safe", "safe_000", slot, attempt)
-    assert EVALUATION_SEEDS_END < DEMO_SEED_START <= value < DEMO_SEED_END
+    assert DEMO_SEED_START <= value < DEMO_SEED_END
+    assert split_of(value) == "train"
+    assert all(end <= DEMO_SEED_START for name, (_, end) in SPLITS.items() if name != "train")
 
 
 def test_every_place_in_a_collection_has_a_seed_of_its_own() -> None:
@@ -37,38 +38,41 @@ def test_every_place_in_a_collection_has_a_seed_of_its_own() -> None:
     assert len({episode_seed(*place) for place in places}) == len(places)
 
 
-def test_a_prefix_of_a_collection_is_balanced_and_a_longer_one_starts_with_a_shorter(options: Options) -> None:
-    items = options(episodes_per_object=3).items()
-    assert options(episodes_per_object=5).items()[: len(items)] == items
-    assert [item.object_id for item in items[:2]] == ["fake_000", "fake_001"]
+def test_a_prefix_of_a_collection_is_balanced_and_a_longer_one_starts_with_a_shorter() -> None:
+    items = make_spec(episodes_per_object=3).items()
+    assert make_spec(episodes_per_object=5).items()[: len(items)] == items
+    assert [item.object_id for item in items[:2]] == ["safe_000", "safe_001"]
     assert len({item.file_name for item in items}) == len(items)
 
 
-def test_options_survive_the_disk(tmp_path: Path, options: Options) -> None:
-    wanted = options(env_options={"locked": None, "probability": 0.5})
-    write_manifest(tmp_path / "m", wanted)
-    assert read_manifest(tmp_path / "m") == wanted
+def test_its_category_is_that_of_its_objects() -> None:
+    assert make_spec().category == "safe"
+    several = make_spec(objects=("safe_001", "lamp_000", "safe_000"))
+    assert several.category == "all"
+    assert several.categories == ("safe", "lamp")
+    assert several.environment_of("lamp").objects == "lamp_000"
+    assert several.environment_of("safe").objects == "safe_001,safe_000"
 
 
-def test_differences_are_named(tmp_path: Path, options: Options, refuses: Refuses) -> None:
-    stored, wanted = options(), options(seed=1, num_points=9)
-    message = refuses(DatasetError, lambda: require_same(stored, wanted, tmp_path))
-    assert "num_points = 9" in message
-    assert "seed = 1" in message
-    assert "image_size" not in message
-    require_same(stored, options(), tmp_path)
+def test_its_environments_are_of_the_training_split_and_have_images() -> None:
+    environment = make_spec(poses="fixed").environment_of("safe")
+    assert (environment.split, environment.observe_images, environment.poses) == ("train", True, "fixed")
 
 
-def test_a_damaged_manifest_is_one_clear_error(tmp_path: Path, refuses: Refuses) -> None:
-    for text in ("", "[]", "{}", '{"objects": 3}'):
-        (tmp_path / "m").write_text(text)
-        refuses(DatasetError, lambda: read_manifest(tmp_path / "m"))
+def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -> None:
+    """An option that is added and decides data has to be written down, or datasets cannot tell it."""
+    assert {*DECIDING, *NOT_DECIDING} == {item.name for item in fields(EnvironmentOptions)}
+    assert not set(DECIDING) & set(NOT_DECIDING)
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"expert": "clairvoyant"}, {"episodes_per_object": 0}, {"num_points": -1}, {"trials": 0}, {"objects": ()},
-     {"objects": ("fake_000", "fake_000")}],
+    [
+        {"expert": "clairvoyant"}, {"expert_preset": "x"}, {"episodes_per_object": 0}, {"num_points": -1},
+        {"trials": 0}, {"objects": ("safe_000", "safe_000")}, {"objects": ("teapot_000",)}, {"late_starts": 1.5},
+        {"late_starts": float("nan")}, {"episodes_per_object": 10**9}, {"seed": -1}, {"image_size": 3},
+        {"poses": "paper"},
+    ],
 )  # fmt: skip
-def test_impossible_options_are_refused(options: Options, refuses: Refuses, changes: dict[str, Any]) -> None:
-    refuses(ConfigurationError, lambda: options(**changes))
+def test_impossible_options_are_refused(refuses: Refuses, changes: dict[str, Any]) -> None:
+    refuses(ConfigurationError, lambda: make_spec(**changes))

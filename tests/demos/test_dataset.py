@@ -9,19 +9,17 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import yaml
+from demos_helpers import LATE, fakes, make_spec, patiently
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
-from lerobot_adamanip.demos.shards import write_shard
-from lerobot_adamanip.demos.worker import attempt_episode, make_env
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.hub import cards as card
-from lerobot_adamanip.hub.publish import publish
+from lerobot_adamanip.demos.late_starts import RESET
+from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset, read_back
+from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
+from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.fingerprint import combined
 
-Options = Callable[..., CollectionSpec]
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 
@@ -31,13 +29,20 @@ def copy(tmp_path: Path, finished: Path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "copy"))
 
 
-def test_rows_are_the_episodes_that_happen_from_the_stored_seeds(finished: Path, options: Options) -> None:
+def again(row: dict[str, Any]) -> RecordedEpisode:
+    """Records an episode of the small collection once more."""
+    env, overrides = fakes().environment(make_spec().environment_of("safe")), json.loads(row["hidden_overrides"])
+    request = EpisodeRequest(row["object_id"], row["seed"], overrides)
+    attempt, episode = attempt_episode(env, make_spec(), fakes().expert, request)
+    assert attempt.success
+    return episode
+
+
+def test_rows_are_the_episodes_that_happen_from_the_stored_seeds(finished: Path) -> None:
     dataset = open_dataset(finished, video_backend="pyav")
-    env = make_env(options(), options().objects[0])
     assert dataset.num_episodes == 6
     for row in episode_table(finished).to_pylist():
-        result, episode = attempt_episode(env, options(), row["object_id"], row["seed"])
-        assert result.success
+        episode = again(row)
         assert len(episode) == row["length"]
         for t in range(len(episode)):
             item = dataset[row["dataset_from_index"] + t]
@@ -49,6 +54,18 @@ def test_rows_are_the_episodes_that_happen_from_the_stored_seeds(finished: Path,
             assert item["task"] == "open the fake"
 
 
+def test_every_episode_ends_past_success_in_one_terminal_row(finished: Path) -> None:
+    dataset = open_dataset(finished, video_backend="pyav")
+    for row in episode_table(finished).to_pylist():
+        items = [dataset[index] for index in range(row["dataset_from_index"], row["dataset_to_index"])]
+        assert [bool(item[schema.DONE]) for item in items] == [False] * (len(items) - 1) + [True]
+        success = [bool(item[schema.SUCCESS]) for item in items]
+        assert success == sorted(success)
+        assert sum(success) >= 3  # success, farther, and the end
+        assert sum(bool(item[schema.FAILED]) for item in items) == row["failed_tries"]
+        assert sum(int(item[schema.TRIED]) >= 0 for item in items) == row["tries"]
+
+
 def test_history_and_chunks_can_be_asked_for_by_time(finished: Path) -> None:
     deltas = {"action": [-1 / schema.FPS, 0.0, 1 / schema.FPS], schema.POINT_CLOUD: [-1 / schema.FPS, 0.0]}
     item = open_dataset(finished, video_backend="pyav", delta_timestamps=deltas)[0]
@@ -57,21 +74,27 @@ def test_history_and_chunks_can_be_asked_for_by_time(finished: Path) -> None:
     assert item["action_is_pad"].tolist() == [True, False, False]
 
 
-def test_every_episode_tells_its_object_seed_hidden_state_and_trials(finished: Path) -> None:
+def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> None:
     dataset = open_dataset(finished)
-    seen = set()
+    seen, starts = set(), []
     for index in range(dataset.num_episodes):
         row = dataset.meta.episodes[index]
         locked = json.loads(row["hidden_state"])["locked"]
-        assert row["trials"] == (2 if locked else 1)
+        start = json.loads(row["start"])
+        starts.append(start != RESET)
+        assert row["late"] == starts[-1]
+        assert row["failed_tries"] == (1 if locked else 0) or row["late"]
         assert row["success"] is True
         assert row["expert"] == "adaptive"
-        assert row["attempts"] == 1 + len(json.loads(row["failures"]))
+        assert row["attempts"] == 1 + len(json.loads(row["failures"])) == row["attempt"] + 1
         assert json.loads(row["camera"])["cam_in_base"][0][3] == pytest.approx(0.01 * row["seed"])
         assert "lerobot" in json.loads(row["versions"])
+        assert row["fingerprint"] == combined({"fake": "1", "code": "a"})
         seen.add((row["object_id"], row["slot"]))
     assert len(seen) == 6
-    filtered = open_dataset(finished, episode_filter=lambda row: row["object_id"] == "fake_001")
+    assert 0 < np.mean(starts) < 1
+    assert LATE == 0.5
+    filtered = open_dataset(finished, episode_filter=lambda row: row["object_id"] == "safe_001")
     assert filtered.num_episodes == 3
 
 
@@ -97,37 +120,17 @@ def test_cameras_travel_with_the_dataset(finished: Path) -> None:
     assert load_check(finished)["features"][schema.FRONT_IMAGE]["info"]["intrinsics"] == np.eye(3).tolist()
 
 
-def test_the_card_is_complete_and_its_command_is_the_datasets(finished: Path) -> None:
-    text = (finished / "README.md").read_text()
-    front_matter = yaml.safe_load(text.split("---")[1])
-    assert front_matter["license"] == "apache-2.0"
-    assert "LeRobot" in front_matter["tags"]
-    assert "$" not in text.replace("$\\", "")
-    assert "--objects fake_000,fake_001 --root dataset" in text
-
-
-def test_card_templates_are_found_in_a_checkout_and_in_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_checkout = card.card_template("dataset_card.md").template
-    package = tmp_path / "lerobot_adamanip"
-    (package / "hub_cards").mkdir(parents=True)
-    (package / "hub_cards" / "dataset_card.md").write_text("wheel")
-    monkeypatch.setattr(card.importlib.resources, "files", lambda name: package)
-    assert card.card_template("dataset_card.md").template == "wheel" != in_checkout
-    with pytest.raises(ConfigurationError, match="template"):
-        card.card_template("nothing.md")
-
-
 def test_a_missing_dataset_is_one_clear_error(tmp_path: Path, refuses: Refuses) -> None:
     assert "no dataset" in refuses(DatasetError, lambda: load_check(tmp_path / "nowhere"))
 
 
-def test_an_unfinished_dataset_says_how_to_finish(tmp_path: Path, options: Options, refuses: Refuses) -> None:
+def test_an_unfinished_dataset_says_how_to_finish(tmp_path: Path, refuses: Refuses) -> None:
     def interrupt(stage: str, done: int, total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect(tmp_path / "dataset", options(), max_attempts=25, listener=interrupt)
+        collect(tmp_path / "dataset", make_spec(), fakes(), patiently(), interrupt)
     message = refuses(DatasetError, lambda: open_dataset(tmp_path / "dataset"))
     assert "2 episodes" in message
     assert "resumes" in message
@@ -172,37 +175,28 @@ def test_another_layout_is_one_clear_error(copy: Path, refuses: Refuses, key: st
     assert "missing" in refuses(DatasetError, lambda: load_check(copy))
 
 
-def test_publishing_uploads_under_the_licence_and_our_card(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import huggingface_hub
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    pushed: list[Any] = []
-    monkeypatch.setattr(
-        LeRobotDataset, "push_to_hub", lambda self, **kwargs: pushed.append((self.repo_id, self.root, kwargs))
-    )
-    monkeypatch.setattr(
-        huggingface_hub.DatasetCard, "push_to_hub", lambda self, name, **kwargs: pushed.append((name, str(self)))
-    )
-    publish(finished, "someone/safes")
-    (name, root, kwargs), (card_name, text) = pushed
-    assert name == card_name == "someone/safes"
-    assert root == finished
-    assert kwargs["license"] == "apache-2.0"
-    assert "adamanip" in kwargs["tags"]
-    assert "AdaManip demonstrations" in text
+def test_a_dataset_is_read_back_whole(finished: Path, copy: Path, refuses: Refuses) -> None:
+    lengths = [row["length"] for row in episode_table(finished).to_pylist()]
+    read_back(finished, lengths)
+    read_back(finished)
+    assert "were written" in refuses(DatasetError, lambda: read_back(finished, [*lengths, 3]))
+    (video,) = (copy / "videos" / schema.FRONT_IMAGE).glob("*/*.mp4")
+    content = video.read_bytes()
+    for damaged in (content[: len(content) // 2], b"", content.replace(content[2000:4000], bytes(2000))):
+        video.write_bytes(damaged)
+        refuses(DatasetError, lambda: read_back(copy))
 
 
-@pytest.mark.parametrize("name", [None, "safes", "local/safes", "someone/"])
-def test_publishing_needs_a_name_on_the_hub(finished: Path, refuses: Refuses, name: str) -> None:
-    refuses(ConfigurationError, lambda: publish(finished, name))
+def test_a_row_that_cannot_be_decoded_is_noticed_by_reading_back(copy: Path, refuses: Refuses) -> None:
+    path = copy / "data/chunk-000/file-000.parquet"
+    content = bytearray(path.read_bytes())
+    content[200:400] = bytes(200)  # header and footer are whole: `load_check` sees nothing
+    path.write_bytes(content)
+    load_check(copy)
+    refuses(DatasetError, lambda: read_back(copy))
 
 
-def test_publishing_without_a_network_is_one_clear_error(finished: Path, refuses: Refuses) -> None:
-    assert "login" in refuses(DatasetError, lambda: publish(finished, "someone/safes"))
-
-
-def test_an_episode_file_holds_what_the_dataset_needs(tmp_path: Path, finished: Path, options: Options) -> None:
-    row = episode_table(finished).to_pylist()[0]
-    _, episode = attempt_episode(make_env(options(), row["object_id"]), options(), row["object_id"], row["seed"])
+def test_an_episode_file_holds_what_the_dataset_needs(tmp_path: Path, finished: Path) -> None:
+    episode = again(episode_table(finished).to_pylist()[0])
     write_shard(tmp_path / "episode", episode)
     assert set(episode.columns) == set(schema.dataset_features(8))

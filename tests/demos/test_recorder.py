@@ -2,9 +2,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import demos_fake_env
 import numpy as np
 import pytest
+from demos_fake_env import FakeEnv
+from demos_helpers import fakes, make_spec
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
@@ -14,15 +15,16 @@ from lerobot_adamanip.observation import observation_columns
 from lerobot_adamanip.rollout import KeyFrame, rollout
 from lerobot_adamanip.rotations import transform
 
-PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY, 0)
-UNLOCK = Goal(transform((0.3, 0.0, 0.6)), 0.0, Phase.UNLOCK, 1)
+PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY)
+FARTHER = Goal(transform((0.7, 0.0, 0.2)), 0.0, Phase.OPEN)
+UNLOCK = Goal(transform((0.3, 0.0, 0.6)), 0.0, Phase.UNLOCK)
 
 
-def ready(locked: bool) -> tuple[demos_fake_env.FakeEnv, dict]:
-    env = demos_fake_env.make_env("fake", 8)
+def ready(locked: bool) -> tuple[FakeEnv, dict]:
+    env: FakeEnv = fakes().environment(make_spec().environment_of("safe"))  # type: ignore[assignment]
     for seed in range(100):
         try:
-            observation, _ = env.reset(seed=seed, options={"object_id": "fake_000"})
+            observation, _ = env.reset(seed=seed, options={"object_id": "safe_000"})
         except UnreachableError:
             continue
         if env.locked == locked:
@@ -42,15 +44,55 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
     columns = recorder.columns()
     assert result.success
     assert result.key_frames == 3
-    assert recorder.trials == 2
+    assert (recorder.tries, recorder.failed_tries) == (2, 1)
     np.testing.assert_array_equal(columns[schema.STATE][0], first["agent_pos"])
     np.testing.assert_array_equal(columns[schema.ACTION][1], UNLOCK.action())
-    assert columns[schema.OUTCOME][:, 0].tolist() == [Outcome.STALLED, Outcome.REACHED, Outcome.REACHED]
-    assert columns[schema.PHASE][:, 0].tolist() == [Phase.TRY, Phase.UNLOCK, Phase.TRY]
-    assert columns[schema.TRIAL][:, 0].tolist() == [0, 1, 0]
+    outcomes = [Outcome.STALLED, Outcome.REACHED, Outcome.REACHED, Outcome.REACHED]
+    assert columns[schema.OUTCOME][:, 0].tolist() == outcomes
+    assert columns[schema.PHASE][:, 0].tolist() == [Phase.TRY, Phase.UNLOCK, Phase.TRY, Phase.TRY]
+    # What the environment says of each try, on its own row.
+    assert columns[schema.TRIED][:, 0].tolist() == [0, -1, 0, -1]
+    assert columns[schema.FAILED][:, 0].tolist() == [True, False, False, False]
+    assert columns[schema.TRIAL][:, 0].tolist() == [0, 1, 1, 1]
+    np.testing.assert_allclose(columns[schema.PROGRESS][:, 0], [0.0, 0.0, 0.3, 0.0], atol=1e-6)
+    assert columns[schema.SUCCESS][:, 0].tolist() == [False, False, True, True]
     # The state after an action is the next row's: the pull stalled where it began, the unlocking arrived.
     assert columns[schema.STATE][1, 0] == columns[schema.STATE][0, 0]
     np.testing.assert_allclose(columns[schema.STATE][2, :3], UNLOCK.action()[:3])
+
+
+def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:
+    env, first = ready(locked=False)
+    recorder, last = EpisodeRecorder(), []
+    rollout(env, first, play(PULL, FARTHER), lambda key_frame: (recorder.record(key_frame), last.append(key_frame)))
+    columns = recorder.columns()
+    assert columns[schema.DONE][:, 0].tolist() == [False] * (len(last)) + [True]
+    np.testing.assert_array_equal(columns[schema.STATE][-1], last[-1].following["agent_pos"])
+    np.testing.assert_allclose(columns[schema.ACTION][-1][:3], env.feedback.tcp_in_base[:3, 3])
+    assert columns[schema.ACTION][-1][schema.GRIPPER_DIM] == 0.0  # what is held stays held
+
+
+def test_a_demonstration_goes_on_past_success_until_its_expert_ends() -> None:
+    for past, key_frames in ((False, 1), (True, 3)):
+        env, first = ready(locked=False)
+        recorder = EpisodeRecorder()
+        result = rollout(env, first, play(PULL, FARTHER, FARTHER), recorder.record, past_success=past)
+        assert (result.success, result.key_frames, result.reason) == (True, key_frames, "success")
+        assert len(recorder.columns()[schema.ACTION]) == key_frames + 1
+
+
+def test_going_on_ends_with_time() -> None:
+    env, first = ready(locked=True)
+    result = rollout(env, first, play(*[PULL] * 100), past_success=True)
+    assert (result.success, result.key_frames, result.reason) == (False, env.max_key_frames, "time limit")
+
+
+def test_failed_tries_from_before_the_recording_do_not_count() -> None:
+    env, first = ready(locked=True)
+    env.step(PULL.action())
+    recorder = EpisodeRecorder(failed_before=1)
+    rollout(env, first, play(PULL, UNLOCK, PULL), recorder.record)
+    assert recorder.columns()[schema.TRIAL][:, 0].tolist() == [0, 1, 1, 1]
 
 
 def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
@@ -61,7 +103,7 @@ def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
     features = schema.dataset_features(8, 64)
     assert set(columns) == set(features)
     for key, feature in features.items():
-        assert columns[key].shape == (2, *feature["shape"])
+        assert columns[key].shape == (3, *feature["shape"])
         assert columns[key].dtype == ("uint8" if feature["dtype"] == "video" else feature["dtype"])
 
 
@@ -113,4 +155,4 @@ def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_bu
 def test_feedback_from_before_the_first_key_frame_is_no_outcome() -> None:
     env, observation = ready(locked=False)
     with pytest.raises(ValueError, match="outcome"):
-        EpisodeRecorder().record(KeyFrame(observation, PULL, env.feedback, observation, False))
+        EpisodeRecorder().record(KeyFrame(observation, PULL, env.feedback, observation, False, env.labels))

@@ -9,6 +9,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from demos_helpers import fakes
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.replay import Replay
@@ -16,18 +17,41 @@ from lerobot_adamanip.demos.loading import episode_table
 from lerobot_adamanip.demos.replay import replay
 from lerobot_adamanip.demos.video import write_video
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_env_adamanip import factory
 
+ENV = fakes().environment
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 
 def test_every_recorded_episode_happens_again_exactly(finished: Path) -> None:
     for row in episode_table(finished).to_pylist():
-        result = replay(finished, row["episode_index"])
+        result = replay(finished, row["episode_index"], ENV)
         assert result.agrees(0.0)
         assert (result.object_id, result.seed) == (row["object_id"], row["seed"])
-        assert result.replayed == result.key_frames == row["length"]
+        assert result.replayed == result.key_frames == row["length"] - 1  # the last row is terminal
+        assert result.changed == ()
 
 
+def test_a_recording_of_other_code_is_compared_and_said_to_be_one(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = replay(finished, 0, fakes(code="b").environment)
+    assert result.changed == ("code",)
+    assert result.agrees(0.0)
+    monkeypatch.setattr(factory, "make_keyframe_env", fakes(code="b").environment)
+    assert Replay(root=finished, episode=0).run() == 0
+    printed = capsys.readouterr()
+    assert "Recorded under another fingerprint: code differ." in printed.out
+    assert "key frames: " in printed.err  # progress without a terminal
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command builds the fake environment."""
+    monkeypatch.setattr(factory, "make_keyframe_env", ENV)
+
+
+@pytest.mark.usefixtures("fake")
 def test_a_changed_recording_is_noticed(tmp_path: Path, finished: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -40,7 +64,7 @@ def test_a_changed_recording_is_noticed(tmp_path: Path, finished: Path) -> None:
     index = table.column_names.index(schema.STATE)
     changed = pa.array(list(states), type=table.schema.field(schema.STATE).type)
     pq.write_table(table.set_column(index, table.schema.field(index), changed), path)
-    result = replay(root, 0)
+    result = replay(root, 0, ENV)
     assert result.differences[schema.STATE] == pytest.approx(0.5)
     assert result.differences[schema.POINT_CLOUD] == 0.0
     assert not result.agrees(0.1)
@@ -48,6 +72,7 @@ def test_a_changed_recording_is_noticed(tmp_path: Path, finished: Path) -> None:
     assert Replay(root=root, episode=0, tolerance=1.0).run() == 0
 
 
+@pytest.mark.usefixtures("fake")
 def test_the_command_prints_one_object_and_writes_a_video(
     tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -58,16 +83,16 @@ def test_the_command_prints_one_object_and_writes_a_video(
     assert content["success"] is True
     with av.open(str(video)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(frames) == content["key_frames"]
+    assert len(frames) == content["key_frames"] + 1
     assert frames[0].shape == (64, 128, 3)
     left, right = frames[0][:, :64].astype(int), frames[0][:, 64:].astype(int)
     assert np.abs(left - right).mean() < 12.0  # recording and replay show the same
 
 
 def test_episodes_and_datasets_that_are_not_there(tmp_path: Path, finished: Path, refuses: Refuses) -> None:
-    assert "0 to 5" in refuses(ConfigurationError, lambda: replay(finished, 6))
-    refuses(ConfigurationError, lambda: replay(finished, -1))
-    refuses(DatasetError, lambda: replay(tmp_path / "nothing", 0))
+    assert "0 to 5" in refuses(ConfigurationError, lambda: replay(finished, 6, ENV))
+    refuses(ConfigurationError, lambda: replay(finished, -1, ENV))
+    refuses(DatasetError, lambda: replay(tmp_path / "nothing", 0, ENV))
 
 
 def test_a_video_needs_frames(tmp_path: Path) -> None:

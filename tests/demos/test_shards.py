@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos import shards
+from lerobot_adamanip import files, schema
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, read_shard, write_shard
 from lerobot_adamanip.errors import DatasetError
 
@@ -59,7 +58,7 @@ def test_dying_before_the_rename_leaves_no_file_and_spoils_no_older_one(
 
     write_shard(tmp_path / "old", episode)
     before = (tmp_path / "old").read_bytes()
-    monkeypatch.setattr(shards.os, "replace", die)
+    monkeypatch.setattr(files.os, "replace", die)
     for name in ("old", "new"):
         with pytest.raises(KeyboardInterrupt):
             write_shard(tmp_path / name, RecordedEpisode(episode.columns, {"other": True}))

@@ -10,10 +10,12 @@ import numpy as np
 
 from lerobot_adamanip.catalog import object_id
 from lerobot_adamanip.cli.bench.timing import Stopwatch, per_second, ratio, repeat_ms
-from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.cli.collect import factories
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.worker import make_env, resolve
 from lerobot_adamanip.observation import workspace_cloud
+from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.pointcloud import Workspace
 from lerobot_adamanip.rollout import rollout
 from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
@@ -31,12 +33,15 @@ def collection(root: Path, *, category: str, objects: int, per_object: int, work
     names = tuple(object_id(category, number) for number in range(objects))
     finished: list[float] = []
 
-    def listen(stage: str, done: int, total: int) -> None:
-        if stage == "record" and done:
-            finished.append(time.monotonic())
+    spec = CollectionSpec(EnvironmentOptions(category), names, episodes_per_object=per_object, seed=SEED)
+    with show_progress({"record": "episodes", "assemble": "writing the dataset"}) as progress:
 
-    options = CollectionSpec(category=category, objects=names, episodes_per_object=per_object, seed=SEED)
-    summary = collect(root, options, workers=workers, listener=listen)
+        def listen(stage: str, done: int, total: int) -> None:
+            progress(stage, done, total)
+            if stage == "record" and done:
+                finished.append(time.monotonic())
+
+        summary = collect(root, spec, factories(), CollectOptions(workers=workers), listen)
     # The first finished episode of each worker starts its clock.
     counted, span = len(finished) - workers, finished[-1] - finished[min(workers, len(finished)) - 1]
     return {
@@ -53,9 +58,9 @@ def simulation(*, category: str, repeats: int) -> tuple[dict[str, float], dict[s
     """Returns rates of the simulator [1/s], and times of an observation by stage [ms], of one environment."""
     from lerobot_env_adamanip.keyframe_env import make_task
 
-    options = CollectionSpec(category=category, objects=(object_id(category, 0),))
-    key_frame = _key_frame_ms(options)
-    task = make_task(category, objects=options.objects[0])
+    name = object_id(category, 0)
+    key_frame = _key_frame_ms(category, name)
+    task = make_task(category, objects=name)
     try:
         task.reset(seed=SEED)
         return _rates(task, key_frame, repeats), _observation(task, repeats)
@@ -85,14 +90,13 @@ def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
     }
 
 
-def _key_frame_ms(options: CollectionSpec) -> float:
+def _key_frame_ms(category: str, name: str) -> float:
     """Times the key frames of one expert's episode, observation included; returns their mean [ms]."""
-    env = make_env(options, options.objects[0])
+    made = factories()
+    env = made.environment(EnvironmentOptions(category, objects=name))
     try:
-        observation, _ = env.reset(seed=SEED, options={"object_id": options.objects[0]})
-        expert = resolve(options.expert_factory)(
-            options.category, options.expert, env.annotations, generator=np.random.default_rng(SEED)
-        )
+        observation, _ = env.reset(seed=SEED, options={"object_id": name})
+        expert = made.expert(category, "adaptive", env.annotations, generator=np.random.default_rng(SEED))
         begin = time.perf_counter()
         result = rollout(env, observation, expert)
         seconds = time.perf_counter() - begin

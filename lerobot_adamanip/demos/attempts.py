@@ -1,0 +1,109 @@
+"""Accounts of attempts: all that were made for a dataset, kept or not, and how they divide by hidden value."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lerobot_adamanip.demos.collection import CollectionPaths, EpisodeSpec
+from lerobot_adamanip.demos.manifest import AttemptCounts
+
+NO_LAYOUT = "(no layout)"
+"""Stands for the hidden state of an attempt for which no reachable layout was found."""
+
+
+@dataclass(frozen=True)
+class AttemptRecord:
+    """One attempt of a collection, as ``meta/attempts.jsonl`` lists it.
+
+    Attributes:
+        object_id: of the object.
+        slot: of the object's episodes.
+        attempt: number within the slot, from 0.
+        seed: of the episode.
+        hidden_state: its draw; None if there was no layout.
+        kept: whether it is in the dataset.
+        reason: ``success``, or why not.
+        key_frames: it took.
+        late: whether it started late.
+    """
+
+    object_id: str
+    slot: int
+    attempt: int
+    seed: int
+    hidden_state: Mapping[str, Any] | None
+    kept: bool
+    reason: str
+    key_frames: int
+    late: bool
+
+
+def all_attempts(
+    paths: CollectionPaths, items: Iterable[EpisodeSpec], records: Iterable[Mapping[str, Any]]
+) -> list[AttemptRecord]:
+    """Returns every attempt at the items, in their order: of episode files, and of items that were given up."""
+    kept = {(record["slot"], record["object_id"]): record for record in records}
+    listed = []
+    for item in items:
+        record = kept.get((item.slot, item.object_id))
+        tried = _given_up(paths, item) if record is None else [*record["failures"], _success(record)]
+        for number, attempt in enumerate(tried):
+            facts = {key: attempt[key] for key in ("seed", "hidden_state", "reason", "key_frames", "late")}
+            listed.append(AttemptRecord(item.object_id, item.slot, number, kept=bool(attempt["success"]), **facts))
+    return listed
+
+
+def _success(record: Mapping[str, Any]) -> dict[str, Any]:
+    facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
+    return {**facts, "success": True, "reason": "success"}
+
+
+def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]:
+    path = paths.attempts / item.file_name.replace(".safetensors", ".json")
+    listed: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
+    return listed
+
+
+def attempts_jsonl(attempts: Iterable[AttemptRecord]) -> bytes:
+    """Returns attempts as lines of JSON."""
+    return "".join(json.dumps(vars(attempt), sort_keys=True) + "\n" for attempt in attempts).encode()
+
+
+def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
+    """Returns how many attempts were made for ``wanted`` episodes, and how many were kept."""
+    listed = list(attempts)
+    kept = sum(attempt.kept for attempt in listed)
+    return AttemptCounts(kept, len(listed), wanted - kept)
+
+
+def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, int]]:
+    """Returns what was hidden -> (kept, attempted). Of continuous values, below and above the attempted ones' median.
+
+    A share that differs from value to value shows where successes alone would mislead.
+    """
+    listed = list(attempts)
+    names = sorted({name for attempt in listed for name in attempt.hidden_state or {}})
+    table: dict[str, tuple[int, int]] = {}
+    for name in names:
+        mine = [attempt for attempt in listed if name in (attempt.hidden_state or {})]
+        for label, group in _groups(name, mine).items():
+            table[label] = (sum(attempt.kept for attempt in group), len(group))
+    if unplaced := [attempt for attempt in listed if attempt.hidden_state is None]:
+        table[NO_LAYOUT] = (0, len(unplaced))
+    return table
+
+
+def _groups(name: str, attempts: list[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
+    values = [(attempt.hidden_state or {})[name] for attempt in attempts]
+    if not any(isinstance(value, float) for value in values):
+        labels = [f"{name} = {json.dumps(value)}" for value in values]
+    else:
+        middle = sorted(values)[len(values) // 2]
+        labels = [f"{name} {'<' if value < middle else '>='} {middle:.3g}" for value in values]
+    groups: dict[str, list[AttemptRecord]] = {label: [] for label in sorted(set(labels))}
+    for label, attempt in zip(labels, attempts, strict=True):
+        groups[label].append(attempt)
+    return groups

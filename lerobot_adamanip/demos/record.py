@@ -1,0 +1,258 @@
+"""Recording the episodes of a collection: in a worker that owns a simulator, each one written durably."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip import files
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.demos.late_starts import draw_start, start_column, start_late
+from lerobot_adamanip.demos.manifest import differing_parts
+from lerobot_adamanip.demos.recorder import EpisodeRecorder
+from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.errors import DatasetError, UnreachableError
+from lerobot_adamanip.fingerprint import combined, versions
+from lerobot_adamanip.jobs import Beat
+from lerobot_adamanip.keyframes import KeyFrames
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.rollout import KeyframeEnvironment, rollout
+
+_EXPERT_STREAM = 1
+"""Tells the expert's random stream from any other that starts from the episode's seed."""
+
+EnvFactory = Callable[[EnvironmentOptions], KeyframeEnvironment]
+"""Builds an environment. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
+ExpertFactory = Callable[..., KeyFrames]
+"""Takes the arguments of `lerobot_adamanip.experts.make_expert`. A function of a module, likewise."""
+Hidden = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Factories:
+    """What a collection is recorded with: objects of this program, never names from a file."""
+
+    environment: EnvFactory
+    expert: ExpertFactory
+
+
+@dataclass(frozen=True)
+class EpisodeRequest:
+    """An episode to be tried: of an object, by its seed, with hidden values that are given instead of drawn."""
+
+    object_id: str
+    seed: int
+    overrides: Hidden | None = None
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One episode that was tried.
+
+    Attributes:
+        seed: of the episode.
+        hidden_state: its draw; None if there was no layout to draw it for.
+        success: whether the expert succeeded.
+        reason: ``success``, or why not.
+        key_frames: it took.
+        late: whether it started late.
+    """
+
+    seed: int
+    hidden_state: Hidden | None
+    success: bool
+    reason: str
+    key_frames: int
+    late: bool
+
+
+@dataclass(frozen=True)
+class ItemReport:
+    """What became of an item: kept if its last attempt succeeded, else given up."""
+
+    attempts: tuple[Attempt, ...] = field(default=())
+
+    @property
+    def kept(self) -> bool:
+        """Whether an episode file was written."""
+        return bool(self.attempts) and self.attempts[-1].success
+
+
+@dataclass(frozen=True)
+class RecordingJob:
+    """What a worker needs to record episodes of a collection.
+
+    Attributes:
+        spec: of the collection.
+        factories: of environments and experts.
+        paths: where files go.
+        max_attempts: seeds to try per episode until the expert succeeds.
+        fingerprint: that every environment has to have.
+    """
+
+    spec: CollectionSpec
+    factories: Factories
+    paths: CollectionPaths
+    max_attempts: int
+    fingerprint: Mapping[str, str]
+
+
+@contextlib.contextmanager
+def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+    """What a worker holds from item to item: one simulator, built with the first item of a category."""
+    env: KeyframeEnvironment | None = None
+    category = ""
+
+    def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+        nonlocal env, category
+        if env is None or category != category_of(item.object_id):
+            if env is not None:
+                env.close()  # one simulator at a time
+            category = category_of(item.object_id)
+            env = job.factories.environment(job.spec.environment_of(category))
+            _require_fingerprint(env, job)
+        return record_item(env, job, item, beat)
+
+    try:
+        yield work
+    finally:
+        if env is not None:
+            env.close()
+
+
+def _require_fingerprint(env: KeyframeEnvironment, job: RecordingJob) -> None:
+    found = env.fingerprint()
+    if parts := differing_parts(found, job.fingerprint):
+        raise DatasetError(
+            f"A worker has another fingerprint than the collection: {', '.join(parts)} differ.",
+            got="; ".join(f"{name} = {found.get(name)}" for name in parts),
+            allowed="; ".join(f"{name} = {job.fingerprint.get(name)}" for name in parts),
+            hint="the same command again; was the code changed meanwhile?",
+        )
+
+
+def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemReport:
+    """Tries seeds until the expert succeeds, and writes that episode.
+
+    Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
+    """
+    attempts: list[Attempt] = []
+    hidden: Hidden | None = None
+    category = category_of(item.object_id)
+    for number in range(job.max_attempts):
+        seed = episode_seed(job.spec.seed, category, item.object_id, item.slot, number)
+        request = EpisodeRequest(item.object_id, seed, hidden)
+        try:
+            attempt, episode = attempt_episode(env, job.spec, job.factories.expert, request, beat)
+        except UnreachableError as error:
+            attempts.append(Attempt(seed, hidden, False, f"unreachable: {error}".partition("\n")[0], 0, False))
+            continue
+        attempts.append(attempt)
+        hidden = attempt.hidden_state
+        record = {**episode.record, "slot": item.slot, "attempt": number}
+        if attempt.success:
+            failures = [vars(each) for each in attempts[:-1]]
+            record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
+            write_shard(job.paths.episodes / item.file_name, RecordedEpisode(episode.columns, record))
+            return ItemReport(tuple(attempts))
+        if job.spec.keep_failed and episode.columns:
+            record |= {"attempts": 1, "failures": [], "late": attempt.late}
+            path = job.paths.failed_episodes / item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
+            write_shard(path, RecordedEpisode(episode.columns, record))
+    write_given_up(job.paths, item, attempts)
+    return ItemReport(tuple(attempts))
+
+
+def write_given_up(paths: CollectionPaths, item: EpisodeSpec, attempts: list[Attempt]) -> None:
+    """Keeps account of an item at which all attempts failed."""
+    content = json.dumps([vars(attempt) for attempt in attempts], sort_keys=True)
+    files.write_atomically(paths.attempts / item.file_name.replace(".safetensors", ".json"), content.encode())
+
+
+def attempt_episode(
+    env: KeyframeEnvironment,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    request: EpisodeRequest,
+    beat: Beat = lambda: None,
+) -> tuple[Attempt, RecordedEpisode]:
+    """Records one episode, successful or not."""
+    seed = request.seed
+    observation, actions = _started(env, spec, make_expert, request)
+    hidden, camera = env.hidden_state(), env.camera_parameters()
+    expert = make_expert(
+        category_of(request.object_id),
+        spec.expert,
+        env.annotations,
+        trials=spec.trials,
+        generator=np.random.default_rng([seed, _EXPERT_STREAM]),
+        hidden=hidden if spec.expert == "static" else None,
+        preset=spec.expert_preset,
+        mechanism_preset=spec.environment.mechanism_preset,
+        positions=env.part_positions() if len(actions) else None,
+        feedback=env.feedback if len(actions) else None,
+    )
+    recorder = EpisodeRecorder(_failed_tries(env) if len(actions) else 0)
+
+    def observe(key_frame: Any) -> None:
+        recorder.record(key_frame)
+        beat()
+
+    result = rollout(env, observation, expert, observe, past_success=True)
+    record = {
+        "object_id": request.object_id,
+        "seed": seed,
+        "hidden_state": hidden,
+        "hidden_overrides": None if request.overrides is None else dict(request.overrides),
+        "start": start_column(actions),
+        "expert": spec.expert,
+        "tries": recorder.tries,
+        "failed_tries": recorder.failed_tries,
+        "success": result.success,
+        "key_frames": result.key_frames,
+        "camera": camera,
+        "task": env.task_description,
+        "episode_record": env.episode_record(),
+        "versions": dict(versions()),
+        "fingerprint": combined(env.fingerprint()),
+    }
+    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, bool(len(actions)))
+    return attempt, RecordedEpisode(recorder.columns(), record)
+
+
+def _failed_tries(env: KeyframeEnvironment) -> int:
+    return env.labels.trial + env.labels.failed
+
+
+def _started(
+    env: KeyframeEnvironment,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    request: EpisodeRequest,
+) -> tuple[Any, NDArray[np.float32]]:
+    """Resets, and goes on to a late start where the seed says so; returns the first observation, and what led there."""
+    options: dict[str, Any] = {"object_id": request.object_id}
+    if request.overrides is not None:
+        options["hidden_overrides"] = dict(request.overrides)
+
+    def reset() -> Any:
+        return env.reset(seed=request.seed, options=options)[0]
+
+    def driver(generator: np.random.Generator) -> KeyFrames:
+        # Whatever kind of expert is recorded, so that an adaptive and a static collection meet the same late starts.
+        hidden = env.hidden_state()
+        return make_expert(
+            category_of(request.object_id), "static", env.annotations, generator=generator, hidden=hidden
+        )
+
+    start = draw_start(request.seed, spec.late_starts)
+    if start is None:
+        return reset(), np.zeros((0, 10), np.float32)
+    return start_late(env, start, reset, driver)

@@ -1,0 +1,40 @@
+"""Accounts of attempts: by hidden value, kept and attempted."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl, by_hidden_value, count
+
+
+def attempt(kept: bool, hidden: dict[str, Any] | None, slot: int = 0) -> AttemptRecord:
+    return AttemptRecord("safe_000", slot, 0, 1, hidden, kept, "success" if kept else "time limit", 9, False)
+
+
+LISTED = [
+    attempt(True, {"locked": True, "angle": 0.5}),
+    attempt(False, {"locked": True, "angle": 1.5}),
+    attempt(True, {"locked": False, "angle": 2.5}),
+    attempt(False, None),
+]
+
+
+def test_every_attempt_counts() -> None:
+    counts = count(LISTED, 3)
+    assert (counts.kept, counts.attempted, counts.given_up) == (2, 4, 1)
+
+
+def test_they_divide_by_each_hidden_value() -> None:
+    table = by_hidden_value(LISTED)
+    assert table["locked = true"] == (1, 2)
+    assert table["locked = false"] == (1, 1)
+    assert table["angle < 1.5"] == (1, 1)
+    assert table["angle >= 1.5"] == (1, 2)
+    assert table["(no layout)"] == (0, 1)
+    assert by_hidden_value([]) == {}
+
+
+def test_lines_are_json() -> None:
+    lines = attempts_jsonl(LISTED).decode().splitlines()
+    assert [json.loads(line)["kept"] for line in lines] == [True, False, True, False]

@@ -1,0 +1,231 @@
+"""Nothing that was finished is ever lost: a process killed at any moment leaves what the same call completes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from demos_fake_env import make_env, make_expert
+from demos_helpers import make_spec, same_bytes
+
+from lerobot_adamanip import files
+from lerobot_adamanip.demos import collect as collecting
+from lerobot_adamanip.demos.collect import CollectOptions, collect
+from lerobot_adamanip.demos.collection import CollectionPaths
+from lerobot_adamanip.demos.loading import load_check
+from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.jobs import JobResult, Session
+
+SPEC = make_spec(episodes_per_object=2, image_size=16, keep_failed=True, seed=1)
+OPTIONS = CollectOptions(max_attempts=25)
+FACTORIES = Factories(make_env, make_expert)
+KILLED = 9
+RANDOM_MOMENTS = 20
+
+
+class InThisProcess:
+    """Stands in for the pool: the work is done where the test's crash points are set, and without seconds of start."""
+
+    def __class_getitem__(cls, _: object) -> type[InThisProcess]:
+        return cls
+
+    def __init__(self, session: Session, count: int, **_: object) -> None:
+        self._session = session
+
+    def __enter__(self) -> InThisProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, items: list[Any]) -> Iterator[JobResult[Any]]:
+        with self._session() as work:
+            for item in items:
+                yield JobResult(item, work(item, lambda: None))
+
+
+@pytest.fixture(autouse=True)
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collecting, "WorkerPool", InThisProcess)
+
+
+def run(root: Path) -> None:
+    collect(root, SPEC, FACTORIES, OPTIONS)
+
+
+def killed(root: Path, ready: Callable[[], None] = lambda: None) -> bool:
+    """Collects in a forked process, which has everything imported; returns whether it was killed."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            ready()
+            run(root)
+            status = 0
+        finally:
+            os._exit(status)
+    _, waited = os.waitpid(child, 0)
+    status = os.waitstatus_to_exitcode(waited)
+    assert status in (0, KILLED, -signal.SIGKILL), status
+    return status != 0
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a collection that was never interrupted, and nothing else."""
+    root = tmp_path_factory.mktemp("whole") / "dataset"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collecting, "WorkerPool", InThisProcess)
+        run(root)
+    assert sorted(path.name for path in root.parent.iterdir()) == ["dataset", "dataset-failed"]
+    return root
+
+
+def same_collection(whole: Path, root: Path) -> None:
+    same_bytes(whole.parent, root.parent)
+
+
+def finished_shards(root: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.glob("*.safetensors")}
+
+
+@contextmanager
+def nothing_lost(root: Path) -> Iterator[None]:
+    """Every episode file that is there before is there after, unless the dataset is."""
+    before = finished_shards(root)
+    yield
+    if root.exists():
+        load_check(root)
+    else:
+        after = finished_shards(root)
+        assert all(after.get(name) == content for name, content in before.items())
+
+
+def dying_at(name: str, time_: int) -> Callable[[], None]:
+    """Makes the process end without a word the ``time_``-th time it passes a crash point."""
+    passed: list[str] = []
+
+    def die(point: str) -> None:
+        if point == name:
+            passed.append(point)
+            if len(passed) == time_:
+                os._exit(KILLED)
+
+    def ready() -> None:
+        files.on_crash_point = die
+
+    return ready
+
+
+@pytest.mark.parametrize("name", files.CRASH_POINTS)
+def test_a_death_at_every_named_point_loses_nothing(tmp_path: Path, whole: Path, name: str) -> None:
+    root = tmp_path / "dataset"
+    with nothing_lost(root):
+        assert killed(root, dying_at(name, 1))
+    run(root)
+    same_collection(whole, root)
+
+
+def test_a_death_at_each_point_in_turn_loses_nothing(tmp_path: Path, whole: Path) -> None:
+    root = tmp_path / "dataset"
+    for name in files.CRASH_POINTS:
+        with nothing_lost(root):
+            assert killed(root, dying_at(name, 1)) or root.exists()
+    run(root)
+    same_collection(whole, root)
+
+
+@pytest.mark.nightly
+def test_twenty_random_deaths_lose_nothing(tmp_path: Path, whole: Path) -> None:
+    begin = time.monotonic()
+    assert not killed(tmp_path / "timed" / "dataset", (tmp_path / "timed").mkdir)
+    lasts = time.monotonic() - begin
+    rng, deaths = np.random.default_rng(0), 0
+    for number in range(RANDOM_MOMENTS):
+        root = tmp_path / str(number) / "dataset"
+        root.parent.mkdir()
+        seconds = float(rng.uniform(0.0, lasts))
+
+        def ready(seconds: float = seconds) -> None:
+            threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
+
+        with nothing_lost(root):
+            deaths += killed(root, ready)
+        run(root)
+        same_collection(whole, root)
+    assert deaths >= RANDOM_MOMENTS // 2
+
+
+def test_shards_are_kept_if_the_dataset_cannot_be_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a faulty disk did to it between writing and reading is noticed while there is still something to mend it."""
+    root = tmp_path / "dataset"
+
+    def spoil(point: str) -> None:
+        if point == "dataset synced":
+            for folder in tmp_path.glob("*.assembling"):
+                (path,) = (folder / "data").glob("*/*.parquet")
+                content = bytearray(path.read_bytes())
+                content[200:400] = bytes(200)
+                path.write_bytes(content)
+
+    monkeypatch.setattr(files, "on_crash_point", spoil)
+    with pytest.raises(DatasetError, match="damaged"):
+        run(root)
+    assert not root.exists()
+    assert len(finished_shards(root)) == 4
+    monkeypatch.setattr(files, "on_crash_point", None)
+    run(root)
+    assert load_check(root)["total_episodes"] == 4
+
+
+def test_shards_are_kept_if_a_finished_dataset_is_found_damaged(tmp_path: Path, whole: Path) -> None:
+    root = tmp_path / "dataset"
+    assert killed(root, dying_at("dataset in place", 1))
+    (path,) = (root / "data").glob("*/*.parquet")
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(DatasetError, match="damaged"):
+        run(root)
+    assert len(finished_shards(root)) == 4
+
+
+def test_everything_is_synced_before_anything_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law behind the others, which only a power cut would show: files, folders, rename, parent, removal."""
+    root, order = tmp_path / "dataset", list[tuple[str, Path]]()
+    sync, replace, remove = os.fsync, os.replace, files.shutil.rmtree
+
+    def fsync(descriptor: int) -> None:
+        order.append(("sync", Path(os.readlink(f"/proc/self/fd/{descriptor}"))))
+        sync(descriptor)
+
+    def rename(source: Any, target: Any) -> None:
+        order.append(("rename", Path(target)))
+        replace(source, target)
+
+    def rmtree(folder: Any, **options: Any) -> None:
+        order.append(("remove", Path(folder)))
+        remove(folder, **options)
+
+    monkeypatch.setattr(files.os, "fsync", fsync)
+    monkeypatch.setattr(files.os, "replace", rename)
+    monkeypatch.setattr(files.shutil, "rmtree", rmtree)
+    run(root)
+    moved = order.index(("rename", root))
+    building = root.with_name("dataset.assembling")
+    synced = {path for what, path in order[:moved] if what == "sync"}
+    for path in root.rglob("*"):
+        assert building / path.relative_to(root) in synced, path
+    assert building in synced
+    assert order[moved + 1] == ("sync", root.parent)
+    gone = [
+        place for place, (what, path) in enumerate(order) if what == "remove" and path.parent.name.endswith("partial")
+    ]
+    assert gone
+    assert min(gone) > moved + 1
