@@ -13,7 +13,7 @@ from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
 import lerobot_env_adamanip  # noqa: F401  (registers dp3_adaptive)
 from lerobot_adamanip import schema
-from lerobot_adamanip.evaluation.metrics import wilson_interval
+from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 COLUMNS = {schema.POINT_CLOUD: "point_cloud", schema.STATE: "agent_pos", schema.EFFORT: "effort"}

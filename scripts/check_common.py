@@ -11,7 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.fingerprint import code_hash, combined, core_fingerprint, versions
+from lerobot_adamanip.fingerprint import versions
+from lerobot_env_adamanip.fingerprint import present_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]
 EVERY = 15.0
@@ -20,12 +21,11 @@ EVERY = 15.0
 
 def header() -> dict[str, Any]:
     """What a result has to say of itself: command, commit where there is one, code and versions."""
-    simulation = code_hash([ROOT / "envs" / "lerobot_env_adamanip" / "sim"])
     asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return {
         "command": shlex.join(["python", *sys.argv]),
         "commit": asked.stdout.strip() or None,
-        "fingerprint": combined({**core_fingerprint(), "simulation": simulation}),
+        "fingerprint": present_fingerprint(),
         "versions": dict(versions()),
     }
 

@@ -15,6 +15,7 @@ import itertools
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,10 +24,12 @@ from typing import Any
 from check_common import Progress, count, header, list_of
 from expert_episodes import Episode, run_all
 
-from lerobot_adamanip.catalog import category_of, parse_object_selection
+from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
-from lerobot_adamanip.evaluation.metrics import wilson_interval
+from lerobot_adamanip.evaluation.groups import hidden_names
+from lerobot_adamanip.evaluation.rates import wilson_interval
+from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 
 FIRST_SEED = 5_000_000
@@ -152,6 +155,41 @@ def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
     return "\n".join(lines)
 
 
+def result_rows(episodes: list[Episode]) -> list[ResultRow]:
+    """Returns a row of a result file for each cell."""
+    cells: dict[tuple[str, str, str, str], list[Episode]] = {}
+    for e in episodes:
+        cells.setdefault((e.kind, e.preset, e.category, e.split), []).append(e)
+    rows = []
+    for (kind, preset, category, split), chosen in cells.items():
+        hidden: dict[str, tuple[int, int]] = {}
+        for e in chosen:
+            discrete = {name: value for name, value in (e.hidden or {}).items() if not isinstance(value, float)}
+            for name in hidden_names(category, discrete, {}):
+                kept, all_of_it = hidden.get(name, (0, 0))
+                hidden[name] = (kept + e.success, all_of_it + 1)
+        made = _counts(chosen)
+        objects = split if split in SPLITS else object_split(chosen[0].object_id) or "external"
+        counts = (made["attempted"], made["kept"], made["mean_key_frames"])
+        rows.append(ResultRow(kind, preset, category, objects, *counts, hidden=dict(sorted(hidden.items()))))
+    return rows
+
+
+def write_results(path: Path, finished: list[Episode], said: dict[str, Any], seconds: float | None) -> None:
+    """Writes a result file for `scripts/make_results.py`."""
+    result = make_result(
+        result_rows(finished),
+        kind="expert",
+        title="scripted experts",
+        command=said["command"],
+        fingerprint=said["fingerprint"],
+        seeds=[episode.seed for episode in finished],
+        scenes=None,
+        seconds=seconds,
+    )
+    write_result(path, result)
+
+
 def parser() -> argparse.ArgumentParser:
     """Returns the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -166,6 +204,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--threshold", type=float, default=0.97, help="least share of a category and expert")
     made.add_argument("--mean", type=float, default=0.99, help="least mean share of an expert over the categories")
     made.add_argument("--out", type=Path, help="JSON file that keeps what is finished, and is gone on with")
+    made.add_argument("--result", type=Path, help="result file to write, for scripts/make_results.py")
     made.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return made
 
@@ -177,6 +216,8 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     said = header()
     try:
+        if options.result is not None:
+            check_command(said["command"])
         wanted, record = plan(options), Record(options.out, said)
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
@@ -195,6 +236,9 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
         return 130
     asked = {episode.identity for episode in wanted}
     finished = [episode for episode in record.episodes if episode.identity in asked]
+    if options.result is not None:
+        taken = time.monotonic() - progress.start
+        write_results(options.result, finished, said, taken if len(missing) == len(wanted) else None)
     rows, failures = summarise(finished), [episode for episode in finished if not episode.success]
     low = below(rows, options.threshold, options.mean)
     seeds = [min(e.seed for e in finished), max(e.seed for e in finished)]

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.evaluation.metrics import wilson_interval
+from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.keyframes import Phase
 from lerobot_adamanip.observation import state_vector

@@ -237,7 +237,7 @@ def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]
     """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
     log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log))
     run_id = None if log is None else options.run_id or new_run_id()
-    return log, Provenance(present_fingerprint(), __version__, run_id, options.run_label)
+    return log, Provenance(present_fingerprint(), __version__, options.mechanism_preset, run_id, options.run_label)
 
 
 def _options(category: str | None, options: EnvironmentOptions | None, values: dict[str, Any]) -> EnvironmentOptions:

@@ -1,65 +1,106 @@
-"""`adamanip report`: success rates with intervals, trials and plots of an evaluation."""
+"""`adamanip report`: success rates with intervals, tries and plots of an evaluation."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.comparison import Comparison, compare
+from lerobot_adamanip.evaluation.groups import Group
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.metrics import EvaluationSummary, Rate, difference_interval, rate, summarise
+from lerobot_adamanip.evaluation.metrics import EvaluationSummary, first_episodes, split_evaluations
+from lerobot_adamanip.evaluation.rates import Rate
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
 _FILE_WIDTH = 200
 """Columns of a table that goes into a file or a pipe."""
+Evaluations = dict[str, list[EpisodeRecord]]
 
 
 @dataclass
 class Report:
     """Reports evaluations from their episode logs, which `lerobot-eval --env.episode_log=FILE` writes.
 
-    Each episode (seed, object and hidden state) is counted once per log: when a log holds it again, the last record
-    wins. With several logs, every one is compared with the first.
+    A log that holds several evaluations gives a column to each. Within one, each episode (seed, object and hidden
+    state) is counted once; the last record wins. Everything is compared with the first column.
     """
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Episode logs, one evaluation each."""
+    """Episode logs."""
 
     label: tuple[str, ...] = ()
     """What to call them, in the same order; file names by default."""
 
+    episodes: int | None = None
+    """Count the first so many episodes of each evaluation and category, by seed: what lerobot-eval was given as
+    --eval.n_episodes. Its last batch runs surplus episodes, which it does not count and the log holds."""
+
+    pool: bool = False
+    """Count all evaluations of a log as one."""
+
     plot: Path | None = None
     """Write a picture (.png, .pdf or .svg): success by group with intervals, and success over episodes."""
+
+    result: Path | None = None
+    """Write a result file (JSON) for scripts/make_results.py, of everything reported; needs --command."""
+
+    command: str | None = None
+    """The command that measured it, as typed in the repository's root; written into the result file."""
+
+    title: str = "success of policies"
+    """One line that says what was measured; written into the result file."""
+
+    seconds: float | None = None
+    """How long it took [s], if it was measured; written into the result file."""
 
     json: bool = False
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Reads, prints and plots; 0."""
+        """Reads, prints, plots and writes; 0."""
         labels = self._labels()
-        if self.plot is not None and self.plot.suffix.lower() not in _PLOT_FORMATS:
-            raise ConfigurationError(
-                "Unknown kind of picture.", got=self.plot, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
-            )
-        evaluations = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
-        summaries = {label: summarise(records) for label, records in evaluations.items()}
+        self._check()
+        logs = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
+        evaluations = dict(self._evaluations(logs))
+        comparison = compare(evaluations)
         if self.plot is not None:
             from lerobot_adamanip.evaluation.plots import plot_evaluations
 
             plot_evaluations(evaluations, self.plot)
+        if self.result is not None:
+            self._write_result(evaluations, comparison)
+        written = {"plot": self.plot, "result": self.result}
         if self.json:
-            print(json.dumps(to_json(dict(zip(labels, self.logs, strict=True)), summaries, self.plot)))
-        else:
-            print_tables(summaries)
-            if self.plot is not None:
-                print(f"picture: {self.plot}")
+            paths = {name: None if path is None else str(path) for name, path in written.items()}
+            print(json.dumps({**comparison.to_json(), **paths}))
+            return 0
+        print_tables(comparison)
+        for name, path in written.items():
+            if path is not None:
+                print(f"{name}: {path}")
         return 0
+
+    def _check(self) -> None:
+        if self.plot is not None and self.plot.suffix.lower() not in _PLOT_FORMATS:
+            raise ConfigurationError(
+                "Unknown kind of picture.", got=self.plot, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
+            )
+        if self.episodes is not None and self.episodes < 1:
+            raise ConfigurationError("Nothing to count.", got=self.episodes, allowed=">= 1", hint="--episodes 100")
+        if self.result is not None and not self.command:
+            hint = "--command 'lerobot-eval --policy.path=... --env.type=... '"
+            raise ConfigurationError("A result needs its command.", got=self.command, allowed="one line", hint=hint)
 
     def _labels(self) -> list[str]:
         if not self.logs:
@@ -76,86 +117,107 @@ class Report:
             )
         return list(self.label)
 
+    def _evaluations(self, logs: Evaluations) -> Iterator[tuple[str, list[EpisodeRecord]]]:
+        """Yields label and records of each evaluation; those of one log are numbered, or called by their labels."""
+        for label, records in logs.items():
+            chosen = records if self.episodes is None else first_episodes(records, self.episodes)
+            parts = [chosen] if self.pool else split_evaluations(chosen)
+            for number, part in enumerate(parts, start=1):
+                said = part[0].provenance.run_label
+                name = f"{number} {said}" if said else str(number)
+                yield (label if len(parts) == 1 else f"{label} #{name}"), part
 
-def to_json(logs: dict[str, Path], summaries: dict[str, EvaluationSummary], plot: Path | None) -> dict[str, Any]:
-    """The machine's version: ``evaluations`` (label, log, summary each), ``differences`` from the first, ``plot``."""
-    first, *others = summaries.items()
-    return {
-        "evaluations": [
-            {"label": label, "log": str(logs[label]), **dataclasses.asdict(summary)}
-            for label, summary in summaries.items()
-        ],
-        "differences": [
-            {
-                "first": first[0],
-                "second": label,
-                **{
-                    group: dict(zip(("difference", "low", "high"), _difference(first[1], summary, group), strict=True))
-                    for group in ("overall", "locked", "unlocked")
-                },
-            }
-            for label, summary in others
-        ],
-        "plot": None if plot is None else str(plot),
-    }
+    def _write_result(self, evaluations: Evaluations, comparison: Comparison) -> None:
+        from lerobot_adamanip.evaluation.results import make_result, rows_of_records, write_result
+
+        assert self.result is not None
+        records = [record for part in evaluations.values() for record in part]
+        fingerprints = {record.provenance.fingerprint for record in records}
+        splits = {record.split for record in records}
+        if len(fingerprints) > 1 or len(splits) > 1:
+            raise ConfigurationError(
+                "A result file is of one code and one split of scenes.",
+                got="; ".join(comparison.warnings),
+                allowed="episodes of one fingerprint and one split",
+                hint="a new log, or a result file for each",
+            )
+        result = make_result(
+            [row for label, part in evaluations.items() for row in rows_of_records(part, label)],
+            kind="policy",
+            title=self.title,
+            command=str(self.command),
+            fingerprint=fingerprints.pop(),
+            seeds=[record.seed for record in records],
+            scenes=splits.pop(),
+            seconds=self.seconds,
+        )
+        write_result(self.result, result)
 
 
-def _difference(first: EvaluationSummary, second: EvaluationSummary, group: str) -> tuple[float, float, float]:
-    return difference_interval(getattr(first, group), getattr(second, group))
-
-
-def _percent(value: Rate) -> str:
+def percent(value: Rate) -> str:
+    """Returns ``90.0 %  [76.9, 96.0]  36/40``."""
     if value.rate is None:
         return "-"
     return f"{100 * value.rate:.1f} %  [{100 * value.low:.1f}, {100 * value.high:.1f}]  {value.count}/{value.episodes}"
 
 
-def print_tables(summaries: dict[str, EvaluationSummary]) -> None:
-    """The human's version: a column per log, then differences, then the objects that failed."""
+def print_tables(comparison: Comparison) -> None:
+    """The human's version: a column per evaluation, tries, differences, what failed, and what to mind."""
     from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Column, Table
 
     console = Console(file=sys.stdout, soft_wrap=True)
     if not console.is_terminal:
         console.width = _FILE_WIDTH
-    columns = [Column(escape(label), no_wrap=True) for label in ("", *summaries)]
-    table = Table(*columns, box=None, pad_edge=False)
-    for name, cells in _rows(list(summaries.values())):
-        table.add_row(name, *cells)
+    summaries = comparison.summaries
     console.print("Success with 95 % Wilson intervals", style="bold")
-    console.print(table)
+    console.print(_table(comparison, _success_rows(comparison)))
+    console.print("\nFailed tries per success, and at best without seeing what is hidden", style="bold")
+    console.print(_table(comparison, _tries_rows(comparison)))
     repeats = sum(summary.repeats for summary in summaries.values())
     if repeats:
         console.print(f"{repeats} repeated episodes were counted once, the last record of each.")
-    first, *others = summaries.items()
-    for label, summary in others:
-        for group in ("overall", "locked", "unlocked"):
-            if not (getattr(first[1], group).episodes and getattr(summary, group).episodes):
-                continue
-            gap, low, high = (100 * value for value in _difference(first[1], summary, group))
-            line = f"{first[0]} - {label}, {group}: {gap:+.1f} points [{low:+.1f}, {high:+.1f}]"
+    shown = set(comparison.groups)
+    for one in comparison.differences:
+        if one.group in shown:
+            gap, low, high = (100 * value for value in (one.success.difference, one.success.low, one.success.high))
+            line = f"{one.first} - {one.second}, {one.group.label}: {gap:+.1f} points [{low:+.1f}, {high:+.1f}]"
             console.print(line, markup=False, highlight=False)
     for label, summary in summaries.items():
         failed = {name: result for name, result in summary.objects.items() if result.failures}
         text = ", ".join(f"{name} {r.failures}/{r.episodes}" for name, r in failed.items()) or "none"
         console.print(f"Failures by object, {label}: {text}", markup=False, highlight=False)
+    for warning in comparison.warnings:
+        console.print(f"Mind: {warning}", style="bold yellow", markup=False, highlight=False)
 
 
-def _rows(summaries: list[EvaluationSummary]) -> list[tuple[str, list[str]]]:
-    groups = ("overall", "locked", "unlocked", "seen", "unseen")
-    names = {"overall": "all", "seen": "seen objects", "unseen": "unseen objects"}
-    rows = [("episodes", [str(summary.episodes) for summary in summaries])]
-    known = [g for g in groups if any(getattr(summary, g).episodes for summary in summaries)]
-    rows += [(names.get(g, g), [_percent(getattr(summary, g)) for summary in summaries]) for g in known]
-    categories = list(dict.fromkeys(name for summary in summaries for name in summary.categories))
-    if len(categories) > 1:
-        rows += [(name, [_percent(s.categories.get(name, rate(0, 0))) for s in summaries]) for name in categories]
-    if any(summary.locked.episodes for summary in summaries):
-        tried = [_percent(summary.tried_locked_door_first) for summary in summaries]
-        rows.append(("tried the locked door first", tried))
-    lengths = [summary.key_frames_of_successes for summary in summaries]
-    rows.append(("key frames of a success", ["-" if value is None else f"{value:.1f}" for value in lengths]))
-    wasted = [f"{s.tries.wasted:+.2f}  ({s.tries.made:.2f} made, {s.tries.best:.2f} at best)" for s in summaries]
-    rows.append(("wasted tries per episode", wasted))
-    return rows
+def _table(comparison: Comparison, rows: Iterator[tuple[str, list[str]]]) -> Table:
+    from rich.markup import escape
+    from rich.table import Column, Table
+
+    columns = [Column(escape(label), no_wrap=True) for label in ("", *comparison.summaries)]
+    table = Table(*columns, box=None, pad_edge=False)
+    for name, cells in rows:
+        table.add_row(escape(name), *cells)
+    return table
+
+
+def _success_rows(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
+    summaries = list(comparison.summaries.values())
+    yield "episodes", [str(summary.episodes) for summary in summaries]
+    for group in comparison.groups:
+        yield group.label, [percent(summary.success(group)) for summary in summaries]
+    if any(summary.tried_locked_first.episodes for summary in summaries):
+        yield "tried the locked door first", [percent(summary.tried_locked_first) for summary in summaries]
+    lengths = [summary.overall.key_frames_of_successes for summary in summaries]
+    yield "key frames of a success", ["-" if value is None else f"{value:.1f}" for value in lengths]
+
+
+def _tries_rows(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
+    for group in comparison.groups:
+        if group.by in ("all", "category", "hidden"):
+            yield group.label, [_tries(summary, group) for summary in comparison.summaries.values()]
+
+
+def _tries(summary: EvaluationSummary, group: Group) -> str:
+    tries = summary.groups[group].tries if group in summary.groups else None
+    return "-" if tries is None else f"{tries.made:.2f}, {tries.best:.2f} at best: {tries.wasted:+.2f}"

@@ -7,6 +7,7 @@ import os
 import uuid
 from pathlib import Path
 
+from lerobot_adamanip import checked_json
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 
@@ -46,8 +47,8 @@ def read_log(path: Path) -> list[EpisodeRecord]:
         if not line.strip():
             continue
         try:
-            records.append(EpisodeRecord.from_json(json.loads(line)))
-        except (ValueError, RecursionError) as error:
+            records.append(EpisodeRecord.from_json(checked_json.parse(line)))
+        except ValueError as error:
             raise DatasetError(
                 "The episode log is garbled, or was written by another version.",
                 got=f"{path}, line {number}: {error}",

@@ -1,46 +1,50 @@
-"""What a list of episodes amounts to: success with intervals, tries, failures by object. Pure functions."""
+"""What an evaluation amounts to: success by group, with intervals, tries, failures by object. Pure functions."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from lerobot_adamanip.evaluation.groups import ALL, Boundaries, Group, group_records
+from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.mechanisms import fixed_direction
 
-Z95 = 1.959963984540054
-"""Two-sided 95 % quantile of the normal distribution."""
 BEST_TRIES = {"locked": 1.0, "direction": 0.5, "mode": 1.0}
 """Tries in vain, on average, of the best strategy that sees nothing either. A pull tells that a door is locked, and is
-cheaper than its key. A direction is wrong half of the time. Of three motions, tried one after the other, zero, one or
-two fail."""
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A share of episodes with its 95 % Wilson interval; ``rate`` is None, and the interval [0, 1], of no episodes."""
-
-    count: int
-    episodes: int
-    rate: float | None
-    low: float
-    high: float
+cheaper than its key. A direction that is drawn is wrong half of the time. Of three motions, tried one after the other,
+zero, one or two fail."""
 
 
 @dataclass(frozen=True)
 class Tries:
-    """Tries that led nowhere, per episode.
+    """Tries that led nowhere, per *successful* episode: who does nothing, or gives up, tries little and is no better.
 
     Attributes:
-        made: mean per episode.
-        best: the same mean for the best strategy that does not see the hidden state either.
-        wasted: ``made - best``. Below zero: luck, or success without the tries that knowing nothing costs on average.
+        made: mean per success.
+        best: the same mean, in the same episodes, of the best strategy that does not see the hidden state either.
+        wasted: ``made - best``. Below zero: it succeeds where it guesses right, and fails where it does not.
     """
 
     made: float
     best: float
     wasted: float
+
+
+@dataclass(frozen=True)
+class GroupResult:
+    """How a group of episodes went.
+
+    Attributes:
+        success: share that was opened.
+        key_frames_of_successes: mean; None without a success.
+        tries: of the successes; None without one.
+    """
+
+    success: Rate
+    key_frames_of_successes: float | None
+    tries: Tries | None
 
 
 @dataclass(frozen=True)
@@ -57,68 +61,36 @@ class EvaluationSummary:
 
     Attributes:
         episodes: counted, each once.
-        repeats: records dropped because the same episode came again later in the log.
-        overall, locked, unlocked, seen, unseen: success of all episodes and of those that were so.
-        categories: success by category, in order of appearance.
-        tried_locked_door_first: of the locked episodes, those that took the handle first and pulled in vain.
-        key_frames_of_successes: mean; None without a success.
-        tries: that led nowhere.
+        repeats: records dropped because the same episode came again later.
+        groups: how each group went; `ALL` is always there, and first.
+        tried_locked_first: of the episodes that started locked, those whose first try was a pull that failed.
         objects: per object id, in order.
+        fingerprints, versions, mechanism_presets: what made the episodes; one each, unless evaluations were mixed.
     """
 
     episodes: int
     repeats: int
-    overall: Rate
-    locked: Rate
-    unlocked: Rate
-    seen: Rate
-    unseen: Rate
-    categories: dict[str, Rate]
-    tried_locked_door_first: Rate
-    key_frames_of_successes: float | None
-    tries: Tries
-    objects: dict[str, ObjectResult]
+    groups: Mapping[Group, GroupResult]
+    tried_locked_first: Rate
+    objects: Mapping[str, ObjectResult]
+    fingerprints: tuple[str, ...]
+    versions: tuple[str, ...]
+    mechanism_presets: tuple[str, ...]
 
+    @property
+    def overall(self) -> GroupResult:
+        """All episodes."""
+        return self.groups[ALL]
 
-def wilson_interval(count: int, episodes: int, z: float = Z95) -> tuple[float, float]:
-    """Returns Wilson's score interval of a share ``count / episodes``; (0, 1) of no episodes. ``z`` is the quantile."""
-    if not 0 <= count <= episodes:
-        raise ValueError(f"count must be in 0 ... {episodes}, got {count}")
-    if episodes == 0:
-        return 0.0, 1.0
-    share, z2 = count / episodes, z * z
-    middle = (share + z2 / (2 * episodes)) / (1 + z2 / episodes)
-    half = z / (1 + z2 / episodes) * math.sqrt(share * (1 - share) / episodes + z2 / (4 * episodes**2))
-    # Rounding must not push the bounds past what they are exactly.
-    low = 0.0 if count == 0 else max(0.0, middle - half)
-    high = 1.0 if count == episodes else min(1.0, middle + half)
-    return min(low, share), max(high, share)
-
-
-def rate(count: int, episodes: int) -> Rate:
-    """Returns a `Rate`."""
-    low, high = wilson_interval(count, episodes)
-    return Rate(count, episodes, count / episodes if episodes else None, low, high)
-
-
-def difference_interval(first: Rate, second: Rate) -> tuple[float, float, float]:
-    """Returns ``first - second`` and its 95 % interval (Newcombe 1998, method 10).
-
-    Where zero lies outside, the difference is real. Two rates of no episodes differ by anything: (0, -1, 1).
-    """
-    if first.rate is None or second.rate is None:
-        return 0.0, -1.0, 1.0
-    difference = first.rate - second.rate
-    down = math.hypot(first.rate - first.low, second.high - second.rate)
-    up = math.hypot(first.high - first.rate, second.rate - second.low)
-    return difference, max(-1.0, difference - down), min(1.0, difference + up)
+    def success(self, group: Group) -> Rate:
+        """Returns a group's success; of no episodes where the group has none."""
+        return self.groups[group].success if group in self.groups else rate(0, 0)
 
 
 def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     """Returns the records with each episode once, the last one winning, in the order of those kept.
 
-    An episode is its seed, object and hidden state. So an evaluation that was repeated into the same log is counted
-    once, and one seed on seen and on unseen objects is two episodes.
+    An episode is its seed, object and hidden state. One seed on seen and on unseen objects is two episodes.
     """
     last: dict[tuple[object, ...], EpisodeRecord] = {}
     for record in records:
@@ -127,59 +99,80 @@ def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     return list(last.values())
 
 
-def tried_locked_door_first(record: EpisodeRecord) -> bool:
-    """Whether a robot took the handle first and pulled at a door that was locked."""
+def split_evaluations(records: Iterable[EpisodeRecord]) -> list[list[EpisodeRecord]]:
+    """Returns the records of each `EpisodeRecord.evaluation` that a log holds, in order of appearance."""
+    found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
+    for record in records:
+        found.setdefault(record.evaluation, []).append(record)
+    return list(found.values())
+
+
+def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[EpisodeRecord]:
+    """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
+
+    LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
+    other, and counts the first ``n_episodes``: those of the lowest seeds. The log holds the surplus of the last batch
+    too. (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
+    """
+    found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
+    for record in records:
+        found.setdefault((record.evaluation, record.category), []).append(record)
+    counted = [set(sorted({each.seed for each in group})[:count]) for group in found.values()]
+    return [each for group, seeds in zip(found.values(), counted, strict=True) for each in group if each.seed in seeds]
+
+
+def tried_locked_first(record: EpisodeRecord) -> bool:
+    """Whether a robot pulled first at a door that was locked."""
     return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
 
 
 def best_tries(record: EpisodeRecord) -> float:
     """Returns the tries in vain that the best strategy under the same uncertainty makes in this episode, on average."""
-    hidden = record.hidden_state
     if record.locked is False:
         return 0.0
-    return sum(cost for name, cost in BEST_TRIES.items() if name in hidden)
+    known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_preset) else set()
+    return sum(cost for name, cost in BEST_TRIES.items() if name in record.hidden_state and name not in known)
 
 
-def count_tries(records: Sequence[EpisodeRecord]) -> Tries:
-    """Counts tries that led nowhere, against the best possible under the same uncertainty.
+def count_tries(records: Iterable[EpisodeRecord]) -> Tries | None:
+    """Counts the failed tries of the successes, against the best possible under the same uncertainty.
 
-    Made: each try at what opens that was blocked (``blocked_pulls``); each turn of the key against its direction
-    (``wrong_turns``); and working the key of what was not locked, one (``key_moved``). Best: see `BEST_TRIES`.
+    Made: each failed try; and working the key of what was not locked, one. Best: see `BEST_TRIES`.
     """
-    made = best = 0.0
-    for record in records:
-        made += record.blocked_pulls + record.wrong_turns + (record.key_moved and record.locked is False)
-        best += best_tries(record)
-    number = max(1, len(records))
-    return Tries(made / number, best / number, (made - best) / number)
+    solved = [record for record in records if record.success]
+    if not solved:
+        return None
+    made = sum(record.failed_tries + (record.key_moved and record.locked is False) for record in solved) / len(solved)
+    best = sum(map(best_tries, solved)) / len(solved)
+    return Tries(made, best, made - best)
 
 
-def summarise(records: Sequence[EpisodeRecord]) -> EvaluationSummary:
-    """Summarises the records of an evaluation, each episode counted once."""
+def group_result(records: Sequence[EpisodeRecord]) -> GroupResult:
+    """Returns how a group of episodes went, each of them there once."""
+    lengths = [record.key_frames for record in records if record.success]
+    mean = sum(lengths) / len(lengths) if lengths else None
+    return GroupResult(rate(len(lengths), len(records)), mean, count_tries(records))
+
+
+def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None) -> EvaluationSummary:
+    """Summarises the records of an evaluation, each episode counted once.
+
+    Args:
+        records: as read.
+        boundaries: of continuous hidden values; see `lerobot_adamanip.evaluation.groups.hidden_boundaries`.
+    """
     kept = without_repeats(records)
-
-    def success(where: Callable[[EpisodeRecord], bool]) -> Rate:
-        chosen = [record for record in kept if where(record)]
-        return rate(sum(record.success for record in chosen), len(chosen))
-
     locked = [record for record in kept if record.locked is True]
-    lengths = [record.key_frames for record in kept if record.success]
+    made = [record.provenance for record in kept]
     return EvaluationSummary(
         episodes=len(kept),
         repeats=len(records) - len(kept),
-        overall=success(lambda _: True),
-        locked=success(lambda record: record.locked is True),
-        unlocked=success(lambda record: record.locked is False),
-        seen=success(lambda record: record.object_split == "seen"),
-        unseen=success(lambda record: record.object_split == "unseen"),
-        categories={
-            name: success(lambda record, name=name: record.category == name)  # type: ignore[misc]
-            for name in dict.fromkeys(record.category for record in kept)
-        },
-        tried_locked_door_first=rate(sum(map(tried_locked_door_first, locked)), len(locked)),
-        key_frames_of_successes=sum(lengths) / len(lengths) if lengths else None,
-        tries=count_tries(kept),
+        groups={group: group_result(chosen) for group, chosen in group_records(kept, boundaries).items()},
+        tried_locked_first=rate(sum(map(tried_locked_first, locked)), len(locked)),
         objects=_by_object(kept),
+        fingerprints=tuple(sorted({each.fingerprint for each in made})),
+        versions=tuple(sorted({each.version for each in made})),
+        mechanism_presets=tuple(sorted({each.mechanism_preset for each in made})),
     )
 
 
@@ -187,3 +180,34 @@ def _by_object(records: Sequence[EpisodeRecord]) -> dict[str, ObjectResult]:
     episodes = Counter(record.object_id for record in records)
     failures = Counter(record.object_id for record in records if not record.success)
     return {name: ObjectResult(episodes[name], failures[name]) for name in sorted(episodes)}
+
+
+def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> list[str]:
+    """Returns what a reader of these numbers has to know: what was mixed, and what cannot be compared.
+
+    Args:
+        summaries: by label.
+    """
+    said = []
+    for label, summary in summaries.items():
+        scenes = [group.name for group in summary.groups if group.by == "scenes"]
+        if len(scenes) > 1:
+            said.append(f"{label}: {' and '.join(scenes)} scenes are mixed; a number is of one split")
+        if "train" in scenes:
+            said.append(f"{label}: scenes that demonstrations are recorded in are among these")
+        for what, found in (("fingerprint", summary.fingerprints), ("preset", summary.mechanism_presets)):
+            if len(found) > 1:
+                said.append(f"{label}: its episodes are of more than one {what}: {', '.join(found)}")
+    for what, sets in (
+        ("fingerprints", [summary.fingerprints for summary in summaries.values()]),
+        ("mechanism presets", [summary.mechanism_presets for summary in summaries.values()]),
+        ("splits of scenes", [_scenes(summary) for summary in summaries.values()]),
+    ):
+        if len(set(sets)) > 1:
+            told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
+            said.append(f"not to be compared: {what} differ ({told})")
+    return said
+
+
+def _scenes(summary: EvaluationSummary) -> tuple[str, ...]:
+    return tuple(group.name for group in summary.groups if group.by == "scenes")

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.evaluation.metrics import Rate, rate, summarise, without_repeats
+from lerobot_adamanip.evaluation.comparison import Comparison, compare
+from lerobot_adamanip.evaluation.groups import Group
+from lerobot_adamanip.evaluation.metrics import without_repeats
+from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 
-_GROUPS = ("overall", "unlocked", "locked", "seen", "unseen")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MAX_BARS = 24
+"""Groups that a picture has room for."""
+_CHARACTERS_FLAT = 60
+"""Labels of groups longer than this in all are turned."""
 
 
 def cumulative_rates(records: Sequence[EpisodeRecord]) -> list[Rate]:
@@ -27,10 +37,12 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    comparison = compare(evaluations)
+    width = max(10.5, 5 + 0.32 * len(_drawn(comparison.groups)) * max(2, len(evaluations)))
+    figure = Figure(figsize=(width, 4.6), layout="constrained")
     FigureCanvasAgg(figure)  # no display, and no global state of pyplot's
-    bars, curve = figure.subplots(1, 2, width_ratios=(1.25, 1))
-    _draw_bars(bars, evaluations)
+    bars, curve = figure.subplots(1, 2, width_ratios=(width - 4.8, 4.8))
+    _draw_bars(bars, comparison)
     for label, records in evaluations.items():
         rates = cumulative_rates(records)
         counts = range(1, len(rates) + 1)
@@ -47,15 +59,20 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
     figure.savefig(path, dpi=130)
 
 
-def _draw_bars(axes: object, evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> None:
-    from matplotlib.axes import Axes
+def _drawn(groups: Sequence[Group]) -> list[Group]:
+    """The groups there is room for: of a suite, neither every category's splits nor everything that is hidden."""
+    chosen = list(groups)
+    for dull in ("category and objects", "hidden"):
+        if len(chosen) > MAX_BARS:
+            chosen = [group for group in chosen if group.by != dull]
+    return chosen
 
-    assert isinstance(axes, Axes)
-    summaries = {label: summarise(records) for label, records in evaluations.items()}
-    groups = [g for g in _GROUPS if any(getattr(summary, g).episodes for summary in summaries.values())]
+
+def _draw_bars(axes: Axes, comparison: Comparison) -> None:
+    groups, summaries = _drawn(comparison.groups), comparison.summaries
     width = 0.8 / len(summaries)
     for index, (label, summary) in enumerate(summaries.items()):
-        rates: list[Rate] = [getattr(summary, group) for group in groups]
+        rates = [summary.success(group) for group in groups]
         places = [x + (index - (len(summaries) - 1) / 2) * width for x in range(len(groups))]
         values = [100 * (r.rate or 0.0) for r in rates]
         # A group without episodes has no bar, and no interval that would look like a measurement.
@@ -63,9 +80,12 @@ def _draw_bars(axes: object, evaluations: Mapping[str, Sequence[EpisodeRecord]])
         above = [100 * r.high - v if r.episodes else 0.0 for v, r in zip(values, rates, strict=True)]
         axes.bar(places, values, 0.92 * width, yerr=[below, above], capsize=3, label=label, ecolor="0.25")
         for x, r in zip(places, rates, strict=True):
-            axes.text(
-                x, 1.5, f"{r.count}/{r.episodes}", ha="center", va="bottom", fontsize=7, color="white", rotation=90
-            )
-    axes.set_xticks(range(len(groups)), groups)
+            if r.episodes:
+                text, color = f"{r.count}/{r.episodes}", "white" if (r.rate or 0.0) > 0.15 else "black"
+                axes.text(x, 1.5, text, ha="center", va="bottom", fontsize=7, color=color, rotation=90)
+    names = [group.label for group in groups]
+    turned = sum(map(len, names)) > _CHARACTERS_FLAT
+    axes.set_xticks(range(len(groups)), names, rotation=35 if turned else 0, ha="right" if turned else "center")
+    axes.tick_params(axis="x", labelsize=8)
     axes.set(ylabel="success [%]", ylim=(0, 103))
     axes.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, borderaxespad=0.2)

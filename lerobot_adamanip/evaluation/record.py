@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+import re
+import reprlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
+from lerobot_adamanip import checked_json
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.seeds import SPLITS
 
+LABEL = r"[^\r\n\x00-\x1f\u2028\u2029]{1,100}"
+"""What an evaluation may be called."""
 HiddenValue = bool | int | float
 
 
@@ -21,6 +27,7 @@ class Provenance:
     Attributes:
         fingerprint: hash of the code that decides episodes, see `lerobot_adamanip.fingerprint.combined`.
         version: of this package.
+        mechanism_preset: whose rules the mechanisms follow, see `lerobot_adamanip.mechanisms`.
         run_id: one for all environments of an evaluation; None outside one.
         run_label: what the user called it, the policy's name for instance; None if not told.
         evaluation: which one of its run, from 0: an environment that meets an episode again has begun the next.
@@ -28,9 +35,17 @@ class Provenance:
 
     fingerprint: str
     version: str
+    mechanism_preset: str
     run_id: str | None = None
     run_label: str | None = None
     evaluation: int = 0
+
+    def __post_init__(self) -> None:
+        """Rejects a label that a log could not hold."""
+        if self.run_label is not None and not re.fullmatch(LABEL, self.run_label):
+            raise ConfigurationError(
+                "Not a label.", got=repr(self.run_label), allowed="one line, 1 ... 100 characters", hint="dp3_adaptive"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,20 +124,10 @@ class EpisodeRecord:
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names what is wrong with it."""
-        if not isinstance(content, dict):
-            raise ValueError("not a JSON object")
-        for name, check in _CHECKS.items():
-            if name not in content:
-                raise ValueError(f"no {name!r}")
-            if not check(content[name]):
-                raise ValueError(f"{name!r} is {content[name]!r}, which it cannot be")
-        unknown = sorted(set(content) - set(_CHECKS))
-        if unknown:
-            raise ValueError(f"unknown {unknown[0]!r}")
-        made = {item.name: content[item.name] for item in fields(Provenance)}
-        own = {item.name: content[item.name] for item in fields(cls) if item.name != "provenance"}
-        record = cls(**own, provenance=Provenance(**made))
-        _check_agreement(record, content["category"])
+        found = _RECORD("the record", content)
+        own = {item.name: found[item.name] for item in fields(cls) if item.name != "provenance"}
+        record = cls(**own, provenance=Provenance(**{item.name: found[item.name] for item in fields(Provenance)}))
+        _check_agreement(record, found["category"])
         return record
 
 
@@ -136,68 +141,49 @@ def _check_agreement(record: EpisodeRecord, category: str) -> None:
         raise ValueError(f"'first_part' is {record.first_part!r} after {record.tries} tries")
 
 
-def _is_count(value: object) -> bool:
-    # bool is an int to Python, but a count of True is garbage.
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-
-
-def _is_flag(value: object) -> bool:
-    return isinstance(value, bool)
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str) and bool(value) and len(value) <= _LONGEST
-
-
-def _is_text_or_none(value: object) -> bool:
-    return value is None or _is_text(value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _is_hidden_state(value: object) -> bool:
-    if not isinstance(value, dict) or not all(_is_text(name) for name in value):
-        return False
-    plain = all(_is_flag(each) or _is_number(each) for each in value.values())
-    return plain and _is_flag(value.get("locked", False))
-
-
-def _are_positions(value: object) -> bool:
-    return isinstance(value, dict) and all(_is_text(name) and _is_number(each) for name, each in value.items())
-
-
-def _is_object_id(value: object) -> bool:
-    if not isinstance(value, str):
-        return False
+def _object_id(name: str, value: object) -> str:
     try:
-        (parse_asset_id if is_asset_id(value) else parse_object_id)(value)
+        if isinstance(value, str) and len(value) <= _LONGEST:
+            (parse_asset_id if is_asset_id(value) else parse_object_id)(value)
+            return value
     except AdaManipError:
-        return False
-    return True
+        pass
+    raise ValueError(f"{name} is {reprlib.repr(value)}, not an object's id")
+
+
+def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
+    values = checked_json.either(checked_json.flag, checked_json.number(-1e9, 1e9))
+    found: dict[str, HiddenValue] = checked_json.mapping(_WORD, values, 20)(name, value)
+    checked_json.flag(f"{name}.locked", found.get("locked", False))
+    return found
 
 
 _LONGEST = 200
-_CHECKS: Mapping[str, Callable[[object], bool]] = {
-    "seed": _is_count,
-    "split": lambda value: value in (None, "train", "validation", "test"),
-    "object_id": _is_object_id,
-    "object_split": lambda value: value in (None, "seen", "unseen", "novel"),
-    "category": _is_text,
-    "hidden_state": _is_hidden_state,
-    "success": _is_flag,
-    "key_frames": _is_count,
-    "tries": _is_count,
-    "blocked_pulls": _is_count,
-    "wrong_turns": _is_count,
-    "key_moved": _is_flag,
-    "first_part": _is_text_or_none,
-    "first_try_failed": _is_flag,
-    "joints": _are_positions,
-    "fingerprint": _is_text,
-    "version": _is_text,
-    "run_id": _is_text_or_none,
-    "run_label": _is_text_or_none,
-    "evaluation": _is_count,
-}
+_COUNT = checked_json.integer(0, 2**31)
+_TEXT = checked_json.text(rf"[^\r\n]{{1,{_LONGEST}}}", f"a line of at most {_LONGEST} characters")
+_WORD = checked_json.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
+_RECORD = checked_json.table(
+    {
+        "seed": _COUNT,
+        "split": checked_json.optional(checked_json.choice(tuple(SPLITS))),
+        "object_id": _object_id,
+        "object_split": checked_json.optional(checked_json.choice(("seen", "unseen", "novel"))),
+        "category": _WORD,
+        "hidden_state": _hidden_state,
+        "success": checked_json.flag,
+        "key_frames": _COUNT,
+        "tries": _COUNT,
+        "blocked_pulls": _COUNT,
+        "wrong_turns": _COUNT,
+        "key_moved": checked_json.flag,
+        "first_part": checked_json.optional(_TEXT),
+        "first_try_failed": checked_json.flag,
+        "joints": checked_json.mapping(_TEXT, checked_json.number(-1e9, 1e9), 50),
+        "fingerprint": checked_json.text(r"[0-9a-f]{8,64}", "a hash"),
+        "version": _TEXT,
+        "mechanism_preset": checked_json.choice(tuple(MECHANISM_PRESETS)),
+        "run_id": checked_json.optional(_TEXT),
+        "run_label": checked_json.optional(checked_json.text(LABEL, "a label")),
+        "evaluation": _COUNT,
+    }
+)

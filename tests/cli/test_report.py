@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 from records import record
 
 from lerobot_adamanip.cli import main as cli
+from lerobot_adamanip.evaluation.results import read_result
 
 
 def write_log(path: Path, locked_successes: int, episodes: int = 20) -> Path:
@@ -37,18 +39,25 @@ def logs(tmp_path: Path) -> tuple[str, str]:
     return str(write_log(tmp_path / "adaptive.jsonl", 9)), str(write_log(tmp_path / "static.jsonl", 1))
 
 
+def by_name(groups: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {group["name"]: group for group in groups}
+
+
 def test_json_is_one_object_with_counts_that_add_up(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["report", *logs, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert set(report) == {"evaluations", "differences", "plot"}
+    assert set(report) == {"evaluations", "differences", "warnings", "plot", "result"}
     first, second = report["evaluations"]
     assert (first["label"], second["label"]) == ("adaptive", "static")
-    assert first["locked"]["count"] == 9
-    assert first["locked"]["episodes"] + first["unlocked"]["episodes"] == first["episodes"] == 20
-    (difference,) = report["differences"]
-    assert difference["locked"]["difference"] == pytest.approx(0.8)
-    assert difference["locked"]["low"] > 0
-    assert difference["unlocked"]["difference"] == 0
+    groups = by_name(first["groups"])
+    assert groups["safe: locked"]["success"]["count"] == 9
+    assert groups["safe: locked"]["success"]["episodes"] == groups["safe: unlocked"]["success"]["episodes"] == 10
+    assert groups["all"]["success"]["episodes"] == first["episodes"] == 20
+    gaps = by_name(report["differences"])
+    assert gaps["safe: locked"]["difference"] == pytest.approx(0.8)
+    assert gaps["safe: locked"]["low"] > 0
+    assert gaps["safe: unlocked"]["difference"] == 0
+    assert report["warnings"] == []
 
 
 def test_tables_show_the_same_numbers(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,6 +65,8 @@ def test_tables_show_the_same_numbers(logs: tuple[str, str], capsys: pytest.Capt
     printed = capsys.readouterr().out
     for text in ("with history", "[bold]static", "19/20", "9/10", "1/10", "tried the locked door first", "safe_00"):
         assert text in printed
+    assert "1.00, 1.50 at best: -0.50" in printed
+    assert "with history - [bold]static, safe: locked: +80.0 points" in printed
 
 
 def test_repeats_are_counted_once_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,6 +76,68 @@ def test_repeats_are_counted_once_and_told(tmp_path: Path, capsys: pytest.Captur
     printed = capsys.readouterr().out
     assert "15/20" in printed
     assert "20 repeated episodes" in printed
+
+
+def test_a_log_of_two_evaluations_gives_two_columns_and_one_if_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_log(tmp_path / "log.jsonl", 5)
+    other = write_log(tmp_path / "other.jsonl", 9).read_text().replace('"run_id": "run"', '"run_id": "later"')
+    path.write_text(path.read_text() + other.replace('"run_label": null', '"run_label": "act"'))
+    assert cli.main(["report", str(path), "--json"]) == 0
+    columns = json.loads(capsys.readouterr().out)["evaluations"]
+    assert [(each["label"], by_name(each["groups"])["all"]["success"]["count"]) for each in columns] == [
+        ("log #1", 15),
+        ("log #2 act", 19),
+    ]
+    assert cli.main(["report", str(path), "--json", "--pool"]) == 0
+    (column,) = json.loads(capsys.readouterr().out)["evaluations"]
+    assert (column["episodes"], column["repeats"]) == (20, 20)
+
+
+def test_the_surplus_of_an_uneven_last_batch_is_left_out(
+    logs: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["report", logs[0], "--episodes", "15", "--json"]) == 0
+    (column,) = json.loads(capsys.readouterr().out)["evaluations"]
+    assert column["episodes"] == 15
+
+
+def test_logs_of_two_codes_are_compared_with_a_warning(
+    logs: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = Path(logs[1])
+    other.write_text(other.read_text().replace("0123456789abcdef", "f" * 16))
+    assert cli.main(["report", *logs]) == 0
+    assert "Mind: not to be compared: fingerprints differ" in capsys.readouterr().out
+
+
+def test_a_result_file_says_what_was_measured(
+    logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, command = tmp_path / "results" / "safe.json", "lerobot-eval --env.type=adamanip_safe"
+    assert cli.main(["report", *logs, "--result", str(path), "--command", command, "--seconds", "12.34"]) == 0
+    assert f"result: {path}" in capsys.readouterr().out
+    result = read_result(path)
+    assert (result.command, result.seeds, result.scenes, result.seconds) == (command, (0, 19), "test", 12.3)
+    assert [(row.subject, row.successes, row.episodes) for row in result.rows] == [
+        ("adaptive", 19, 20),
+        ("static", 11, 20),
+    ]
+    assert result.rows[0].hidden is not None
+    assert result.rows[0].hidden["locked"] == (9, 10)
+    assert result.fingerprint == "0123456789abcdef"
+
+
+def test_a_result_of_two_codes_is_refused(
+    logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = Path(logs[1])
+    other.write_text(other.read_text().replace("0123456789abcdef", "f" * 16))
+    path = tmp_path / "r.json"
+    assert cli.main(["report", *logs, "--result", str(path), "--command", "lerobot-eval"]) == 2
+    assert "one code" in capsys.readouterr().err
+    assert not path.exists()
 
 
 def test_the_picture_is_drawn(logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,6 +156,9 @@ def test_the_picture_is_drawn(logs: tuple[str, str], tmp_path: Path, capsys: pyt
         ([], "No episode log"),
         (["LOG", "--label", "a", "b"], "Labels do not fit"),
         (["LOG", "--plot", "curve.doc"], "Unknown kind of picture"),
+        (["LOG", "--episodes", "0"], "Nothing to count"),
+        (["LOG", "--result", "result.json"], "A result needs its command"),
+        (["LOG", "--result", "r.json", "--command", "lerobot-eval --x=/home/me/y"], "must run elsewhere"),
     ],
 )
 def test_mistakes_are_one_message(

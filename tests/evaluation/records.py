@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.catalog import category_of, object_split
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.seeds import split_of
 
-MADE = Provenance("0123456789abcdef", "0.2.0", "run", None, 0)
+MADE = Provenance("0123456789abcdef", "0.2.0", "paper", "run", None, 0)
 HIDDEN: dict[str, dict[str, Any]] = {
     "safe": {"locked": False, "direction": 1, "knob_range": 1.2},
     "microwave": {"locked": False},
@@ -28,7 +28,7 @@ def record(**changes: Any) -> EpisodeRecord:
         "seed": 1,
         "split": split_of(changes.get("seed", 1)),
         "object_id": object_id,
-        "object_split": "seen" if int(object_id.rsplit("_", 1)[1]) < 36 else "unseen",
+        "object_split": object_split(object_id),
         "hidden_state": hidden,
         "success": True,
         "key_frames": 12,

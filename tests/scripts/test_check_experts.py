@@ -14,6 +14,7 @@ from check_experts import below, main, summarise
 from expert_episodes import BATCH, BlindEnvironment, Episode, batches
 
 from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.results import read_result
 
 Keep = Callable[[list[Episode]], None]
 
@@ -132,7 +133,7 @@ def test_episodes_of_other_code_are_not_mixed_in(
 ) -> None:
     arguments = ("--category", "safe", "--episodes", "2", "--out", str(tmp_path / "out.json"))
     assert main(arguments, Fake()) == 0
-    monkeypatch.setattr(check_common, "core_fingerprint", lambda: {"mechanisms": "other"})
+    monkeypatch.setattr(check_common, "present_fingerprint", lambda: "other")
     fake = Fake()
     assert main(arguments, fake) == 2
     assert fake.seen == []
@@ -144,6 +145,36 @@ def test_the_json_says_what_made_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0
     assert set(said) >= {"command", "commit", "fingerprint", "versions", "seeds", "results", "failures"}
     assert said["seeds"] == [42, 10_044]
+
+
+def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["scripts/check_experts.py", "--category", "safe"])
+    path = tmp_path / "experts.json"
+    arguments = ["--category", "safe", "--splits", "seen,novel", "--episodes", "4", "--result", str(path)]
+
+    def run(episodes: list[Episode], workers: int, keep: Keep) -> None:
+        keep([replace(e, success=True, hidden={"locked": e.seed % 2 == 0, "knob_range": 1.5}) for e in episodes])
+
+    assert main(arguments, run) == 0
+    result = read_result(path)
+    assert result.command == "python scripts/check_experts.py --category safe"
+    assert result.fingerprint == check_common.present_fingerprint()
+    assert [(row.subject, row.objects, row.episodes) for row in result.rows] == [
+        ("adaptive", "seen", 4), ("static", "seen", 4), ("adaptive", "novel", 4), ("static", "novel", 4),
+    ]  # fmt: skip
+    assert all(row.hidden == {"locked": (2, 2), "unlocked": (2, 2)} for row in result.rows)
+
+
+def test_a_result_with_a_path_of_this_machine_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["scripts/check_experts.py", "--out", "/home/me/out.json"])
+    fake = Fake()
+    assert main(["--result", str(tmp_path / "r.json")], fake) == 2
+    assert fake.seen == []
+    assert "must run elsewhere" in capsys.readouterr().err
 
 
 def test_progress_is_told_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,60 @@
+"""Shares of episodes with their intervals. Pure functions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Z95 = 1.959963984540054
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of episodes with its 95 % Wilson interval; ``rate`` is None, and the interval [0, 1], of no episodes."""
+
+    count: int
+    episodes: int
+    rate: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One rate less another, with its 95 % interval; where zero lies outside, the difference is real."""
+
+    difference: float
+    low: float
+    high: float
+
+
+def wilson_interval(count: int, episodes: int, z: float = Z95) -> tuple[float, float]:
+    """Returns Wilson's score interval of a share ``count / episodes``; (0, 1) of no episodes. ``z`` is the quantile."""
+    if not 0 <= count <= episodes:
+        raise ValueError(f"count must be in 0 ... {episodes}, got {count}")
+    if episodes == 0:
+        return 0.0, 1.0
+    share, z2 = count / episodes, z * z
+    middle = (share + z2 / (2 * episodes)) / (1 + z2 / episodes)
+    half = z / (1 + z2 / episodes) * math.sqrt(share * (1 - share) / episodes + z2 / (4 * episodes**2))
+    # Rounding must not push the bounds past what they are exactly.
+    low = 0.0 if count == 0 else max(0.0, middle - half)
+    high = 1.0 if count == episodes else min(1.0, middle + half)
+    return min(low, share), max(high, share)
+
+
+def rate(count: int, episodes: int) -> Rate:
+    """Returns a `Rate`."""
+    low, high = wilson_interval(count, episodes)
+    return Rate(count, episodes, count / episodes if episodes else None, low, high)
+
+
+def difference(first: Rate, second: Rate) -> Difference:
+    """Returns ``first - second`` (Newcombe 1998, method 10). Rates of no episodes differ by anything: 0 in [-1, 1]."""
+    if first.rate is None or second.rate is None:
+        return Difference(0.0, -1.0, 1.0)
+    gap = first.rate - second.rate
+    down = math.hypot(first.rate - first.low, second.high - second.rate)
+    up = math.hypot(first.high - first.rate, second.rate - second.low)
+    return Difference(gap, max(-1.0, gap - down), min(1.0, gap + up))

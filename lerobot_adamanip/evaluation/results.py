@@ -1,0 +1,275 @@
+"""Result files: numbers with what made them. Written by measurements, rendered into the documents, refused if stale.
+
+A file in ``results/`` is one JSON object; `scripts/make_results.py` makes tables of them all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip import __version__, checked_json
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
+from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.fingerprint import versions
+
+KINDS = ("expert", "policy")
+OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
+PRIVATE_PATH = re.compile(r"(?<![\w.])/(home|root|work|tmp|Users|mnt|data)/|[A-Za-z]:\\|://|@")
+"""What a command in a published file may not hold: paths of one machine, addresses, users."""
+
+
+@dataclass(frozen=True)
+class ResultRow:
+    """One number of a table.
+
+    Attributes:
+        subject: who acted, as a table calls it: ``adaptive``, ``dp3_adaptive, adaptive demonstrations``.
+        preset: of the mechanisms.
+        category: ``safe``.
+        objects: ``seen``, ``unseen``, ``novel`` or ``external``.
+        episodes: counted; failed and unreachable ones too.
+        successes: of them.
+        key_frames: mean of the successes; None without one.
+        failed_tries: mean of the successes; None if not counted.
+        hidden: hidden value's name -> (successes, episodes); see `groups.hidden_names`.
+    """
+
+    subject: str
+    preset: str
+    category: str
+    objects: str
+    episodes: int
+    successes: int
+    key_frames: float | None = None
+    failed_tries: float | None = None
+    hidden: Mapping[str, tuple[int, int]] | None = None
+
+
+@dataclass(frozen=True)
+class ResultFile:
+    """A measurement.
+
+    Attributes:
+        kind: ``expert`` or ``policy``.
+        title: what was measured, one line.
+        command: that measured it, as typed in the repository's root.
+        commit: of the repository; None outside one. ``changed``: whether files differed from it.
+        fingerprint: of the code that decides episodes.
+        version: of this package; ``versions`` of what else may decide.
+        machine: ``cores`` and ``gpu``; no name.
+        scenes: split of the scenes' seeds; ``seeds`` the first and the last.
+        seconds: it took; None if not measured.
+        rows: the numbers.
+    """
+
+    kind: str
+    title: str
+    command: str
+    commit: str | None
+    changed: bool
+    fingerprint: str
+    version: str
+    versions: Mapping[str, str]
+    machine: Mapping[str, int | bool]
+    scenes: str | None
+    seeds: tuple[int, int]
+    seconds: float | None
+    rows: tuple[ResultRow, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        return {"schema": 1, **asdict(self)}
+
+
+def check_command(command: str) -> None:
+    """Raises `ConfigurationError` for a command that cannot be published: one with a path of this machine."""
+    if PRIVATE_PATH.search(command):
+        raise ConfigurationError(
+            "A command in a result file must run elsewhere.",
+            got=command,
+            allowed="paths relative to the repository's root, no addresses, no users",
+            hint="--command 'lerobot-eval --policy.path=outputs/train/... '",
+        )
+
+
+def make_result(
+    rows: Iterable[ResultRow],
+    *,
+    kind: str,
+    title: str,
+    command: str,
+    fingerprint: str,
+    seeds: Sequence[int],
+    scenes: str | None,
+    seconds: float | None = None,
+) -> ResultFile:
+    """Returns a result with what is known here filled in: commit, versions, machine.
+
+    Args:
+        rows: at least one.
+        kind: see `KINDS`.
+        title: one line.
+        command: as typed; raises `ConfigurationError` if it holds a path of this machine.
+        fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()`, or that of the log.
+        seeds: of the episodes.
+        scenes: their split.
+        seconds: it took.
+    """
+    check_command(command)
+    commit, changed = _commit()
+    return ResultFile(
+        kind=kind,
+        title=title,
+        command=command,
+        commit=commit,
+        changed=changed,
+        fingerprint=fingerprint,
+        version=__version__,
+        versions=dict(versions()),
+        machine=machine_class(),
+        scenes=scenes,
+        seeds=(min(seeds), max(seeds)),
+        seconds=None if seconds is None else round(seconds, 1),
+        rows=tuple(rows),
+    )
+
+
+def write_result(path: Path, result: ResultFile) -> None:
+    """Writes a result file; what it holds is checked as if somebody else had written it."""
+    content = json.loads(json.dumps(result.to_json()))
+    parse_result(content)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def read_result(path: Path) -> ResultFile:
+    """Reads a result file; raises `DatasetError` if it is none."""
+    try:
+        return parse_result(checked_json.read(path))
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            "Not a result file.", got=f"{path}: {error}", allowed="what `write_result` writes", hint="measure again"
+        ) from error
+
+
+def parse_result(content: object) -> ResultFile:
+    """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
+    found = _RESULT("the result", content)
+    del found["schema"]
+    rows = []
+    for row in found.pop("rows"):
+        hidden = None if row["hidden"] is None else {name: tuple(pair) for name, pair in row.pop("hidden").items()}
+        row["hidden"] = hidden
+        rows.append(ResultRow(**row))
+        for count, episodes in [(row["successes"], row["episodes"]), *(hidden or {}).values()]:
+            if not 0 <= count <= episodes <= row["episodes"]:
+                raise ValueError(f"{row['subject']}, {row['category']}: {count} of {episodes} episodes cannot be")
+    if PRIVATE_PATH.search(found["command"]):
+        raise ValueError("command holds a path of one machine")
+    return ResultFile(rows=tuple(rows), **{**found, "seeds": tuple(found["seeds"])})
+
+
+def rows_of_records(records: Sequence[EpisodeRecord], subject: str) -> list[ResultRow]:
+    """Returns a row for each preset, category and split of objects in an evaluation's records."""
+    kept = without_repeats(records)
+    boundaries = hidden_boundaries(kept)
+    found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
+    for record in kept:
+        key = (record.provenance.mechanism_preset, record.category, record.object_split or "external")
+        found.setdefault(key, []).append(record)
+    rows = []
+    for (preset, category, objects), chosen in sorted(found.items(), key=lambda item: _row_order(*item[0])):
+        result, hidden = group_result(chosen), dict[str, tuple[int, int]]()
+        for record in chosen:
+            for name in hidden_names(category, record.hidden_state, boundaries):
+                count, episodes = hidden.get(name, (0, 0))
+                hidden[name] = (count + record.success, episodes + 1)
+        rows.append(
+            ResultRow(
+                subject,
+                preset,
+                category,
+                objects,
+                result.success.episodes,
+                result.success.count,
+                result.key_frames_of_successes,
+                None if result.tries is None else result.tries.made,
+                dict(sorted(hidden.items())),
+            )
+        )
+    return rows
+
+
+def machine_class() -> dict[str, int | bool]:
+    """Returns how many cores this process may use and whether PyTorch has a GPU; nothing that names the machine."""
+    import torch
+
+    return {"cores": len(os.sched_getaffinity(0)), "gpu": torch.cuda.is_available()}
+
+
+def _row_order(preset: str, category: str, objects: str) -> tuple[str, int, int]:
+    return preset, tuple(CATEGORIES).index(category), OBJECT_SPLITS.index(objects)
+
+
+def _commit() -> tuple[str | None, bool]:
+    """Commit of the repository this file stands in, and whether its tracked files differ from it."""
+
+    def git(*words: str) -> str | None:
+        here = Path(__file__).parent
+        try:
+            done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=False, timeout=20)
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    commit = git("rev-parse", "HEAD")
+    if commit is None or git("ls-files", "--error-unmatch", Path(__file__).name) is None:
+        return None, False  # installed, perhaps inside somebody else's repository
+    return commit, bool(git("status", "--porcelain", "--untracked-files=no"))
+
+
+_LINE = checked_json.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
+_HASH = checked_json.text(r"[0-9a-f]{8,64}", "a hash")
+_COUNT = checked_json.integer(0, 10**9)
+_ROW = checked_json.table(
+    {
+        "subject": _LINE,
+        "preset": checked_json.text(r"[a-z_]{1,30}", "a preset's name"),
+        "category": checked_json.choice(tuple(CATEGORIES)),
+        "objects": checked_json.choice(OBJECT_SPLITS),
+        "episodes": checked_json.integer(1, 10**9),
+        "successes": _COUNT,
+        "key_frames": checked_json.optional(checked_json.number(0, 10**6)),
+        "failed_tries": checked_json.optional(checked_json.number(0, 10**6)),
+        "hidden": checked_json.optional(checked_json.mapping(_LINE, checked_json.listing(_COUNT, 2, 2), 100)),
+    }
+)
+_RESULT = checked_json.table(
+    {
+        "schema": checked_json.integer(1, 1),
+        "kind": checked_json.choice(KINDS),
+        "title": _LINE,
+        "command": checked_json.text(r"[^\r\n`]{1,2000}", "one line without backquotes"),
+        "commit": checked_json.optional(_HASH),
+        "changed": checked_json.flag,
+        "fingerprint": _HASH,
+        "version": checked_json.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version"),
+        "versions": checked_json.mapping(_LINE, _LINE, 30),
+        "machine": checked_json.table({"cores": checked_json.integer(1, 10**5), "gpu": checked_json.flag}),
+        "scenes": checked_json.optional(checked_json.choice(("test", "validation", "train"))),
+        "seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
+        "seconds": checked_json.optional(checked_json.number(0, 10**9)),
+        "rows": checked_json.listing(_ROW, 1, 10_000),
+    }
+)

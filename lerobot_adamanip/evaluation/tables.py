@@ -1,0 +1,157 @@
+"""Result files as tables of Markdown: the page docs/results.md and the block in the README."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.results import OBJECT_SPLITS, ResultFile, ResultRow
+
+START, END = "<!-- results -->", "<!-- /results -->"
+INTRODUCTION = """# Results
+
+Generated from the files in `results/` by `python scripts/make_results.py`; a test compares the two. Each table says
+with which command, commit and seeds it was measured, and by which code: the *fingerprint* is a hash of all that decides
+how an episode comes out (contract, mechanisms, objects, experts, simulator). Only tables of the present fingerprint
+stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a success.
+"""
+NOTHING = "No number is shown here: none has been measured with the present code yet."
+_CONTINUOUS = ("<", ">=")
+
+
+def results_page(results: Mapping[str, ResultFile], present: str) -> str:
+    """Returns docs/results.md.
+
+    Args:
+        results: by file name.
+        present: fingerprint of the present code.
+    """
+    parts = [INTRODUCTION]
+    fresh = {name: result for name, result in results.items() if result.fingerprint == present}
+    stale = {name: result for name, result in results.items() if result.fingerprint != present}
+    if not fresh:
+        parts.append(f"{NOTHING}\n")
+    for name, result in (*fresh.items(), *stale.items()):
+        parts.append(f"## {_heading(result)}\n")
+        if result.fingerprint != present:
+            parts.append(
+                f"**Of another fingerprint**, `{result.fingerprint}` (version {result.version}): "
+                "not what the present code would give.\n"
+            )
+        parts.append(f"{result_table(result)}\n")
+        parts.append(f"{source_line(name, result)}\n")
+    return "\n".join(parts)
+
+
+def readme_block(results: Mapping[str, ResultFile], present: str) -> str:
+    """Returns what stands between the README's marks, both included: tables of the present fingerprint alone."""
+    fresh = [result for result in results.values() if result.fingerprint == present]
+    parts = [START]
+    for result in fresh:
+        parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result)}\n")
+    parts.append("Commands, commits and hidden values: [results](docs/results.md)." if fresh else NOTHING)
+    return "\n".join([*parts, END])
+
+
+def with_block(document: str, block: str) -> str:
+    """Returns a document with the block between its marks replaced; ValueError if it has not exactly one."""
+    before, start, rest = document.partition(START)
+    _, end, after = rest.partition(END)
+    if not start or not end or START in rest or END in after:
+        raise ValueError(f"not exactly one block {START} ... {END}")
+    return before + block + after
+
+
+def result_table(result: ResultFile) -> str:
+    """Returns a result's table: a row per category for experts, a row per subject and category for policies."""
+    return _expert_table(result.rows) if result.kind == "expert" else _policy_table(result.rows)
+
+
+def source_line(name: str, result: ResultFile) -> str:
+    """Returns what a table was measured with."""
+    commit = "no commit" if result.commit is None else f"commit {result.commit[:10]}"
+    commit += " with changes" if result.changed else ""
+    cores, gpu = result.machine["cores"], "a GPU" if result.machine["gpu"] else "no GPU"
+    taken = "" if result.seconds is None else f", {_duration(result.seconds)}"
+    made = f"{commit}, version {result.version}, fingerprint `{result.fingerprint}`"
+    scenes = f"{_scenes(result)}, seeds {result.seeds[0]} to {result.seeds[1]}"
+    return f"`{result.command}`; {made}; {scenes}; {cores} cores, {gpu}{taken}. From `results/{name}`."
+
+
+def _heading(result: ResultFile) -> str:
+    return result.title[:1].upper() + result.title[1:]
+
+
+def _scenes(result: ResultFile) -> str:
+    return "scenes of no split" if result.scenes is None else f"{result.scenes} scenes"
+
+
+def _duration(seconds: float) -> str:
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 120
+        else f"{seconds / 60:.0f} min"
+        if seconds < 7200
+        else f"{seconds / 3600:.1f} h"
+    )
+
+
+def _expert_table(rows: Sequence[ResultRow]) -> str:
+    columns = sorted({(row.preset, row.subject, row.objects) for row in rows}, key=_column_order)
+    several = len({preset for preset, _, _ in columns}) > 1
+    titles = [f"{preset + ': ' if several else ''}{subject}, {objects}" for preset, subject, objects in columns]
+    names = [name for name in CATEGORIES if any(row.category == name for row in rows)]
+    lines = [
+        (name, [_cell([row for row in rows if row.category == name], column) for column in columns]) for name in names
+    ]
+    if len(names) > 1:
+        lines.append(("all", [_cell(rows, column) for column in columns]))
+    return _markdown(["", *titles], [[name.replace("_", " "), *cells] for name, cells in lines])
+
+
+def _cell(rows: Iterable[ResultRow], column: tuple[str, str, str]) -> str:
+    chosen = [row for row in rows if (row.preset, row.subject, row.objects) == column]
+    if not chosen:
+        return "-"
+    frames = f" ({chosen[0].key_frames:.1f})" if len(chosen) == 1 and chosen[0].key_frames is not None else ""
+    return f"{sum(row.successes for row in chosen)}/{sum(row.episodes for row in chosen)}{frames}"
+
+
+def _column_order(column: tuple[str, str, str]) -> tuple[str, str, int]:
+    return column[0], column[1], OBJECT_SPLITS.index(column[2])
+
+
+def _policy_table(rows: Sequence[ResultRow]) -> str:
+    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
+    keys = list(dict.fromkeys((row.subject, row.preset, row.category) for row in rows))
+    several = len({preset for _, preset, _ in keys}) > 1
+    lines = []
+    for subject, preset, category in keys:
+        mine = [row for row in rows if (row.subject, row.preset, row.category) == (subject, preset, category)]
+        by_split = {row.objects: row for row in mine}
+        name = f"{subject} ({preset})" if several else subject
+        cells = [_interval(by_split[split]) if split in by_split else "-" for split in splits]
+        lines.append([name, category.replace("_", " "), *cells, _hidden(mine)])
+    return _markdown(["policy", "category", *(f"{split} objects" for split in splits), "by what is hidden"], lines)
+
+
+def _interval(row: ResultRow) -> str:
+    share = rate(row.successes, row.episodes)
+    assert share.rate is not None  # a row has an episode at least
+    return f"{row.successes}/{row.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
+
+
+def _hidden(rows: Iterable[ResultRow]) -> str:
+    """Returns counts by hidden value, of all splits of objects together; halves of continuous ranges are left out."""
+    counts: dict[str, tuple[int, int]] = {}
+    for row in rows:
+        for name, (count, episodes) in (row.hidden or {}).items():
+            if not any(sign in name for sign in _CONTINUOUS):
+                before = counts.get(name, (0, 0))
+                counts[name] = (before[0] + count, before[1] + episodes)
+    return ", ".join(f"{name} {count}/{episodes}" for name, (count, episodes) in sorted(counts.items())) or "-"
+
+
+def _markdown(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ["---"] * len(titles), *rows))

@@ -1,0 +1,52 @@
+"""Writes docs/results.md and the README's results from results/*.json: ``python scripts/make_results.py [--check]``.
+
+Numbers of another fingerprint than the present code's do not reach the README; docs/results.md marks them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.evaluation.results import ResultFile, read_result
+from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
+from lerobot_env_adamanip.fingerprint import present_fingerprint
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, README, RESULTS = ROOT / "docs" / "results.md", ROOT / "README.md", ROOT / "results"
+
+
+def read_results(folder: Path) -> dict[str, ResultFile]:
+    """Returns file name -> result, in order of names; raises `DatasetError` for a file that is none."""
+    return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
+
+
+def documents(folder: Path, present: str) -> dict[Path, str]:
+    """Returns document -> what it has to say."""
+    results = read_results(folder)
+    readme = with_block(README.read_text(encoding="utf-8"), readme_block(results, present))
+    return {PAGE: results_page(results, present), README: readme}
+
+
+def main() -> int:
+    """Writes both, or says which is not what it would write; 0 if all is well."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document would change")
+    options = parser.parse_args()
+    try:
+        wanted = documents(RESULTS, present_fingerprint())
+    except AdaManipError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    stale = [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    for path in stale:
+        if not options.check:
+            path.write_text(wanted[path], encoding="utf-8")
+        sys.stdout.write(f"{'stale' if options.check else 'written'}: {path.relative_to(ROOT)}\n")
+    return 1 if options.check and stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

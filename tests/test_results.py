@@ -1,0 +1,154 @@
+"""Numbers in the documents: those of the result files, and in the README only those of the present code."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from records import record
+
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.evaluation.results import (
+    ResultFile,
+    ResultRow,
+    make_result,
+    parse_result,
+    read_result,
+    rows_of_records,
+    write_result,
+)
+from lerobot_adamanip.evaluation.tables import END, NOTHING, START, readme_block, results_page, with_block
+from lerobot_env_adamanip.fingerprint import code_fingerprint, present_fingerprint
+
+ROOT = Path(__file__).resolve().parents[1]
+NOW, BEFORE = "a" * 16, "b" * 16
+
+
+def script() -> Any:
+    spec = importlib.util.spec_from_file_location("make_results", ROOT / "scripts" / "make_results.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
+    rows = [
+        ResultRow("adaptive", "paper", "safe", "seen", 20, 19, 14.6),
+        ResultRow("static", "paper", "safe", "seen", 20, 20, 10.25),
+        ResultRow("adaptive", "paper", "lamp", "seen", 10, 9, 6.3),
+        ResultRow("adaptive", "paper", "lamp", "novel", 10, 8, 6.0),
+    ]
+    made = make_result(
+        rows, kind="expert", title="scripted experts", command="python scripts/check_experts.py --category all",
+        fingerprint=fingerprint, seeds=[7_000_000, 7_000_030], scenes=None, seconds=600.0,
+    )  # fmt: skip
+    return dataclasses.replace(made, **changes)
+
+
+def test_documents_are_what_the_script_writes() -> None:
+    module = script()
+    for path, text in module.documents(module.RESULTS, present_fingerprint()).items():
+        assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python scripts/make_results.py"
+
+
+def test_every_number_in_the_readme_is_of_the_present_fingerprint() -> None:
+    now = present_fingerprint()
+    fresh = {name: each for name, each in script().read_results(ROOT / "results").items() if each.fingerprint == now}
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = text[text.index(START) : text.index(END) + len(END)]
+    assert block == readme_block(fresh, now)
+    assert fresh or re.search(r"\d", block) is None
+
+
+def test_a_changed_fingerprint_takes_a_number_out_of_the_readme_and_marks_it_on_the_page() -> None:
+    results = {"experts.json": result()}
+    assert "19/20 (14.6)" in readme_block(results, NOW)
+    assert NOTHING not in readme_block(results, NOW)
+    stale = readme_block(results, BEFORE)
+    assert "19/20" not in stale
+    assert NOTHING in stale
+    page = results_page(results, BEFORE)
+    assert "19/20 (14.6)" in page
+    assert f"**Of another fingerprint**, `{NOW}`" in page
+    assert "Of another fingerprint" not in results_page(results, NOW)
+
+
+def test_a_table_says_what_it_was_measured_with() -> None:
+    page = results_page({"experts.json": result()}, NOW)
+    for text in ("`python scripts/check_experts.py --category all`", f"fingerprint `{NOW}`", "seeds 7000000 to 7000030",
+                 "results/experts.json", "10 min", " cores, ", "version "):  # fmt: skip
+        assert text in page
+    assert "| all | " in page
+    assert "| lamp | 9/10 (6.3) | 8/10 (6.0) | - |" in page
+
+
+def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
+    records = [record(seed=k, locked=k % 2 == 0, success=k % 4 != 0) for k in range(20)]
+    rows = rows_of_records([*records, records[0]], "dp3_adaptive")
+    assert [(row.objects, row.successes, row.episodes) for row in rows] == [("seen", 15, 20)]
+    block = readme_block({"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}, NOW)
+    assert (
+        "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | direction +1 15/20, locked 5/10, unlocked 10/10 |" in block
+    )
+
+
+def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
+    one = result()
+    write_result(tmp_path / "results" / "one.json", one)
+    assert read_result(tmp_path / "results" / "one.json") == one
+    assert re.fullmatch(r"[0-9a-f]{40}", one.commit or "0" * 40)
+    assert set(one.machine) == {"cores", "gpu"}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"fingerprint": "new"}, {"command": "a\nb"}, {"command": "lerobot-eval --x=/home/me/model"}, {"rows": []},
+        {"kind": "guess"}, {"schema": 2}, {"host": "machine"}, {"seeds": [1]}, {"scenes": "holdout"},
+        {"machine": {"cores": 2, "gpu": False, "name": "x"}}, {"title": "a | b"}, {"seconds": -1}, {"commit": "main"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_result_file_that_cannot_be_is_refused(changes: dict[str, Any], tmp_path: Path) -> None:
+    content = {**json.loads(json.dumps(result().to_json())), **changes}
+    path = tmp_path / "one.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(DatasetError, match="Not a result file"):
+        read_result(path)
+
+
+def test_more_successes_than_episodes_and_hidden_counts_beyond_them_are_refused() -> None:
+    content = json.loads(json.dumps(result().to_json()))
+    content["rows"][0]["successes"] = 21
+    with pytest.raises(ValueError, match="21 of 20"):
+        parse_result(content)
+    content["rows"][0] |= {"successes": 19, "hidden": {"locked": [9, 30]}}
+    with pytest.raises(ValueError, match="9 of 30"):
+        parse_result(content)
+
+
+def test_a_command_with_a_path_of_this_machine_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="must run elsewhere"):
+        make_result([], kind="policy", title="x", command=f"lerobot-eval --policy.path={tmp_path}/x",
+                    fingerprint=NOW, seeds=[1], scenes="test")  # fmt: skip
+
+
+def test_a_document_has_one_block() -> None:
+    assert with_block(f"a\n{START}\nold\n{END}\nb\n", f"{START}\nnew\n{END}") == f"a\n{START}\nnew\n{END}\nb\n"
+    for document in ("nothing", f"{START} no end", f"{START}{END}{START}{END}"):
+        with pytest.raises(ValueError, match="exactly one block"):
+            with_block(document, "x")
+
+
+def test_the_fingerprint_covers_core_and_simulator_and_starts_neither() -> None:
+    parts = code_fingerprint()
+    assert set(parts) == {"contract", "mechanisms", "objects", "experts", "simulator"}
+    assert len(set(parts.values())) == len(parts)
+    assert re.fullmatch(r"[0-9a-f]{16}", present_fingerprint())
