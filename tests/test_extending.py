@@ -1,0 +1,178 @@
+"""docs/extending.md is true: its files and edits, applied to a copy of the sources, make a category and a policy."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "extending.md"
+MOST_PLACES = 7
+
+
+class Change(NamedTuple):
+    """A file that is new, or an insertion into one that is there."""
+
+    kind: str
+    path: str
+    after: str
+    code: str
+
+
+def changes() -> list[Change]:
+    pattern = r"^<!-- (new|edit): ([\w./]+)(?:, (?:after: (.+?)|at the end))? -->\n```python\n(.*?)^```$"
+    found = re.findall(pattern, PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    return [Change(*each) for each in found]
+
+
+def of_the_category(change: Change) -> bool:
+    return not change.path.startswith("policies/")
+
+
+def apply(change: Change, tree: Path) -> None:
+    path = tree / change.path
+    if change.kind == "new":
+        assert not path.exists()
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(change.code, encoding="utf-8")
+        return
+    text = path.read_text(encoding="utf-8")
+    if not change.after:
+        path.write_text(f"{text}\n\n{change.code}", encoding="utf-8")
+        return
+    (line,) = [line for line in text.splitlines(keepends=True) if line.startswith(change.after) or change.after in line]
+    path.write_text(text.replace(line, line + change.code), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    copy = tmp_path_factory.mktemp("extended")
+    for name in ("lerobot_adamanip", "envs", "policies", "scripts", "hub_cards", "docs"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for change in changes():
+        apply(change, copy)
+    return copy
+
+
+def run(tree: Path, code: str, **variables: str) -> str:
+    paths = os.pathsep.join(str(tree / name) for name in ("", "envs", "policies"))
+    environment = {**os.environ, "PYTHONPATH": paths, **variables}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def test_a_tenth_category_touches_few_places() -> None:
+    places = [change.path for change in changes() if of_the_category(change)]
+    assert len(places) == len(set(places))
+    assert 0 < len(places) <= MOST_PLACES
+    listed = re.findall(r"^\| \d \| `([^`]+)`", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    assert listed == places
+
+
+WITHOUT_A_SIMULATOR = """
+import dataclasses
+import numpy as np, torch
+import lerobot_adamanip, lerobot_env_adamanip
+from lerobot.envs.configs import EnvConfig
+from lerobot_adamanip.assets.roles import ROLES
+from lerobot_adamanip.catalog import get_object, parse_object_selection
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
+from lerobot_adamanip.options import EnvironmentOptions
+
+assert lerobot_adamanip.__file__.startswith({tree!r})
+for split in ("seen", "unseen"):
+    ids = parse_object_selection("jar", split)
+    objects = [get_object(name) for name in ids]
+    assert [obj.object_id for obj in objects] == list(ids)
+    for preset in MECHANISM_PRESETS:
+        mechanism = make_mechanism(objects[0], preset)
+        state = mechanism.draw(1, torch.Generator().manual_seed(0), {{"direction": 1, "turn_range": 1.5}})
+        _, shut = mechanism.step(state, {{"lift": torch.zeros(1), "cap": torch.zeros(1)}})
+        _, free = mechanism.step(state, {{"lift": torch.zeros(1), "cap": torch.full((1,), 1.4)}})
+        assert float(shut["lift"].upper[0]) == 0.0 < float(free["lift"].upper[0])
+parts = {{part.name: part for part in objects[0].parts}}
+for kind, hidden in (("adaptive", None), ("static", mechanism.hidden(state, 0))):
+    goal = next(make_expert("jar", kind, parts, generator=np.random.default_rng(0), hidden=hidden))
+    assert goal.action().shape == (10,)
+config = EnvConfig.get_choice_class("adamanip_jar")(direction=-1)
+assert config.category == "jar" and config.hidden_overrides == {{"direction": -1}}
+assert EnvironmentOptions(category="jar", objects="unseen")
+assert set(ROLES["jar"].folders) == {{"jar"}}
+suite = EnvConfig.get_choice_class("adamanip")
+assert "jar" in suite().chosen()
+"""
+
+
+def test_the_tenth_category_works_without_a_simulator(tree: Path) -> None:
+    run(tree, WITHOUT_A_SIMULATOR.format(tree=str(tree)))
+
+
+MAKE_THE_PAGE = """
+import sys
+sys.path.insert(0, "scripts")
+sys.argv = ["make_category_table.py"]
+import make_category_table
+for name in set(make_category_table.CATEGORIES) - {"jar"}:  # the others' rows cost a quarter of a minute
+    del make_category_table.CATEGORIES[name]
+assert make_category_table.main() == 0
+"""
+
+
+def test_the_page_of_categories_gets_its_row(tree: Path) -> None:
+    run(tree, MAKE_THE_PAGE)
+    page = (tree / "docs" / "categories.md").read_text(encoding="utf-8")
+    assert "[`jar`](#jar)" in page
+    assert "Open the jar." in page
+
+
+IN_THE_SIMULATOR = """
+import numpy as np
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.rollout import rollout
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+env = KeyframeEnv("jar", objects="0:1", num_points=64, image_size=64)
+observation, _ = env.reset(seed=5)
+hidden = env.hidden_state()
+expert = make_expert("jar", "static", env.annotations, generator=np.random.default_rng(0), hidden=hidden)
+result = rollout(env, observation, expert)
+env.close()
+assert result.success, result
+"""
+
+
+@pytest.mark.sim
+def test_the_tenth_category_is_opened_in_the_simulator(tree: Path) -> None:
+    run(tree, IN_THE_SIMULATOR)
+
+
+A_POLICY = """
+import torch
+import lerobot_env_adamanip
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+
+config = PreTrainedConfig.get_choice_class("hold_still")(device="cpu")
+policy = get_policy_class("hold_still")(config)
+before, after = make_pre_post_processors(config)
+state = torch.arange(24, dtype=torch.float32)
+action = after(policy.select_action(before({"observation.state": state[None]})))
+assert action.tolist() == [[*range(9), 1.0]], action
+policy.save_pretrained("held"); before.save_pretrained("held"); after.save_pretrained("held")
+assert get_policy_class("hold_still").from_pretrained("held").config.gripper == 1.0
+"""
+
+
+def test_the_method_of_the_page_is_one(tree: Path) -> None:
+    run(tree, A_POLICY)
