@@ -46,9 +46,15 @@ def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
         ResultRow("adaptive", "paper", "lamp", "novel", 10, 8, 6.0),
     ]
     made = make_result(
-        rows, kind="expert", title="scripted experts", command="python scripts/check_experts.py --category all",
-        fingerprint=fingerprint, seeds=[7_000_000, 7_000_030], scenes=None, seconds=600.0,
-    )  # fmt: skip
+        rows,
+        kind="expert",
+        title="scripted experts",
+        command="python scripts/check_experts.py --category all",
+        fingerprint=fingerprint,
+        seeds=[7_000_000, 7_000_030],
+        scenes=None,
+        seconds=600.0,
+    )
     return dataclasses.replace(made, **changes)
 
 
@@ -82,8 +88,15 @@ def test_a_changed_fingerprint_takes_a_number_out_of_the_readme_and_marks_it_on_
 
 def test_a_table_says_what_it_was_measured_with() -> None:
     page = results_page({"experts.json": result()}, NOW)
-    for text in ("`python scripts/check_experts.py --category all`", f"fingerprint `{NOW}`", "seeds 7000000 to 7000030",
-                 "results/experts.json", "10 min", " cores, ", "version "):  # fmt: skip
+    for text in (
+        "`python scripts/check_experts.py --category all`",
+        f"fingerprint `{NOW}`",
+        "seeds 7000000 to 7000030",
+        "results/experts.json",
+        "10 min",
+        " cores, ",
+        "version ",
+    ):
         assert text in page
     assert "| all | " in page
     assert "| lamp | 9/10 (6.3) | 8/10 (6.0) | - |" in page
@@ -136,8 +149,15 @@ def test_more_successes_than_episodes_and_hidden_counts_beyond_them_are_refused(
 
 def test_a_command_with_a_path_of_this_machine_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="must run elsewhere"):
-        make_result([], kind="policy", title="x", command=f"lerobot-eval --policy.path={tmp_path}/x",
-                    fingerprint=NOW, seeds=[1], scenes="test")  # fmt: skip
+        make_result(
+            [],
+            kind="policy",
+            title="x",
+            command=f"lerobot-eval --policy.path={tmp_path}/x",
+            fingerprint=NOW,
+            seeds=[1],
+            scenes="test",
+        )
 
 
 def test_a_document_has_one_block() -> None:

@@ -56,6 +56,7 @@ class EpisodeMonitor:
         task: just reset.
         annotations: of the parts, robot base frame, joints at zero.
         seed: of the episode.
+        given_seed: that the evaluation gave.
         provenance: what makes it.
 
     Attributes:
@@ -69,9 +70,10 @@ class EpisodeMonitor:
         annotations: Mapping[str, PartAnnotation],
         *,
         seed: int,
+        given_seed: int,
         provenance: Provenance,
     ) -> None:
-        self._task, self.seed, self._provenance = task, seed, provenance
+        self._task, self.seed, self._given_seed, self._provenance = task, seed, given_seed, provenance
         self._hidden = task.hidden_state()
         self.key_frames = 0
         self.success = False
@@ -96,6 +98,7 @@ class EpisodeMonitor:
         object_id = self._task.obj.object_id
         return EpisodeRecord(
             seed=self.seed,
+            given_seed=self._given_seed,
             split=split_of(self.seed),
             object_id=object_id,
             object_split=object_split(object_id),

@@ -104,7 +104,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         sim = self._started()
         self._monitor = self._record = None  # a reset that fails leaves no episode to go on with
         drawn = self._placed(sim, wanted, chosen)
-        self._monitor = EpisodeMonitor(sim, sim.placement.annotations, seed=drawn, provenance=self._provenance)
+        self._monitor = EpisodeMonitor(
+            sim, sim.placement.annotations, seed=drawn, given_seed=given, provenance=self._provenance
+        )
         return self._observe(), {"is_success": False}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

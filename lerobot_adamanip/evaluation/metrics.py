@@ -111,14 +111,16 @@ def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[Episode
     """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
 
     LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
-    other, and counts the first ``n_episodes``: those of the lowest seeds. The log holds the surplus of the last batch
+    other, and counts the first ``n_episodes``: those given the lowest seeds. The log holds the last batch's surplus
     too. (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
     """
     found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
     for record in records:
         found.setdefault((record.evaluation, record.category), []).append(record)
-    counted = [set(sorted({each.seed for each in group})[:count]) for group in found.values()]
-    return [each for group, seeds in zip(found.values(), counted, strict=True) for each in group if each.seed in seeds]
+    counted = [set(sorted({each.given_seed for each in group})[:count]) for group in found.values()]
+    return [
+        each for group, seeds in zip(found.values(), counted, strict=True) for each in group if each.given_seed in seeds
+    ]
 
 
 def tried_locked_first(record: EpisodeRecord) -> bool:

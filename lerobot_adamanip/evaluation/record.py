@@ -56,6 +56,8 @@ class EpisodeRecord:
 
     Attributes:
         seed: decided object, poses and hidden state.
+        given_seed: that the evaluation gave; ``seed`` lies in the split asked for, and is another one where the arm
+            could not reach the first scene.
         split: of scenes, that the seed belongs to: ``train``, ``validation`` or ``test``; None for a seed of none.
         object_id: ``safe_007``.
         object_split: of objects: ``seen``, ``unseen`` or ``novel``; None for an external asset.
@@ -73,6 +75,7 @@ class EpisodeRecord:
     """
 
     seed: int
+    given_seed: int
     split: str | None
     object_id: str
     object_split: str | None
@@ -165,6 +168,7 @@ _WORD = checked_json.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
 _RECORD = checked_json.table(
     {
         "seed": _COUNT,
+        "given_seed": _COUNT,
         "split": checked_json.optional(checked_json.choice(tuple(SPLITS))),
         "object_id": _object_id,
         "object_split": checked_json.optional(checked_json.choice(("seen", "unseen", "novel"))),

@@ -26,6 +26,7 @@ def record(**changes: Any) -> EpisodeRecord:
     failed = changes.get("blocked_pulls", 0) + changes.get("wrong_turns", 0)
     values: dict[str, Any] = {
         "seed": 1,
+        "given_seed": changes.get("seed", 1),
         "split": split_of(changes.get("seed", 1)),
         "object_id": object_id,
         "object_split": object_split(object_id),

@@ -162,8 +162,11 @@ def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
     assert result.command == "python scripts/check_experts.py --category safe"
     assert result.fingerprint == check_common.present_fingerprint()
     assert [(row.subject, row.objects, row.episodes) for row in result.rows] == [
-        ("adaptive", "seen", 4), ("static", "seen", 4), ("adaptive", "novel", 4), ("static", "novel", 4),
-    ]  # fmt: skip
+        ("adaptive", "seen", 4),
+        ("static", "seen", 4),
+        ("adaptive", "novel", 4),
+        ("static", "novel", 4),
+    ]
     assert all(row.hidden == {"locked": (2, 2), "unlocked": (2, 2)} for row in result.rows)
 
 
@@ -210,6 +213,8 @@ def test_an_environment_without_eyes_goes_on_past_success() -> None:
     env = BlindEnvironment(Task(), 45)
     ends = [env.step(number) for number in range(3)]
     assert [(terminated, info["is_success"]) for _, _, terminated, _, info in ends] == [
-        (False, False), (False, True), (False, True),
-    ]  # fmt: skip
+        (False, False),
+        (False, True),
+        (False, True),
+    ]
     assert env.opened_after == 2
