@@ -63,7 +63,15 @@ def test_a_policy_is_shown_what_is_sensed_and_no_label() -> None:
     assert observed == {schema.POINT_CLOUD, schema.STATE, schema.EFFORT, schema.FRONT_IMAGE}
     others = set(schema.dataset_features()) - observed - {schema.ACTION}
     assert others
-    assert all(key.startswith("complementary_info.") for key in others)
+    assert others == set(schema.LABEL_DTYPES)
+    assert all(key.startswith(("complementary_info.", "next.")) for key in others)
+
+
+def test_lerobot_makes_no_label_an_input() -> None:
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    found = dataset_to_policy_features(schema.dataset_features())
+    assert set(found) == {schema.POINT_CLOUD, schema.STATE, schema.EFFORT, schema.FRONT_IMAGE, schema.ACTION}
 
 
 @pytest.mark.parametrize(("points", "pixels"), [(1, 64), (4096, 128)])

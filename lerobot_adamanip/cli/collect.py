@@ -24,6 +24,7 @@ from lerobot_adamanip.demos.summary import CollectSummary
 from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.hub.publish import publish, require_hub_name
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
 from lerobot_adamanip.options import EnvironmentOptions, require_known
 
 EXIT_INTERRUPTED = 130
@@ -66,8 +67,8 @@ class Collect:
     poses: Literal["randomized", "fixed"] = "randomized"
     """randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream's code has them."""
 
-    mechanism_preset: str = "paper"
-    """paper: mechanisms as the paper's text has them. upstream: as its released code has them."""
+    mechanism_preset: str = DEFAULT_MECHANISM_PRESET
+    """paper: mechanisms as the paper's text has them. upstream: as its released code has them. hard: harder ones."""
 
     expert_preset: Literal["paper", "upstream"] = "paper"
     """paper: opening may be tried before anything was turned. upstream: only beyond its code's fixed angles."""

@@ -171,10 +171,8 @@ def test_shards_are_kept_if_the_dataset_cannot_be_read_back(tmp_path: Path, monk
     def spoil(point: str) -> None:
         if point == "dataset synced":
             for folder in tmp_path.glob("*.assembling"):
-                (path,) = (folder / "data").glob("*/*.parquet")
-                content = bytearray(path.read_bytes())
-                content[200:400] = bytes(200)
-                path.write_bytes(content)
+                (path,) = (folder / "videos").glob("*/*/*.mp4")
+                path.write_bytes(path.read_bytes()[:-300])
 
     monkeypatch.setattr(files, "on_crash_point", spoil)
     with pytest.raises(DatasetError, match="damaged"):

@@ -7,13 +7,12 @@ from pathlib import Path
 
 def collect_fake_demos(root: Path) -> None:
     """A dataset of the same columns as a real one."""
-    from demos_helpers import ATTEMPTS, OPTIONS
+    from demos_helpers import fakes, make_spec, patiently
 
     from lerobot_adamanip.demos.collect import collect
-    from lerobot_adamanip.demos.collection import CollectionSpec
 
     root.parent.mkdir()
-    collect(root, CollectionSpec(**OPTIONS), max_attempts=ATTEMPTS)
+    collect(root, make_spec(), fakes(), patiently())
 
 
 def write_asset_safe(folder: Path) -> None:

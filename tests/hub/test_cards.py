@@ -65,7 +65,7 @@ def test_its_command_collects_the_same(card: str) -> None:
 
 def test_nothing_of_this_machine_is_published(published: Path) -> None:
     secrets = [str(published), str(Path.home()), "/tmp", socket.gethostname(), str(Path.cwd())]
-    secrets += [f"/{getpass.getuser()}/"]
+    secrets = [secret for secret in (*secrets, f"/{getpass.getuser()}/") if len(secret) > 3]  # not by chance
     for path in published.rglob("*"):
         if path.is_file():
             content = path.read_bytes()

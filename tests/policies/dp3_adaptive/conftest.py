@@ -46,6 +46,11 @@ def _frame(draw: np.random.Generator, tool: np.ndarray, index: int) -> dict[str,
         schema.PHASE: np.array([index], np.int64),
         schema.TRIAL: np.array([index // 4], np.int64),
         schema.OUTCOME: np.array([index % 3], np.int64),
+        schema.TRIED: np.array([index % 3 - 1], np.int64),
+        schema.FAILED: np.array([index % 3 == 1]),
+        schema.PROGRESS: np.array([0.1 * index], np.float32),
+        schema.SUCCESS: np.array([index > 4]),
+        schema.DONE: np.array([False]),
         "task": "open the safe",
     }
 
