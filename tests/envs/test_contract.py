@@ -109,22 +109,23 @@ def rows(batch: dict[str, Any]) -> list[dict[str, Any]]:
 
 def test_the_suite_is_rolled_out_in_every_category() -> None:
     """One reset and one step of each, through LeRobot's machinery."""
-    made, hidden = make_env(config_of("adamanip", observe_images=False), n_envs=1), []
+    made, seeds = make_env(config_of("adamanip", observe_images=False), n_envs=1), []
     assert list(made) == list(CATEGORIES)
     for name, group in made.items():
         vector = group[0]
         try:
-            observation, info = vector.reset(seed=[1000], options={"lerobot_new_rollout": True})
+            observation, _ = vector.reset(seed=[1000], options={"lerobot_new_rollout": True})
             assert observation["point_cloud"].shape == (1, SMALL["num_points"], 3)
             (record,) = vector.call("get_wrapper_attr", "episode_record")
             assert record()["category"] == name
-            hidden.append(record()["seed"])
+            seeds.append(record()["seed"])
             stepped, _, terminated, truncated, _ = vector.step(observation["agent_pos"][:, :10])
             assert np.isfinite(stepped["agent_pos"]).all()
-            assert not (terminated.any() or truncated.any())
+            assert not terminated.any()
+            assert not truncated.any()
         finally:
             vector.close()
-    assert len(set(hidden)) == len(CATEGORIES)
+    assert len(set(seeds)) == len(CATEGORIES)
 
 
 def test_the_suite_holds_every_category_and_starts_none() -> None:
