@@ -143,7 +143,7 @@ class AdaManipEnvConfig(EnvConfig):
             mechanism_preset=self.mechanism_preset,
             max_key_frames=self.episode_length,
             hidden_overrides=self.hidden_overrides,
-            split=resolve_split(self.split),
+            split=resolve_split(self.split, self),
             render_backend=self.render_backend,
             episode_log=self.episode_log,
             run_label=self.run_label,

@@ -11,9 +11,12 @@ from importlib import metadata
 
 import pytest
 
+from lerobot_adamanip import mixed_precision
+from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.cli.doctor import checks
 from lerobot_adamanip.cli.doctor.checks import Check
 from lerobot_adamanip.cli.doctor.command import Doctor
+from lerobot_env_adamanip.sim import render_device
 
 NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
 
@@ -40,6 +43,29 @@ def test_without_a_vulkan_driver_it_fails_and_advises() -> None:
     assert not rendering["ok"]
     assert "mesa-vulkan-drivers" in str(rendering["advice"])
     assert "VK_ICD_FILENAMES=/nonexistent.json" in str(rendering["advice"])
+
+
+def test_every_environment_is_looked_for() -> None:
+    (env, policy) = [check for check in checks.check_plugin() if check.name.startswith("LeRobot --")]
+    assert env.ok
+    assert policy.ok
+    assert all(f"adamanip_{name}" in env.found for name in CATEGORIES)
+
+
+@pytest.mark.parametrize("renders", [True, False])
+def test_the_backend_that_auto_takes_is_the_probes_answer(monkeypatch: pytest.MonkeyPatch, renders: bool) -> None:
+    monkeypatch.setattr(render_device, "gpu_renders", lambda: renders)
+    assert checks.check_render_backend().found == f"auto is {'cuda' if renders else 'cpu'}"
+
+
+@pytest.mark.parametrize(("problem", "ok"), [(None, True), ("could not create a primitive", False)])
+def test_half_precision_is_told_and_not_required(
+    monkeypatch: pytest.MonkeyPatch, problem: str | None, ok: bool
+) -> None:
+    monkeypatch.setattr(mixed_precision, "mixed_precision_problem", lambda _device: problem)
+    found = checks.check_mixed_precision()
+    assert (found.ok, found.required) == (ok, False)
+    assert problem is None or problem in found.found
 
 
 def test_only_required_checks_decide(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

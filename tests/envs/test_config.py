@@ -213,6 +213,17 @@ def test_a_training_validates_and_everything_else_tests() -> None:
     assert split_of_envs(AdaManipSafeEnvConfig(split="train")) == "train"
 
 
+def test_lerobots_own_training_validates() -> None:
+    """As `lerobot-train` makes the environments of its periodic evaluation."""
+    from lerobot.scripts.lerobot_train import _make_eval_envs
+
+    training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="local/none"), env=AdaManipSafeEnvConfig())
+    training.eval.batch_size = 1
+    with _make_eval_envs(training) as envs:
+        options = envs["adamanip_safe"][0].call("get_wrapper_attr", "options")[0]
+    assert options.split == "validation"
+
+
 def test_the_suites_categories_have_scenes_of_their_own() -> None:
     made = make_env(make_env_config("adamanip", categories="lamp,safe,bottle"), n_envs=1)
     assert list(made) == ["lamp", "safe", "bottle"]

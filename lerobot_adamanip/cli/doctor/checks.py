@@ -150,6 +150,13 @@ def check_rendering() -> Check:
     return Check("SAPIEN renders", ok, f"on {answer}" if ok else answer, advice)
 
 
+def check_render_backend() -> Check:
+    """Which device `--env.render_backend=auto` takes: the probe's answer, so what environments do."""
+    from lerobot_env_adamanip.sim.render_device import resolve_render_backend
+
+    return Check("Render backend", True, f"auto is {resolve_render_backend()}", required=False)
+
+
 def check_cuda() -> Check:
     """A GPU for training; not required."""
     import torch
@@ -208,6 +215,7 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
     check_plugin,
     check_vulkan,
     check_rendering,
+    check_render_backend,
     check_cuda,
     check_mixed_precision,
     check_video,
