@@ -23,7 +23,7 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
     height = rng.uniform(0.74, 0.82) if small else rng.uniform(1.10, 1.20)
     plan = replace(
         base.plan,
-        width=rng.uniform(0.325, 0.355) if small else rng.uniform(0.432, 0.440),
+        width=rng.uniform(0.325, 0.355) if small else rng.uniform(0.431, 0.437),
         height=height,
         style=str(rng.choice(STYLES)),
         paint=Material(tuple(np.clip(color, 0.02, 0.85)), base.plan.paint.roughness),
