@@ -31,7 +31,14 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
     # A lever that stands up at rest, or points to the hinges: never down.
     rest = np.pi if rng.random() < 0.5 else base.hinge_side * np.pi / 2
     handle = draw_handle(rng, HANDLE_STYLES, rest, METALS)
-    return replace(base, plan=plan, handle=handle, handle_v=height * rng.uniform(0.45, 0.52), extra="none")
+    return replace(
+        base,
+        plan=plan,
+        handle=handle,
+        backset=base.backset if small else rng.uniform(0.053, 0.060),
+        handle_v=height * rng.uniform(0.45, 0.52),
+        extra="none",
+    )
 
 
 def make_novel_door(number: int) -> ArticulatedObject:
