@@ -23,7 +23,7 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
     height = rng.uniform(0.74, 0.82) if small else rng.uniform(1.10, 1.20)
     plan = replace(
         base.plan,
-        width=rng.uniform(0.325, 0.355) if small else rng.uniform(0.432, 0.440),
+        width=rng.uniform(0.325, 0.355) if small else rng.uniform(0.431, 0.437),
         height=height,
         style=str(rng.choice(STYLES)),
         paint=Material(tuple(np.clip(color, 0.02, 0.85)), base.plan.paint.roughness),
@@ -31,7 +31,14 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
     # A lever that stands up at rest, or points to the hinges: never down.
     rest = np.pi if rng.random() < 0.5 else base.hinge_side * np.pi / 2
     handle = draw_handle(rng, HANDLE_STYLES, rest, METALS)
-    return replace(base, plan=plan, handle=handle, handle_v=height * rng.uniform(0.45, 0.52), extra="none")
+    return replace(
+        base,
+        plan=plan,
+        handle=handle,
+        backset=base.backset if small else rng.uniform(0.053, 0.060),
+        handle_v=height * rng.uniform(0.45, 0.52),
+        extra="none",
+    )
 
 
 def make_novel_door(number: int) -> ArticulatedObject:
