@@ -35,11 +35,19 @@ def test_records_come_back_as_they_were_and_in_order(tmp_path: Path) -> None:
     assert len(path.read_text().splitlines()) == 2
 
 
-@given(st.builds(
-    record, seed=st.integers(0, 2**31), object_id=st.sampled_from(["safe_000", "lamp_041", "pressure_cooker_002"]),
-    success=st.booleans(), blocked_pulls=st.integers(0, 3), wrong_turns=st.integers(0, 3), key_moved=st.booleans(),
-    run_label=st.none() | st.from_regex(LABEL, fullmatch=True), evaluation=st.integers(0, 5),
-))  # fmt: skip
+@given(
+    st.builds(
+        record,
+        seed=st.integers(0, 2**31),
+        object_id=st.sampled_from(["safe_000", "lamp_041", "pressure_cooker_002"]),
+        success=st.booleans(),
+        blocked_pulls=st.integers(0, 3),
+        wrong_turns=st.integers(0, 3),
+        key_moved=st.booleans(),
+        run_label=st.none() | st.from_regex(LABEL, fullmatch=True),
+        evaluation=st.integers(0, 5),
+    )
+)
 def test_json_there_and_back_is_the_same_record(one: EpisodeRecord) -> None:
     assert EpisodeRecord.from_json(json.loads(json.dumps(one.to_json()))) == one
 
