@@ -91,7 +91,7 @@ from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
 from lerobot_adamanip.options import EnvironmentOptions
 
 assert lerobot_adamanip.__file__.startswith({tree!r})
-for split in ("seen", "unseen"):
+for split in ("seen", "unseen", "novel"):
     ids = parse_object_selection("jar", split)
     objects = [get_object(name) for name in ids]
     assert [obj.object_id for obj in objects] == list(ids)
@@ -107,7 +107,7 @@ for kind, hidden in (("adaptive", None), ("static", mechanism.hidden(state, 0)))
     assert goal.action().shape == (10,)
 config = EnvConfig.get_choice_class("adamanip_jar")(direction=-1)
 assert config.category == "jar" and config.hidden_overrides == {{"direction": -1}}
-assert EnvironmentOptions(category="jar", objects="unseen")
+assert EnvironmentOptions(category="jar", objects="novel")
 assert set(ROLES["jar"].folders) == {{"jar"}}
 suite = EnvConfig.get_choice_class("adamanip")
 assert "jar" in suite().chosen()

@@ -89,21 +89,26 @@ def make_expert(
     """
     expert = EXPERTS[require_choice("category", category, EXPERTS)]
     hand = Hand(generator, trials, dict(positions or {}))
-    if require_choice("expert", kind, EXPERT_KINDS) == "static":
-        if hidden is None:
-            raise ConfigurationError(
-                "The static expert needs the hidden state.", got=None, allowed="a mapping", hint="env.hidden_state()"
-            )
+    _check_knowledge(require_choice("expert", kind, EXPERT_KINDS), trials, hidden)
+    if hidden is not None:
         return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
-    if hidden is not None or trials < 1:
-        got = "a hidden state" if hidden is not None else f"trials={trials}"
-        raise ConfigurationError(
-            "Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", hint="kind='static'"
-        )
     theirs = require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and expert.upstream
     known = Knowledge(annotations, fixed_direction(category, mechanism_preset))
     frames = theirs.adaptive(hand, known) if theirs else expert.adaptive(hand, known)
     return _started(hand, annotations, feedback, frames)
+
+
+def _check_knowledge(kind: str, trials: int, hidden: Hidden | None) -> None:
+    """Raises `ConfigurationError` unless the static expert, and it alone, is told the hidden state."""
+    if kind == "static" and hidden is None:
+        raise ConfigurationError(
+            "The static expert needs the hidden state.", got=None, allowed="a mapping", hint="env.hidden_state()"
+        )
+    if kind == "adaptive" and (hidden is not None or trials < 1):
+        got = "a hidden state" if hidden is not None else f"trials={trials}"
+        raise ConfigurationError(
+            "Not an adaptive expert.", got=got, allowed="hidden=None, trials >= 1", hint="kind='static'"
+        )
 
 
 def _started(hand: Hand, parts: Parts, feedback: Feedback | None, frames: KeyFrames) -> KeyFrames:
