@@ -67,6 +67,31 @@ def test_a_grip_torn_off_what_is_ajar_is_taken_again_where_it_is(
 @both
 @every_opening
 @fast
+@given(seeds, st.floats(0.45, 0.7))
+def test_what_one_grip_does_not_open_is_not_taken_for_open(category: str, kind: Any, seed: int, share: float) -> None:
+    world = KinematicWorld(seen_objects(category)[0], locked(category), draw=seed // 7, grip=share * FAR[category])
+    episode = run(world, kind(world, seed), at_most=120)
+    assert episode.opened > 0.8 * FAR[category], episode.phases
+    assert episode.phases.count(Phase.GRASP) >= 2
+
+
+@both
+@pytest.mark.parametrize("category", LOCKED)
+@pytest.mark.parametrize("seed", range(6))
+def test_no_key_is_looked_for_however_often_a_grip_is_torn_off_a_door_that_is_ajar(
+    category: str, kind: Any, seed: int
+) -> None:
+    world = KinematicWorld(seen_objects(category)[0], locked(category), draw=seed, torn=5, torn_from=0.1)
+    episode = run(world, kind(world, seed), at_most=200)
+    ajar = episode.phases.index(Phase.OPEN)
+    assert is_open(episode)
+    assert world.torn == 0
+    assert Phase.UNLOCK not in episode.phases[ajar:]
+
+
+@both
+@every_opening
+@fast
 @given(st.data(), seeds, seeds)
 def test_it_goes_on_from_what_stands_ajar(category: str, kind: Any, data: st.DataObject, draw: int, seed: int) -> None:
     world = half_open(category, draw)
