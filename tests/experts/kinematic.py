@@ -144,10 +144,12 @@ class KinematicWorld:
         return None
 
     def _spring_back(self) -> None:
-        """Buttons come back as soon as nothing pushes them, levers when they are let go."""
+        """Buttons come back as soon as nothing pushes them, levers when they are let go; lids fall shut."""
         for joint in self.joints:
-            if self.held is None and self.obj.joint(joint).stiffness > 0:
+            if self.held is None and (self.obj.joint(joint).stiffness > 0 or joint == "lift"):
                 self.joints[joint] = 0.0
+            elif self.held is None and joint == "drop" and self.joints[joint] > 1e-3:
+                self.joints[joint] = self._limits()[joint][1]
 
     def _within_reach(self, tcp: Pose) -> PartAnnotation | None:
         for part in self.parts.values():
