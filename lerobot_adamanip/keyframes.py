@@ -47,13 +47,11 @@ class Goal:
         tcp_in_base: (4, 4) pose, robot base frame [m].
         gripper: opening, 0 closed ... 1 open.
         phase: label.
-        trial: how many tries at the mechanism came before or are under way, from 0.
     """
 
     tcp_in_base: NDArray[np.float64]
     gripper: float
     phase: Phase
-    trial: int = 0
 
     def action(self) -> NDArray[np.float32]:
         """Returns the (10,) action of the contract."""

@@ -51,7 +51,7 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 
 
 def _hold(hand: Hand, knob: PartAnnotation) -> Attempt:
-    hand.sprung = ("button",)
+    hand.settles = {"button": 0.0}
     return (yield from hand.grasp(knob)) or (yield from hand.regrasp(knob))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Collection, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +30,10 @@ NEAR_PART = 0.06
 """A hand this close to a grasp [m] is about the part, and has to back off before it goes anywhere."""
 AJAR = {"revolute": 0.07, "prismatic": 0.006, "fixed": np.inf}
 """What has opened this far [rad or m] is not locked: more than a blocked joint gives way in the hand."""
+GIVE = {"revolute": 0.045, "prismatic": 0.004, "fixed": 0.0}
+"""A hand gives way by up to this much before it feels a stall [rad or m]."""
+MOVED = 0.003
+"""What stands this far from rest [rad or m] has moved."""
 OPENED = 0.8
 """Share of the way to an expert's last pose at which it is done: well past what counts as success."""
 MAX_PULLS = 3
@@ -62,7 +66,8 @@ class Hand:
         positions: joint -> where it stands [rad or m]: seen at the start, then felt by the hand that holds its part.
         feedback: the latest. At the start: of the hand as it is, if it need not be open and away from every part.
         home: (4, 4) pose at the start, where known: from there the arm gets anywhere.
-        sprung: joints that go back to rest when their part is let go.
+        settles: joint -> where it goes when its part is let go after it has moved [rad or m]: a lever springs back, a
+            lid falls shut, a portafilter falls out.
     """
 
     rng: np.random.Generator
@@ -70,7 +75,7 @@ class Hand:
     positions: dict[str, float] = field(default_factory=dict)
     feedback: Feedback = field(default_factory=lambda: Feedback(np.eye(4), 1.0))
     home: NDArray[np.float64] | None = None
-    sprung: Collection[str] = ()
+    settles: Mapping[str, float] = field(default_factory=dict)
     _sent: tuple[str, float] | None = None
 
     @property
@@ -122,8 +127,11 @@ class Hand:
     def release(self) -> Frames:
         """Opens the fingers where they are, and backs off."""
         yield from self.move_to(self.feedback.tcp_in_base, 1.0, Phase.RELEASE)
-        self.positions.update(dict.fromkeys(self.sprung, 0.0))
+        self.positions.update(self._settled())
         yield from self.back_off(1.0)
+
+    def _settled(self) -> dict[str, float]:
+        return {joint: place for joint, place in self.settles.items() if abs(self.at(joint)) > MOVED}
 
     def back_off(self, gripper: float) -> Frames:
         """Retreats along the approach."""
@@ -154,7 +162,11 @@ class Hand:
             if opening in (Opening.DONE, Opening.BLOCKED):
                 return opening
             if grip < MAX_GRIPS - 1:
-                yield from self.regrasp(part)
+                felt, torn = dict(self.positions), self.empty
+                yield from self.release()
+                if self.is_open(joint, path):
+                    return Opening.DONE
+                yield from self._find(part, felt, torn)
         return opening
 
     def regrasp(self, part: PartAnnotation) -> Attempt:
@@ -165,24 +177,30 @@ class Hand:
         """
         felt, torn = dict(self.positions), self.empty
         yield from self.release()
-        for number, place in enumerate(self._places(felt, torn)):
-            self.positions.update(place)
+        return (yield from self._find(part, felt, torn))
+
+    def _find(self, part: PartAnnotation, felt: dict[str, float], torn: bool) -> Attempt:
+        for number, place in enumerate(self._places(part, felt, torn)):
             if number:
                 yield from self.release()
-                self.positions.update(place)
+            self.positions.update(place)
             if (yield from self.grasp(part)):
                 return True
         self.positions.update(felt)
         return False
 
-    def _places(self, felt: Mapping[str, float], torn: bool) -> list[dict[str, float]]:
+    def _places(self, part: PartAnnotation, felt: dict[str, float], torn: bool) -> list[dict[str, float]]:
         """Where the joints may stand after a release, the likeliest first, by what was felt before it."""
-        likely = {**felt, **dict.fromkeys(self.sprung, 0.0)}
-        if not torn or self._sent is None:
-            return [likely, {**felt}] if likely != felt else [likely]
+        likely = dict(self.positions)
+        if self._sent is None:
+            return [likely]
         joint, goal = self._sent
-        start = likely.get(joint, 0.0)
-        others = [(start + goal) / 2, goal, 0.0] if joint not in self.sprung else [felt.get(joint, 0.0)]
+        if joint in self.settles:
+            others = [felt.get(joint, 0.0)]
+        elif torn:
+            others = [(self.at(joint) + goal) / 2, goal, 0.0]
+        else:  # a hand that has stalled has given way a little
+            others = [self.at(joint) - np.sign(goal) * GIVE[part.motion(joint).kind]]
         return [likely, *({**likely, joint: each} for each in others)]
 
     def slip(self, part: PartAnnotation, joint: str) -> float:
@@ -213,7 +231,11 @@ class Hand:
             if not self.feedback.failed:
                 break
             yield from self.move(part, joint, path[-1], Phase.OPEN)
-        return Opening.DONE if self.at(joint) > OPENED * path[-1] else Opening.AJAR
+        return Opening.DONE if self.is_open(joint, path) else Opening.AJAR
+
+    def is_open(self, joint: str, path: Sequence[float]) -> bool:
+        """Whether a joint stands as good as where `open` takes it."""
+        return self.at(joint) > OPENED * path[-1]
 
     def _jitter(self, spread: float) -> NDArray[np.float64]:
         shift = spread * JITTER_POSITION * np.clip(self.rng.normal(size=3), -2, 2)

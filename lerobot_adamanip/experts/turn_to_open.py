@@ -7,7 +7,8 @@ first (bottle, pen, pressure cooker, coffee maker); a window or a door is turned
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,6 +26,9 @@ RELEASED = 0.9
 SLIPPED = 0.008
 """A hand this far [m] from where it would be if it still held the part as it took hold of it has slipped along it."""
 
+MAX_SLIPS = 3
+"""Such tries until the part is grasped anew. A blocked pull often moves the hand a little, and does no harm."""
+
 
 @dataclass(frozen=True)
 class TurnToOpen:
@@ -38,7 +42,7 @@ class TurnToOpen:
         p_open: probability of a try after a turn that the part followed.
         p_open_first: probability that the very first motion is a try.
         not_before: angle below which no try is made [rad]; upstream's code, not the paper's text.
-        springs_back: whether the key goes back to rest when it is let go.
+        settles: see `Hand`.
     """
 
     part: str
@@ -49,7 +53,7 @@ class TurnToOpen:
     p_open: float = 0.5
     p_open_first: float = 0.5
     not_before: float = 0.0
-    springs_back: bool = False
+    settles: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def sequence(self) -> str:
@@ -76,11 +80,12 @@ class TurnToOpen:
 
 LIFT = (0.015, 0.04)
 SWING = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
-BOTTLE = TurnToOpen("cap", "cap", "lift", np.deg2rad(30.0), LIFT)
-PRESSURE_COOKER = TurnToOpen("handle", "lid", "lift", np.deg2rad(12.0), LIFT)
-COFFEE_MAKER = TurnToOpen("handle", "portafilter", "drop", np.deg2rad(12.0), LIFT)
-WINDOW = TurnToOpen("handle", "handle", "sash", np.deg2rad(20.0), SWING, p_open_first=0.0, springs_back=True)
-DOOR = TurnToOpen("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_first=0.0, springs_back=True)
+FALLS_SHUT = {"lift": 0.0}
+BOTTLE = TurnToOpen("cap", "cap", "lift", np.deg2rad(30.0), LIFT, settles=FALLS_SHUT)
+PRESSURE_COOKER = TurnToOpen("handle", "lid", "lift", np.deg2rad(12.0), LIFT, settles=FALLS_SHUT)
+COFFEE_MAKER = TurnToOpen("handle", "portafilter", "drop", np.deg2rad(12.0), LIFT, settles={"drop": 0.05})
+WINDOW = TurnToOpen("handle", "handle", "sash", np.deg2rad(20.0), SWING, p_open_first=0.0, settles={"handle": 0.0})
+DOOR = TurnToOpen("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_first=0.0, settles={"lever": 0.0})
 
 
 class TurnToOpenExpert:
@@ -96,9 +101,11 @@ class TurnToOpenExpert:
         self.style, self.part, self.hand = style, part, hand
         self.direction = 1
         self.farthest = abs(hand.at(style.key))
+        self.slips = 0
+        """Tries after which the hand was not where it had taken hold, since it took hold."""
         self.at_end = False
         """Whether the key has been felt to stop after it had turned: it turns no farther."""
-        hand.sprung = (style.key,) if style.springs_back else ()
+        hand.settles = style.settles
 
     @property
     def angle(self) -> float:
@@ -110,6 +117,8 @@ class TurnToOpenExpert:
         rng, style = self.hand.rng, self.style
         drawn = int(rng.choice([-1, 1]))
         turned = abs(self.angle) > FOLLOWED * style.step
+        if self.hand.is_open(style.final, style.opening):
+            return
         # A key that stands turned shows which way it goes.
         self.direction = int(np.sign(self.angle)) if turned else fixed_direction or drawn
         yield from self._hold()
@@ -126,6 +135,8 @@ class TurnToOpenExpert:
     def static(self, direction: int, turn_range: float) -> KeyFrames:
         """The true direction, just far enough, then open."""
         hand, style = self.hand, self.style
+        if hand.is_open(style.final, style.opening):
+            return
         yield from self._hold()
         for _ in range(MAX_OPENINGS):
             if not hand.is_ajar(self.part, style.final):
@@ -149,16 +160,18 @@ class TurnToOpenExpert:
         """One step in the present direction, or the other one if this is known to be blocked. True if it followed."""
         style, hand = self.style, self.hand
         start = self.angle
-        # What has sprung back is turned at once to where it was, and on.
-        goal = self.direction * max(self.direction * start, self.farthest) + self.direction * style.step
+        # What has sprung back is turned on twice as fast until it is where it was; any faster feels like a stop.
+        ahead = max(self.direction * start, self.farthest) + style.step - self.direction * start
+        goal = start + self.direction * min(ahead, 2 * style.step)
         yield from hand.move(self.part, style.key, goal, Phase.UNLOCK)
         if hand.empty:
             yield from hand.regrasp(self.part)
             return False
         turned = self.direction * (self.angle - start)
+        stopped = hand.feedback.failed and self.direction * self.angle > self.farthest - FOLLOWED * style.step
         self.farthest = max(self.farthest, self.direction * self.angle)
         if not hand.feedback.failed or turned > FOLLOWED * style.step:
-            self.at_end = hand.feedback.failed
+            self.at_end = stopped
             return True
         if self.direction * self.angle > FOLLOWED * style.step:
             self.at_end = True  # it has turned this way before, and has come to its stop
@@ -176,8 +189,9 @@ class TurnToOpenExpert:
                 return True
             if opening is not Opening.BLOCKED:
                 break
-        # A lever slips in fingers that pull at it askew, and springs back; turned on, it would slip again.
-        if hand.slip(self.part, style.final) > SLIPPED:
-            self.at_end = False
+        # A lever slips in fingers that pull at it askew, and springs back; turned on, it may slip each time.
+        self.slips += hand.slip(self.part, style.final) > SLIPPED
+        if self.slips == MAX_SLIPS:
+            self.slips, self.at_end = 0, False
             yield from hand.regrasp(self.part)
         return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.mechanisms.base import Mechanism
@@ -13,7 +13,9 @@ from lerobot_adamanip.mechanisms.lamp import LampMechanism
 from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism
 from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig
 from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
-from lerobot_adamanip.objects.base import ArticulatedObject
+
+if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the presets' names
+    from lerobot_adamanip.objects.base import ArticulatedObject
 
 MECHANISM_PRESETS: Mapping[str, str] = {
     "paper": "what the paper's text says",
@@ -25,7 +27,7 @@ LIFTED = 0.025
 """A cap, lid or portafilter is off beyond this [m] (paper code)."""
 SWUNG, SASH_SWUNG = math.pi / 7, math.pi / 6
 """A door, a sash is open beyond this [rad] (paper code)."""
-Build = Callable[[ArticulatedObject, float, bool], Mechanism[Any]]
+Build = Callable[["ArticulatedObject", float, bool], Mechanism[Any]]
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,7 @@ class KinematicWorld:
         torn: this many pulls at the joint that opens end with an empty hand that has reached its goal.
         torn_from: they do so where this joint stands here [rad or m] or farther, half way to where it was pulled.
         stride: how far the joint that opens comes at most in one key frame [rad or m]; a stiff one stalls on its way.
+        grip: how far one grip takes the joint that opens [rad or m]; then the fingers slide along the part.
         preset: of the mechanism. ``hard`` is the default here: nothing about it is the same in all episodes.
     """
 
@@ -80,6 +81,7 @@ class KinematicWorld:
         torn: int = 0,
         torn_from: float = 0.0,
         stride: float = np.inf,
+        grip: float = np.inf,
         preset: str = "hard",
     ) -> None:
         self.obj = cached_object(name)
@@ -90,6 +92,7 @@ class KinematicWorld:
         self.joints = dict.fromkeys(self.mechanism.joints, 0.0)
         self.final, self.key = self.mechanism.joints
         self.held: PartAnnotation | None = None
+        self.grip, self.gripped_at = grip, 0.0
         self.torn, self.torn_from, self.stride = torn, torn_from, stride
         self.feedback = Feedback(transform((0.4, 0.0, 0.6)), 1.0)
         self.moves: list[Move | None] = []
@@ -123,6 +126,7 @@ class KinematicWorld:
         else:
             closes = goal.gripper < 0.5 and not was_closed
             self.held = self._within_reach(goal.tcp_in_base) if closes else None
+            self.gripped_at = self.joints[self.final]
             opening = AROUND_A_PART if self.held else goal.gripper
             self.feedback = Feedback(goal.tcp_in_base.copy(), opening, Outcome.REACHED)
         reading = {name: torch.tensor([q]) for name, q in self.joints.items()}
@@ -140,10 +144,12 @@ class KinematicWorld:
         return None
 
     def _spring_back(self) -> None:
-        """Buttons come back as soon as nothing pushes them, levers when they are let go."""
+        """Buttons come back as soon as nothing pushes them, levers when they are let go; lids fall shut."""
         for joint in self.joints:
-            if self.held is None and self.obj.joint(joint).stiffness > 0:
+            if self.held is None and (self.obj.joint(joint).stiffness > 0 or joint == "lift"):
                 self.joints[joint] = 0.0
+            elif self.held is None and joint == "drop" and self.joints[joint] > 1e-3:
+                self.joints[joint] = self._limits()[joint][1]
 
     def _within_reach(self, tcp: Pose) -> PartAnnotation | None:
         for part in self.parts.values():
@@ -167,6 +173,8 @@ class KinematicWorld:
         wanted = start + motion.followed(part.moved(self.joints), goal.tcp_in_base)
         reach = self.stride if joint == self.final else np.inf
         near = np.clip(wanted, start - reach, start + reach)
+        if joint == self.final:
+            near = min(near, self.gripped_at + self.grip)
         self.joints[joint] = float(np.clip(near, *self._limits()[joint]))
         self._limits()
         beyond, play = wanted - self.joints[joint], PLAY[motion.kind]

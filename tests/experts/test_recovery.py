@@ -26,6 +26,7 @@ FAR = {name: np.deg2rad(42) if name in SWUNG else 0.04 for name in OPENING}
 BEFORE_THE_LAST = {name: np.deg2rad(32) if name in SWUNG else 0.014 for name in OPENING}
 """Where it has just come to when they go on to there [rad or m]."""
 both = pytest.mark.parametrize("kind", [adaptive, static], ids=["adaptive", "static"])
+every_swung = pytest.mark.parametrize("category", SWUNG)
 every_opening = pytest.mark.parametrize("category", OPENING)
 
 
@@ -48,7 +49,7 @@ def half_open(category: str, draw: int) -> KinematicWorld:
 
 
 @both
-@every_opening
+@every_swung
 @fast
 @given(seeds, st.floats(0.1, 1.0), st.integers(1, 2))
 def test_a_grip_torn_off_what_is_ajar_is_taken_again_where_it_is(
@@ -65,7 +66,32 @@ def test_a_grip_torn_off_what_is_ajar_is_taken_again_where_it_is(
 
 
 @both
-@every_opening
+@every_swung
+@fast
+@given(seeds, st.floats(0.5, 0.7))
+def test_what_one_grip_does_not_open_is_not_taken_for_open(category: str, kind: Any, seed: int, share: float) -> None:
+    world = KinematicWorld(seen_objects(category)[0], locked(category), draw=seed // 7, grip=share * FAR[category])
+    episode = run(world, kind(world, seed), at_most=120)
+    assert episode.opened > 0.8 * FAR[category], episode.phases
+    assert episode.phases.count(Phase.GRASP) >= 2
+
+
+@both
+@pytest.mark.parametrize("category", LOCKED)
+@pytest.mark.parametrize("seed", range(6))
+def test_no_key_is_looked_for_however_often_a_grip_is_torn_off_a_door_that_is_ajar(
+    category: str, kind: Any, seed: int
+) -> None:
+    world = KinematicWorld(seen_objects(category)[0], locked(category), draw=seed, torn=5, torn_from=0.1)
+    episode = run(world, kind(world, seed), at_most=200)
+    ajar = episode.phases.index(Phase.OPEN)
+    assert is_open(episode)
+    assert world.torn == 0
+    assert Phase.UNLOCK not in episode.phases[ajar:]
+
+
+@both
+@every_swung
 @fast
 @given(st.data(), seeds, seeds)
 def test_it_goes_on_from_what_stands_ajar(category: str, kind: Any, data: st.DataObject, draw: int, seed: int) -> None:
@@ -79,7 +105,7 @@ def test_it_goes_on_from_what_stands_ajar(category: str, kind: Any, data: st.Dat
 
 
 @both
-@every_opening
+@every_swung
 def test_without_sight_of_where_it_stands_it_is_missed(category: str, kind: Any) -> None:
     """The test above would pass anyway if hands found parts by themselves."""
     world = half_open(category, 3)
@@ -161,3 +187,21 @@ def test_it_goes_on_past_success_to_its_own_end(
 def test_what_nothing_opens_is_given_up(category: str, kind: Any) -> None:
     world = KinematicWorld(seen_objects(category)[0], draw=1, torn=10_000)
     assert not is_open(run(world, kind(world, 1), at_most=1000))
+
+
+@both
+@pytest.mark.parametrize("category", ["bottle", "pen", "pressure_cooker", "coffee_maker"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lid_that_is_let_go_falls_and_is_taken_up_again(category: str, kind: Any, seed: int) -> None:
+    world = KinematicWorld(seen_objects(category)[0], draw=seed, torn=2, torn_from=0.01)
+    episode = run(world, kind(world, seed), at_most=90)
+    assert is_open(episode)
+    falls_out = category == "coffee_maker"
+    assert episode.phases.count(Phase.GRASP) == (1 if falls_out else 3)
+    assert episode.phases[-1] is (Phase.RELEASE if falls_out else Phase.OPEN)
+
+
+@both
+def test_what_has_fallen_out_is_left_alone(kind: Any) -> None:
+    world = KinematicWorld("coffee_maker_000")
+    assert next(kind(world, positions={"drop": 0.05, "portafilter": -0.5}), None) is None

@@ -231,4 +231,5 @@ def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(
         lost = [k for k, felt in enumerate(episode.felt) if felt.gripper < 0.05]
         assert len(lost) == torn
         assert all(episode.phases[k + 1] is Phase.RELEASE for k in lost)
+        assert episode.phases.count(Phase.GRASP) == 1 + torn, "it is where it was felt last"
         assert episode.opened == pytest.approx(STYLES[category].opening[-1], rel=0.1)

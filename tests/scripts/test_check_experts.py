@@ -212,9 +212,6 @@ def test_an_environment_without_eyes_goes_on_past_success() -> None:
 
     env = BlindEnvironment(Task(), 45)
     ends = [env.step(number) for number in range(3)]
-    assert [(terminated, info["is_success"]) for _, _, terminated, _, info in ends] == [
-        (False, False),
-        (False, True),
-        (False, True),
-    ]
+    assert not any(terminated for _, _, terminated, _, _ in ends)
+    assert [info["is_success"] for *_, info in ends] == [False, True, True]
     assert env.opened_after == 2
