@@ -220,7 +220,7 @@ def _joint(role: JointRole, choice: JointChoice, axis: Array, origin: Array, sca
     limits = (-abs(travel) if role.either_way else 0.0, abs(travel))
     x, y, z = (float(value) for value in direction)
     a, b, c = (float(value) for value in origin)
-    return Joint(role.name, role.kind, (x, y, z), (a, b, c), limits, role.friction, role.damping)
+    return Joint(role.name, role.kind, (x, y, z), (a, b, c), limits, role.damping)
 
 
 def _visual(surface: Surface, into: Pose) -> Shape:

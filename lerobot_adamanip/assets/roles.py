@@ -18,14 +18,13 @@ class JointRole:
         kind: type it has to have (a continuous joint counts as revolute).
         either_way: whether it turns to both sides of zero.
         upper: range where the URDF states none [rad or m] (upstream's nominal value).
-        friction, damping: see `Joint`; URDFs of those collections state none that can be used.
+        damping: see `Joint`; URDFs of those collections state none that can be used.
     """
 
     name: str
     kind: MovingKind
     either_way: bool
     upper: float
-    friction: float
     damping: float
 
 
@@ -81,50 +80,50 @@ DOOR_FILES = ("handle_bounding.json", "goal_pos.npy", "handle_pos.npy")
 
 ROLES: dict[str, Roles] = {
     "bottle": Roles(
-        JointRole("lift", "prismatic", False, 0.05, 0.5, 5.0),
-        JointRole("cap", "revolute", True, 2.35, 0.03, 0.01),
+        JointRole("lift", "prismatic", False, 0.05, 5.0),
+        JointRole("cap", "revolute", True, 2.35, 0.01),
         (PartRole("cap", ("lift", "cap"), BOTTLE_FILES, "from_above", QUARTER, 0.0014, round=True),),
         ("bottle",), ("Bottle",),
     ),
     "pen": Roles(
-        JointRole("lift", "prismatic", False, 0.05, 0.3, 3.0),
-        JointRole("cap", "revolute", True, 2.35, 0.02, 0.01),
+        JointRole("lift", "prismatic", False, 0.05, 3.0),
+        JointRole("cap", "revolute", True, 2.35, 0.01),
         (PartRole("cap", ("lift", "cap"), HANDLE_FILES, "from_above", QUARTER, -0.0226, round=True),),
         ("pen",), ("Pen",),
     ),
     "pressure_cooker": Roles(
-        JointRole("lift", "prismatic", False, 0.05, 0.5, 5.0),
-        JointRole("lid", "revolute", True, 0.824, 0.1, 0.1),
+        JointRole("lift", "prismatic", False, 0.05, 5.0),
+        JointRole("lid", "revolute", True, 0.824, 0.1),
         (PartRole("handle", ("lift", "lid"), HANDLE_FILES, "from_above", 0.0, 0.0054),),
         ("pressure_cooker", "pc"), ("KitchenPot",),
     ),
     "coffee_maker": Roles(
-        JointRole("drop", "prismatic", False, 0.05, 5.0, 5.0),
-        JointRole("portafilter", "revolute", True, 0.80, 0.1, 0.1),
+        JointRole("drop", "prismatic", False, 0.05, 5.0),
+        JointRole("portafilter", "revolute", True, 0.80, 0.1),
         (PartRole("handle", ("drop", "portafilter"), HANDLE_FILES, "from_above", 0.0, 0.0014),),
         ("coffee_maker", "coffee_machine", "cm"), ("CoffeeMachine",),
     ),
     "window": Roles(
-        JointRole("sash", "revolute", False, 1.57, 0.3, 1.0),
-        JointRole("handle", "revolute", True, 1.57, 0.06, 0.05),
+        JointRole("sash", "revolute", False, 1.57, 1.0),
+        JointRole("handle", "revolute", True, 1.57, 0.05),
         (PartRole("handle", ("sash", "handle"), HANDLE_FILES, "facing", 0.0, 0.0054, 0.01),),
         ("window",), ("Window",),
     ),
     "door": Roles(
-        JointRole("leaf", "revolute", False, 1.57, 0.3, 1.0),
-        JointRole("lever", "revolute", True, 1.05, 0.06, 0.05),
+        JointRole("leaf", "revolute", False, 1.57, 1.0),
+        JointRole("lever", "revolute", True, 1.05, 0.05),
         (PartRole("lever", ("leaf", "lever"), DOOR_FILES, "facing", QUARTER, 0.0014, 0.01),),
         ("door",), ("Door",),
     ),
     "lamp": Roles(
-        JointRole("button", "prismatic", False, 0.1, 0.5, 2.0),
-        JointRole("knob", "revolute", True, 1.57, 0.03, 0.01),
+        JointRole("button", "prismatic", False, 0.1, 2.0),
+        JointRole("knob", "revolute", True, 1.57, 0.01),
         (PartRole("knob", ("button", "knob"), HANDLE_FILES, "from_above", QUARTER, 0.0034, round=True),),
         ("lamp",), ("Lamp",),
     ),
     "microwave": Roles(
-        JointRole("door", "revolute", False, 1.578, 0.3, 1.0),
-        JointRole("button", "prismatic", False, 0.02, 0.5, 2.0),
+        JointRole("door", "revolute", False, 1.578, 1.0),
+        JointRole("button", "prismatic", False, 0.02, 2.0),
         (
             PartRole("handle", ("door",), HANDLE_FILES, "facing", 0.0, 0.0074),
             PartRole("button", ("button",), ("button_pos.npy",), "facing", QUARTER, 0.0),
@@ -132,8 +131,8 @@ ROLES: dict[str, Roles] = {
         ("microwave", "mv"), ("Microwave",),
     ),
     "safe": Roles(
-        JointRole("door", "revolute", False, 1.578, 0.3, 1.0),
-        JointRole("knob", "revolute", True, 1.4, 0.06, 0.02),
+        JointRole("door", "revolute", False, 1.578, 1.0),
+        JointRole("knob", "revolute", True, 1.4, 0.02),
         (
             PartRole("handle", ("door",), HANDLE_FILES, "facing", QUARTER, -0.0066),
             PartRole("knob", ("door", "knob"), ("knob_pos.npy",), "facing", QUARTER, -0.0046),

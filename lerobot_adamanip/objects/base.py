@@ -68,7 +68,6 @@ class Joint:
         axis: (3,) unit vector, parent frame.
         origin: (3,) a point on the axis, parent frame [m].
         limits: [rad or m].
-        friction: Coulomb friction [N m or N]; a wish so far, see docs/decisions.md, 16.
         damping: viscous damping [N m s/rad or N s/m].
         stiffness: of a spring in the joint [N m/rad or N/m]; 0 for none.
         rest: position at which that spring is slack [rad or m]; outside the limits, it presses the joint against one.
@@ -79,7 +78,6 @@ class Joint:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     limits: tuple[float, float] = (0.0, 0.0)
-    friction: float = 0.0
     damping: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0

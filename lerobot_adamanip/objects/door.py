@@ -142,7 +142,7 @@ def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
         Link("frame", _frame_shapes(design, surround, float(hinge[1])), mass=30.0),
         Link(
             "leaf", leaf_shapes(plan, side) + _furniture(design), mass=5.0, parent="frame",
-            joint=Joint("leaf", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, DOOR_UPPER), 0.3, 1.0),
+            joint=Joint("leaf", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, DOOR_UPPER), damping=1.0),
         ),
         handle_link(design.handle, ("lever", "leaf", "lever"), pivot, LEVER_RANGE, damping=0.03),
     )  # fmt: skip

@@ -144,9 +144,9 @@ def _links(design: SafeDesign, foot: float, hinge: NDArray[np.float64]) -> tuple
     door_origin = (float(hinge[0]), float(hinge[1]), float(hinge[2]))
     knob_y, knob_z = design.on_door(design.knob_uv)
     turn = (-design.knob_range, design.knob_range)
-    door = Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), friction=0.3, damping=1.0)
+    door = Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), damping=1.0)
     # Positive turns clockwise as seen by who stands in front: about -x, into the door.
-    knob = Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), turn, friction=0.06, damping=0.02)
+    knob = Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), turn, damping=0.02)
     door_shapes = _door_shapes(design) + _handle_shapes(design, *design.on_door(design.handle_uv))
     return (
         Link("body", _body_shapes(design, foot), mass=40.0),

@@ -156,7 +156,7 @@ def build_window(object_id: str, design: WindowDesign) -> ArticulatedObject:
         Link("frame", _frame_shapes(design, surround, float(hinge[1])), mass=30.0),
         Link(
             "sash", _sash_shapes(design) + plate, mass=4.0, parent="frame",
-            joint=Joint("sash", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, SASH_UPPER), 0.3, 1.0),
+            joint=Joint("sash", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, SASH_UPPER), damping=1.0),
         ),
         handle_link(design.handle, ("handle", "sash", "handle"), pivot, HANDLE_RANGE, damping=0.03),
     )  # fmt: skip

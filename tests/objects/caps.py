@@ -97,8 +97,6 @@ def check_cap_and_joints(obj: ArticulatedObject) -> None:
     for motion in part.motions:
         np.testing.assert_allclose(np.cross(part.grasp[:3, 3] - motion.point, motion.axis), 0, atol=1e-12)
     np.testing.assert_allclose(part.grasp[:3, 2], [0, 0, -1], atol=1e-12)
-    # Light enough for two fingers, heavy enough not to move by itself.
-    assert 0.01 <= cap.friction <= 0.06
 
 
 def check_grip(obj: ArticulatedObject, thinnest: float, thickest: float) -> None:

@@ -55,8 +55,8 @@ def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
     """A spring is a drive towards its rest position; it keeps the joint's damping."""
     for active in articulation._objs[0].active_joints:
         joint = obj.joint(active.name.rsplit("_", 1)[-1])
-        if joint.friction == 0.0:
-            # SAPIEN's builder drops a joint's friction and leaves it at 0.05, under which a spring comes to rest askew.
+        if joint.kind == "revolute" and joint.stiffness:
+            # SAPIEN's builder leaves every joint at 0.05, under which a return spring comes to rest askew.
             active.set_friction(0.0)
         if joint.stiffness:
             active.set_drive_properties(joint.stiffness, joint.damping)
@@ -72,7 +72,7 @@ def _set_joint(link: Any, joint: Joint) -> None:
     in_child = np.eye(4)
     in_child[:3, :3] = align
     link.set_joint_properties(
-        joint.kind, [list(joint.limits)], sapien_pose(in_parent), sapien_pose(in_child), joint.friction, joint.damping
+        joint.kind, [list(joint.limits)], sapien_pose(in_parent), sapien_pose(in_child), 0.0, joint.damping
     )
 
 

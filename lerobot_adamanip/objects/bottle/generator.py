@@ -151,13 +151,13 @@ def build_bottle(object_id: str, design: BottleDesign) -> ArticulatedObject:
     at = (-front, 0.0)
     origin = (*at, design.neck_top)
     plug = Shape("cylinder", (0.6 * design.cap.radius, 0.002), _upright(0.006), design.cap.look, collides=False)
-    lift = Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), friction=0.2, damping=4.0)
+    lift = Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), damping=4.0)
     links = (
         Link("body", _body_shapes(design, at), mass=1.5),
         Link("plug", (plug,), 0.01, "body", lift),
         Link(
             "cap", cap_shapes(design.cap), 0.03, "plug",
-            Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), friction=0.03, damping=0.01),
+            Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), damping=0.01),
         ),
     )  # fmt: skip
     grip = max(FINGER_TIP, design.cap.height - GRIP_BELOW_TOP, 0.5 * design.cap.height)

@@ -34,10 +34,10 @@ def make_coffee_maker(number: int) -> ArticulatedObject:
 def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> ArticulatedObject:
     """Builds the links and the annotation of a design: joints ``drop`` and ``portafilter``, part ``handle``."""
     group = (design.axis_x, 0.0, design.group_z)
-    # Friction carries portafilter and puck (5 N): let go half way, they stay where they are.
-    drop = Joint("drop", "prismatic", (0.0, 0.0, -1.0), group, (0.0, DROP_UPPER), friction=9.0, damping=20.0)
+    # Damped, so that portafilter and puck (5 N) do not fall when they come free.
+    drop = Joint("drop", "prismatic", (0.0, 0.0, -1.0), group, (0.0, DROP_UPPER), damping=20.0)
     limits = (-PORTAFILTER_RANGE, PORTAFILTER_RANGE)
-    turn = Joint("portafilter", "revolute", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), limits, friction=0.2, damping=0.15)
+    turn = Joint("portafilter", "revolute", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), limits, damping=0.15)
     links = (
         Link("machine", looks.machine_shapes(design), mass=9.0),
         Link("puck", _puck_shapes(), mass=0.05, parent="machine", joint=drop),

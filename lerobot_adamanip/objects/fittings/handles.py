@@ -139,7 +139,6 @@ def handle_link(
         (-1.0, 0.0, 0.0),
         (x, y, z),
         (-turn_range, turn_range),
-        friction=0.0,
         damping=damping,
         stiffness=spring,
         rest=tension,

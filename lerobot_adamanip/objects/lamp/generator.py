@@ -122,12 +122,11 @@ def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:
         (0.0, 0.0, -1.0),
         switch,
         (0.0, design.travel),
-        friction=0.02,
         damping=4.0,
         stiffness=SPRING,
         rest=SPRING_REST,
     )
-    turn = Joint("knob", "revolute", limits=(-design.turn_range, design.turn_range), friction=0.03, damping=0.01)
+    turn = Joint("knob", "revolute", limits=(-design.turn_range, design.turn_range), damping=0.01)
     links = (
         Link("base", body, mass=2.5),
         Link("plunger", _plunger_shapes(design, top), 0.03, "base", push),

@@ -152,7 +152,7 @@ def _leaf(design: MicrowaveDesign) -> Link:
     )
     origin = (0.0, design.y(0.0), design.foot + design.height / 2)
     axis = (0.0, 0.0, float(design.hinge_side))
-    joint = Joint("door", "revolute", axis, origin, (0.0, DOOR_UPPER), friction=0.2, damping=0.6)
+    joint = Joint("door", "revolute", axis, origin, (0.0, DOOR_UPPER), damping=0.6)
     return Link("leaf", shapes, 1.8, "body", joint)
 
 
@@ -164,7 +164,6 @@ def _button(design: MicrowaveDesign) -> Link:
         (-1.0, 0.0, 0.0),
         origin,
         (0.0, design.button_travel),
-        friction=0.02,
         damping=4.0,
         # The spring brings it back, and holds it out while nobody pushes.
         stiffness=SPRING,

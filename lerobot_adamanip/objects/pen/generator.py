@@ -106,13 +106,13 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
     origin = (*stand.axis, lip)
     upright = transform((0, 0, 0.005), rotation_with_x_along((0.0, 0.0, 1.0)))
     plug = Shape("cylinder", (0.5 * pen.radius * pen.depth, 0.002), upright, pen.cap, collides=False)
-    lift = Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), friction=0.2, damping=4.0)
+    lift = Joint("lift", "prismatic", (0, 0, 1), origin, (0.0, LIFT_UPPER), damping=4.0)
     links = (
         Link("body", _body_shapes(design, lip), mass=0.8),
         Link("plug", (plug,), 0.005, "body", lift),
         Link(
             "cap", swivelled(cap_shapes(pen), design.clip_turn), 0.012, "plug",
-            Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), friction=0.02, damping=0.006),
+            Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), damping=0.006),
         ),
     )  # fmt: skip
     # Roll turns against the azimuth: the hand looks down.

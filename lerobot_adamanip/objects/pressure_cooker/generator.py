@@ -29,8 +29,8 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
     rim = (design.axis_x, 0.0, design.height)
     up = (0.0, 0.0, 1.0)
     # An arm reaching down gives by half a millimetre per newton: a lid of sheet aluminium, as light as real ones are.
-    lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), friction=0.3, damping=8.0)
-    lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), friction=0.15, damping=0.15)
+    lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), damping=8.0)
+    lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), damping=0.15)
     links = (
         Link("pot", pot_shapes(design), mass=2.5),
         Link("seal", seal_shapes(design), mass=0.05, parent="pot", joint=lift),
