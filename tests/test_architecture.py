@@ -319,7 +319,7 @@ OFF_THE_WAY = {
 
 
 def bare_any(tree: ast.Module) -> list[str]:
-    """Names of arguments, results and attributes annotated as nothing but `Any`; `*args` and `**kwargs` are left out."""
+    """Arguments, results and attributes annotated as nothing but `Any`; `*args` and `**kwargs` are left out."""
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
