@@ -152,14 +152,20 @@ def module_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+def for_type_checkers(tree: ast.Module) -> set[ast.AST]:
+    """What stands under `if TYPE_CHECKING`, and never runs."""
+    guarded = [n for n in ast.walk(tree) if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+    return {node for each in guarded for node in ast.walk(each)}
+
+
 def import_graph() -> dict[str, set[str]]:
-    """Module -> modules of ours it imports, in functions and for type checkers too."""
+    """Module -> modules of ours it imports, in functions too."""
     found = {module_of(path): (path, tree) for path, tree in trees()}
     graph: dict[str, set[str]] = {}
     for name, (path, tree) in found.items():
         package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         wanted: set[str] = set()
-        for node in ast.walk(tree):
+        for node in set(ast.walk(tree)) - for_type_checkers(tree):
             if isinstance(node, ast.Import):
                 wanted |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
@@ -198,26 +204,42 @@ def test_no_import_circle() -> None:
     assert circle(graph) == []
 
 
-def rooms() -> dict[str, set[str]]:
-    """Folder or file right under the core -> those that it imports."""
-
-    def room(name: str) -> str:
-        return ".".join(name.split(".")[:2])
-
-    found: dict[str, set[str]] = {}
-    for name, imported in import_graph().items():
-        if name.startswith("lerobot_adamanip."):
-            there = {room(each) for each in imported if each.startswith("lerobot_adamanip.")}
-            found.setdefault(room(name), set()).update(there - {room(name)})
-    return found
-
-
 def docstrings(tree: ast.Module) -> set[ast.expr]:
     return {
         node.value
         for node in ast.walk(tree)
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
     }
+
+
+def test_the_core_names_no_module_of_others_in_a_string() -> None:
+    """What must not be imported must not be imported by name either; a distribution's name alone is none."""
+    wrong = []
+    for path, tree in trees():
+        if not path.is_relative_to(PACKAGES["lerobot_adamanip"]) or path.is_relative_to(CLI):
+            continue
+        for node in set(ast.walk(tree)) - docstrings(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and MODULE_OF_OTHERS.match(node.value):
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}: {node.value}")
+    assert wrong == []
+
+
+def test_modules_are_imported_by_string_only_from_our_own_tables() -> None:
+    """Never by what data say: a constant, a name within our own package, or a row of a table of ours."""
+    wrong = []
+    for path, tree in trees():
+        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+            name = ast.unparse(call.func)  # `policy.eval()` is none of these
+            if name.removeprefix("importlib.") not in ("import_module", "__import__", "eval", "exec"):
+                continue
+            argument = call.args[0] if call.args else call.func
+            if isinstance(argument, ast.JoinedStr):
+                argument = argument.values[0]
+            constant = isinstance(argument, ast.Constant) and str(argument.value).startswith("lerobot_")
+            table = isinstance(argument, ast.Name) and argument.id.isupper()
+            if not (constant or table or str(path.relative_to(ROOT)) in IMPORTS_FROM_TABLES):
+                wrong.append(f"{path.relative_to(ROOT)}:{call.lineno}")
+    assert wrong == []
 
 
 def is_table(value: ast.expr | None) -> bool:
@@ -227,7 +249,7 @@ def is_table(value: ast.expr | None) -> bool:
 
 def is_table_statement(node: ast.AST) -> bool:
     """Whether a table is all there is to a statement: a named one, or the cases of a test."""
-    if isinstance(node, ast.Assign | ast.AnnAssign):
+    if isinstance(node, ast.Assign | ast.AnnAssign | ast.Return):
         return is_table(node.value)
     return isinstance(node, ast.Call) and ast.unparse(node.func).endswith("parametrize") and is_table(node.args[1])
 
@@ -279,3 +301,55 @@ def test_a_package_that_has_a_face_says_which() -> None:
             bound |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
             names = {n.value for n in ast.walk(stated[0].value) if isinstance(n, ast.Constant)}
             assert names <= bound, path.relative_to(ROOT)
+
+
+ON_THE_WAY = (
+    "keyframe_env",
+    "episode_log",
+    "sim.tasks.base",
+    "sim.keyframe_driver",
+    "sim.mechanism_driver",
+    "sim.camera",
+)
+OFF_THE_WAY = {
+    "compute_sparse_reward",  # ManiSkill's signatures, for who uses the task without key frames
+    "sim.tasks.base: step",
+    "__init__ state",  # a hidden draw: each mechanism has a type of its own
+}
+
+
+def bare_any(tree: ast.Module) -> list[str]:
+    """Arguments, results and attributes annotated as nothing but `Any`; `*args` and `**kwargs` are left out."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            found += [f"{node.name} {each.arg}" for each in arguments if is_any(each.annotation)]
+            found += [node.name] if is_any(node.returns) else []
+        elif isinstance(node, ast.AnnAssign) and is_any(node.annotation):
+            found.append(ast.unparse(node.target))
+    return [name for name in found if not {name, name.split()[0]} & OFF_THE_WAY]
+
+
+def is_any(annotation: ast.expr | None) -> bool:
+    return annotation is not None and ast.unparse(annotation) in ("Any", "Any | None", "Optional[Any]")
+
+
+def test_an_action_is_typed_on_its_whole_way_to_the_simulator() -> None:
+    assert bare_any(ast.parse("def step(self, action: Any) -> None: ...\nself._sim: Any = None")) == [
+        "step action",
+        "self._sim",
+    ]
+    for path, tree in trees():
+        if module_of(path).removeprefix("lerobot_env_adamanip.") in ON_THE_WAY:
+            name = module_of(path).removeprefix("lerobot_env_adamanip.")
+            left = [each for each in bare_any(tree) if f"{name}: {each.split()[0]}" not in OFF_THE_WAY]
+            assert left == [], name
+    attributes = {
+        ast.unparse(node.target): ast.unparse(node.annotation)
+        for path, tree in trees()
+        if path.name == "keyframe_env.py"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.AnnAssign)
+    }
+    assert attributes["self._sim"] == "AdaManipTask | None"

@@ -30,7 +30,7 @@ from lerobot_adamanip.checked_json import (
     read,
     table,
     text,
-)  # fmt: skip
+)
 from lerobot_adamanip.demos.collection import LIMITS, MAX_EPISODES, MAX_OBJECTS, CollectionSpec, environment_json
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError, DatasetError
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
@@ -157,9 +157,11 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
         )
     if parts := differing_parts(stored.external_assets, wanted.external_assets):
         raise DatasetError(
-            "The external assets are not those that were used.", got=f"{where}: {', '.join(parts)} changed",
-            allowed="folders of the same content", hint="the --assets of before, or another --root",
-        )  # fmt: skip
+            "The external assets are not those that were used.",
+            got=f"{where}: {', '.join(parts)} changed",
+            allowed="folders of the same content",
+            hint="the --assets of before, or another --root",
+        )
     if parts := differing_parts(stored.fingerprint, wanted.fingerprint):
         raise DatasetError(
             f"{where} was recorded under another fingerprint: {', '.join(parts)} differ.",
@@ -228,8 +230,10 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
     if bool(hashes) != (assets is not None):
         raise DatasetError(
             "This collection used external assets." if hashes else "This collection used generated objects.",
-            got=f"--assets {assets}", allowed="their folder" if hashes else "no folder", hint="--assets DIR",
-        )  # fmt: skip
+            got=f"--assets {assets}",
+            allowed="their folder" if hashes else "no folder",
+            hint="--assets DIR",
+        )
     options = dict(collection.pop("environment"))
     workspace = Workspace(**options.pop("workspace"))
     first = collection["objects"][0].partition(":")[0] if hashes else collection["objects"][0].rpartition("_")[0]
@@ -246,9 +250,10 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
 def _outdated(path: Path) -> DatasetError:
     return DatasetError(
         "This dataset was made by version 0.1.0, whose format names code; it is read no more.",
-        got=path, allowed=f"format {FORMAT}, as `adamanip collect` writes it now",
+        got=path,
+        allowed=f"format {FORMAT}, as `adamanip collect` writes it now",
         hint="collect it again, into another --root",
-    )  # fmt: skip
+    )
 
 
 __all__ = [
