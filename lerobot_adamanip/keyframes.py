@@ -115,6 +115,7 @@ class MotionLimits:
         angular_speed: [rad/s] peak.
         linear_acceleration: [m/s^2] peak; low enough that the arm's own inertia never looks like a stall.
         angular_acceleration: [rad/s^2] peak.
+        joint_speed: [rad/s] of the fastest joint, where the arm has to go round in joint space.
         stall_position: [m] that the tool lags behind its target, for ``stall_ticks``, end a motion: some 30 N.
         stall_rotation: [rad] likewise: 1.1 N m about the approach, which is what two fingers can hold.
         stall_ticks: control ticks.
@@ -131,6 +132,7 @@ class MotionLimits:
     angular_speed: float = 1.6
     linear_acceleration: float = 1.2
     angular_acceleration: float = 5.0
+    joint_speed: float = 0.8
     stall_position: float = 0.0065
     stall_rotation: float = 0.045
     stall_ticks: int = 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,9 +19,22 @@ Observation = Mapping[str, Any]
 ``pixels["front"]`` (H, W, 3) where images are observed."""
 
 
+class RepeatedPointsWarning(UserWarning):
+    """A cloud has fewer points than it was asked for, and repeats them."""
+
+
 def workspace_cloud(points_in_base: Cloud, workspace: Workspace, num_points: int) -> Cloud:
-    """Crops (M, 3) to the workspace and orders ``num_points`` of it farthest first. -> (num_points, 3)."""
-    return farthest_point_order(points_in_base[workspace.contains(points_in_base)], num_points)
+    """Crops (M, 3) to the workspace and orders ``num_points`` of it farthest first. -> (num_points, 3).
+
+    Where the workspace has fewer points they are repeated from the start, which `RepeatedPointsWarning` tells: a view
+    that something blocks must not end an episode.
+    """
+    inside = points_in_base[workspace.contains(points_in_base)]
+    if len(inside) < num_points:
+        # The same words each time, so that Python's filter tells it once and not at every key frame.
+        text = f"The camera sees fewer than num_points={num_points} points in the workspace; the cloud repeats them."
+        warnings.warn(text, RepeatedPointsWarning, stacklevel=2)
+    return farthest_point_order(inside, num_points)
 
 
 def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -38,6 +38,9 @@ class Gantry:
         error = pose_error(self.tcp_in_base(qpos), goal)
         return IKResult(qpos, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
 
+    def canonical(self, goal: Any) -> IKResult:
+        return self.solve(goal, START)
+
     def read(self) -> ArmState:
         return ArmState(self.qpos.copy(), self.qvel.copy(), self.fingers.copy())
 

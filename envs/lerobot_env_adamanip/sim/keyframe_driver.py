@@ -12,7 +12,7 @@ from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, MotionLimits, Outcome
 from lerobot_adamanip.rotations import angle_between, interpolate, pose_from_vector
 from lerobot_adamanip.schema import ACTION_DIM
-from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, pose_error
+from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, joint_path, pose_error
 
 Array = NDArray[np.float64]
 
@@ -85,6 +85,8 @@ class KeyframeDriver:
         self.moving_closed = was_closed and not self._is_near(goal, MOVED_POSITION, MOVED_ROTATION)
         self._finger_target = finger_goal
         outcome = self._follow(goal)
+        if outcome is Outcome.UNREACHABLE and self._finger_target >= FINGER_HALF:
+            outcome = self._go_round(goal)
         if outcome is Outcome.REACHED:
             outcome = self._settle(goal, self.limits.grip_ticks if gripper_moves else 0)
         self.effort = self._torque(self._read())
@@ -133,6 +135,22 @@ class KeyframeDriver:
                 if not solution.within(0.01, 0.06):
                     return Outcome.UNREACHABLE
             if self._advance(solution.qpos):
+                return Outcome.STALLED
+            if self._ticks >= self.limits.max_ticks:
+                return Outcome.TIMEOUT
+        return Outcome.REACHED
+
+    def _go_round(self, goal: Array) -> Outcome:
+        """Moves in joint space to the posture in which the goal is reached from rest.
+
+        A straight line may lead the elbow into a corner from which no straight line leads back: from far left, every
+        goal would be out of reach until the next reset. Only an open hand goes round, a closed one may hold something.
+        """
+        posture = self.kinematics.canonical(goal)
+        if not posture.within(0.01, 0.06):
+            return Outcome.UNREACHABLE
+        for target in joint_path(self._target, posture.qpos, self.limits.joint_speed * self._dt):
+            if self._advance(target):
                 return Outcome.STALLED
             if self._ticks >= self.limits.max_ticks:
                 return Outcome.TIMEOUT

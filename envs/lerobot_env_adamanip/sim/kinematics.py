@@ -80,6 +80,10 @@ class ArmKinematics:
         full = self._model.compute_single_link_local_jacobian(np.concatenate([qpos, self._fingers]), self._tcp)
         return np.asarray(full, dtype=np.float64)[:, :NUM_ARM_JOINTS]
 
+    def canonical(self, goal: Array) -> IKResult:
+        """Returns the posture for ``goal`` (4, 4) that is nearest to rest, wherever the arm is now."""
+        return self.solve(goal, self.rest, iterations=120, posture_steps=60)
+
     def solve(
         self, goal: Array, start: Array, *, iterations: int = 40, posture_steps: int = 1, tolerance: float = 1e-4
     ) -> IKResult:
@@ -107,6 +111,12 @@ class ArmKinematics:
             qpos = np.clip(qpos + step, self.lower, self.upper)
         error = pose_error(self.tcp_in_base(qpos), goal)
         return IKResult(qpos, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
+
+
+def joint_path(start: Array, end: Array, largest_step: float) -> Array:
+    """Returns postures (K, 7) on a straight line in joint space, without ``start``, at most so far apart [rad]."""
+    steps = max(1, int(np.ceil(np.abs(end - start).max() / largest_step)))
+    return start + np.linspace(0.0, 1.0, steps + 1)[1:, None] * (end - start)
 
 
 def pose_error(actual: Array, goal: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.building import build_object, sapien_pose
 
-CAMERA = "front"
+CAMERA, IMAGE_CAMERA = "front", "front_image"
+"""What observes, and what takes its image where that is larger than what is rendered for the cloud."""
 CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
 """Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
 FIELD_OF_VIEW = float(np.deg2rad(52))
@@ -84,12 +86,20 @@ def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:
     scene.add_directional_light([0.6, -0.8, -0.6], [0.6, 0.62, 0.7])
 
 
-def front_camera(rng: np.random.Generator, shift: float, *, size: int, shader: str) -> CameraConfig:
-    """Returns the camera that observes: eye and target drawn within ``shift`` [m] of their places along each axis."""
+def front_cameras(
+    rng: np.random.Generator, shift: float, *, sizes: Mapping[str, int], shader: str
+) -> list[CameraConfig]:
+    """Returns the camera that observes, once for each name and size [px].
+
+    Eye and target are drawn within ``shift`` [m] of their places along each axis.
+    """
     eye = np.asarray(CAMERA_EYE) + rng.uniform(-shift, shift, 3)
     target = np.asarray(CAMERA_TARGET) + rng.uniform(-shift, shift, 3)
     pose = sapien_utils.look_at(eye, target)
-    return CameraConfig(CAMERA, pose, size, size, FIELD_OF_VIEW, 0.01, 10, shader_pack=shader)
+    return [
+        CameraConfig(name, pose, size, size, FIELD_OF_VIEW, 0.01, 10, shader_pack=shader)
+        for name, size in sizes.items()
+    ]
 
 
 def person_camera() -> CameraConfig:

@@ -18,7 +18,7 @@ from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.keyframes import Feedback
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_env_adamanip.sim.camera import camera_parameters, capture
+from lerobot_env_adamanip.sim.camera import RENDER_SIZE, camera_parameters, capture, resized, take_image
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
@@ -27,7 +27,7 @@ from lerobot_env_adamanip.sim.placement import Placement, draw_placement, random
 from lerobot_env_adamanip.sim.render_device import resolve_render_backend
 from lerobot_env_adamanip.sim.rendering import keep_shaders
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
-from lerobot_env_adamanip.sim.scene import CAMERA, ObjectScene, add_lights, front_camera, person_camera
+from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 from lerobot_env_adamanip.sim.touch import HandTouch
 
@@ -120,6 +120,8 @@ class AdaManipTask(BaseEnv):
     def observe(self) -> SimObservation:
         """Renders, and returns what is seen and felt at this moment."""
         image, points = capture(self.scene, self._sensors[CAMERA])
+        own = self._sensors.get(IMAGE_CAMERA)
+        image = resized(image, self._image_size) if own is None else take_image(own)
         arm = self.arm_state()
         return SimObservation(image, points, arm.qpos, arm.qvel, self.effort, self.feedback)
 
@@ -168,7 +170,7 @@ class AdaManipTask(BaseEnv):
 
     def camera_parameters(self) -> CameraParameters:
         """Returns the front camera's parameters in this episode."""
-        return camera_parameters(self._sensors[CAMERA])
+        return camera_parameters(self._sensors[CAMERA], self._image_size)
 
     # ManiSkill's life cycle -------------------------------------------------------------------------------------
 
@@ -180,7 +182,15 @@ class AdaManipTask(BaseEnv):
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
         rng, shift = self._stream(_CAMERA_STREAM), self.randomization.camera_position
-        return [front_camera(rng, shift, size=self._image_size, shader=self._shader)]
+        return front_cameras(rng, shift, sizes=self._camera_sizes, shader=self._shader)
+
+    @property
+    def _camera_sizes(self) -> dict[str, int]:
+        """Plain ManiSkill observes by itself, at the size it asked for; a cloud of key frames does not depend on it."""
+        if self._obs_mode != "none":
+            return {CAMERA: self._image_size}
+        larger = {IMAGE_CAMERA: self._image_size} if self._image_size > RENDER_SIZE else {}
+        return {CAMERA: RENDER_SIZE, **larger}
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
