@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 out=${OUT:-outputs/demo}
-safes=${SAFES:-0:4} episodes=${EPISODES:-25} steps=${STEPS:-1800} evaluate=${EVALUATE:-30}
+safes=${SAFES:-0:4} episodes=${EPISODES:-25} steps=${STEPS:-1800} evaluate=${EVALUATE:-40}
 bin=.venv/bin
 export HF_HUB_OFFLINE=1 TOKENIZERS_PARALLELISM=false
 say() { printf '\n== %s\n' "$*"; }
@@ -35,7 +35,7 @@ fi
 say "4/5  Evaluating on scenes it has not seen, with lerobot-eval"
 rm -rf "$out/eval" "$out/eval.jsonl"
 "$bin/lerobot-eval" --policy.path="$checkpoint/pretrained_model" --policy.device=cpu \
-    --env.type=adamanip_safe --env.objects="$safes" --env.episode_log="$out/eval.jsonl" \
+    --env.type=adamanip_safe --env.objects="$safes" --env.split=test --env.episode_log="$out/eval.jsonl" \
     --eval.n_episodes="$evaluate" --eval.batch_size=2 --output_dir="$out/eval"
 
 say "5/5  What came of it"
