@@ -69,13 +69,18 @@ class KeyframeDriver:
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
 
     def execute(self, action: NDArray[np.float32]) -> Feedback:
-        """Runs one key frame and returns what was felt. The arm's targets end where the arm is.
+        """Runs one key frame and returns what was felt.
+
+        A motion that was given up ends under strain, and that moment is what state, cloud and effort tell, as the
+        external torque of a robot that still leans does; the next key frame begins by giving the strain up.
 
         Raises:
             ConfigurationError: the action has the wrong shape, or is not finite.
         """
         goal, gripper = self.goal = self._checked(action)
         self._ticks = self._strained = 0
+        if self.feedback.failed:
+            self._relax()
         finger_goal = self._finger_goal(gripper)
         gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
         limits = self.limits
@@ -90,7 +95,6 @@ class KeyframeDriver:
         if outcome is Outcome.REACHED:
             outcome = self._settle(goal, self.limits.grip_ticks if gripper_moves else 0)
         self.effort = self._torque(self._read())
-        self._relax(outcome)
         self.feedback = self._feedback(outcome)
         self.closing = self.moving_closed = False
         return self.feedback
@@ -180,12 +184,11 @@ class KeyframeDriver:
         self._strained = self._strained + 1 if strained else 0
         return self._strained >= self.limits.stall_ticks
 
-    def _relax(self, outcome: Outcome) -> None:
-        """Gives up what could not be reached: the next key frame starts from where the arm is, without strain."""
-        if outcome is not Outcome.REACHED:
-            for _ in range(8):
-                self._target = self._read().qpos.copy()
-                self._tick(self._target, np.zeros(NUM_ARM_JOINTS))
+    def _relax(self) -> None:
+        """Gives up what could not be reached: a key frame starts from where the arm is, without strain."""
+        for _ in range(8):
+            self._target = self._read().qpos.copy()
+            self._tick(self._target, np.zeros(NUM_ARM_JOINTS))
 
     def _tick(self, target: Array, velocity: Array) -> None:
         """One control tick; the fingers' target moves no faster than fingers do."""
