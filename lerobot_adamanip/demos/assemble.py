@@ -14,12 +14,12 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip import files, schema
 from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl
+from lerobot_adamanip.demos.card import dataset_card
 from lerobot_adamanip.demos.collection import assembling, manifest_path
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.manifest import Manifest, write_manifest
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.hub.cards import dataset_card
 
 _VIDEO_FILE_MB = 25
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
@@ -69,33 +69,45 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
     files.remove_tree(folder)
     files.crash_point("assembly begun")
     dataset = _create(folder, contents.manifest, read_shard(contents.shards[0]), contents.repo_id)
-    records: list[dict[str, Any]] = []
-    lengths: list[int] = []
-    for number, path in enumerate(contents.shards):
-        episode = read_shard(path)
-        _append(dataset, episode)
-        records.append(episode.record)
-        lengths.append(len(episode))
-        files.crash_point("episode assembled")
-        progress(number + 1, len(contents.shards))
-    dataset.finalize()
+    records, lengths = _append_all(dataset, contents.shards, progress)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
-    card = dataset_card(
-        folder,
-        root.name,
-        manifest=contents.manifest,
-        records=records,
-        attempts=contents.attempts,
-        repo_id=contents.repo_id,
-    )
-    (folder / "README.md").write_text(card)
+    _write_card(folder, root.name, contents, records)
     files.crash_point("dataset described")
     files.sync_tree(folder)
     files.crash_point("dataset synced")
     read_back(folder, lengths)
     files.crash_point("dataset verified")
     return folder
+
+
+def _append_all(
+    dataset: Any, shards: list[Path], progress: Callable[[int, int], None]
+) -> tuple[list[dict[str, Any]], list[int]]:
+    """Writes all episodes; returns their records and their numbers of rows."""
+    records: list[dict[str, Any]] = []
+    lengths: list[int] = []
+    for number, path in enumerate(shards):
+        episode = read_shard(path)
+        _append(dataset, episode)
+        records.append(episode.record)
+        lengths.append(len(episode))
+        files.crash_point("episode assembled")
+        progress(number + 1, len(shards))
+    dataset.finalize()
+    return records, lengths
+
+
+def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[str, Any]]) -> None:
+    card = dataset_card(
+        folder,
+        name,
+        manifest=contents.manifest,
+        records=records,
+        attempts=contents.attempts,
+        repo_id=contents.repo_id,
+    )
+    (folder / "README.md").write_text(card)
 
 
 def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str) -> Any:

@@ -96,8 +96,7 @@ def collect(
         job = RecordingJob(spec, factories, paths, options.max_attempts, manifest.fingerprint)
         results = _record(job, options, listener)
         recording = time.monotonic() - begin
-        failures = tuple(_reasons(each) for each in results if not each.report.kept)
-        _require_all(failures, options)
+        failures = _require_all(results, options)
         files.crash_point("all recorded")
         _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
         summary = summarize(paths.root, spec, results, begin=begin, recording=recording, failures=failures)
@@ -198,7 +197,9 @@ def _reasons(result: ItemResult) -> str:
     return f"{result.item}: {reasons}"
 
 
-def _require_all(failures: tuple[str, ...], options: CollectOptions) -> None:
+def _require_all(results: list[ItemResult], options: CollectOptions) -> tuple[str, ...]:
+    """Returns why episodes were given up; raises `DatasetError` if any was and `options` allow none."""
+    failures = tuple(_reasons(each) for each in results if not each.report.kept)
     if failures and not options.allow_missing:
         raise DatasetError(
             f"{len(failures)} episodes could not be recorded.",
@@ -206,6 +207,7 @@ def _require_all(failures: tuple[str, ...], options: CollectOptions) -> None:
             allowed=f"a success within {options.max_attempts} attempts each",
             hint="the same command with a larger --max-attempts, or --allow-missing to do without",
         )
+    return failures
 
 
 def _publish(

@@ -187,19 +187,9 @@ def attempt_episode(
     seed = request.seed
     observation, actions = _started(env, spec, make_expert, request)
     hidden, camera = env.hidden_state(), env.camera_parameters()
-    expert = make_expert(
-        category_of(request.object_id),
-        spec.expert,
-        env.annotations,
-        trials=spec.trials,
-        generator=np.random.default_rng([seed, _EXPERT_STREAM]),
-        hidden=hidden if spec.expert == "static" else None,
-        preset=spec.expert_preset,
-        mechanism_preset=spec.environment.mechanism_preset,
-        positions=env.part_positions() if len(actions) else None,
-        feedback=env.feedback if len(actions) else None,
-    )
-    recorder = EpisodeRecorder(_failed_tries(env) if len(actions) else 0)
+    late = bool(len(actions))
+    expert = _expert(env, spec, make_expert, request, late=late)
+    recorder = EpisodeRecorder(_failed_tries(env) if late else 0)
 
     def observe(key_frame: Any) -> None:
         recorder.record(key_frame)
@@ -223,8 +213,26 @@ def attempt_episode(
         "versions": dict(versions()),
         "fingerprint": combined(env.fingerprint()),
     }
-    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, bool(len(actions)))
+    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
     return attempt, RecordedEpisode(recorder.columns(), record)
+
+
+def _expert(
+    env: KeyframeEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest, *, late: bool
+) -> KeyFrames:
+    """Returns the expert of an episode; one that starts late sees where the parts stand and what the hand feels."""
+    return make_expert(
+        category_of(request.object_id),
+        spec.expert,
+        env.annotations,
+        trials=spec.trials,
+        generator=np.random.default_rng([request.seed, _EXPERT_STREAM]),
+        hidden=env.hidden_state() if spec.expert == "static" else None,
+        preset=spec.expert_preset,
+        mechanism_preset=spec.environment.mechanism_preset,
+        positions=env.part_positions() if late else None,
+        feedback=env.feedback if late else None,
+    )
 
 
 def _failed_tries(env: KeyframeEnvironment) -> int:

@@ -106,25 +106,39 @@ def replay(
         seen, success = _run(env, recording, progress)
     finally:
         env.close()
-    differences = {
-        key: float(max(np.abs(frame[key] - recording.columns[key][t]).max() for t, frame in enumerate(seen)))
-        for key in _COMPARED
-    }
     if video is not None:
-        recorded = recording.columns[schema.FRONT_IMAGE]
-        pairs = [np.concatenate([recorded[t], frame[schema.FRONT_IMAGE]], axis=1) for t, frame in enumerate(seen)]
-        write_video(video, pairs, schema.FPS)
+        _write_side_by_side(video, recording, seen)
+    return _compared(episode, recording, seen, success, changed)
+
+
+def _compared(
+    episode: int, recording: _Recording, seen: list[dict[str, NDArray[Any]]], success: bool, changed: tuple[str, ...]
+) -> ReplayResult:
     return ReplayResult(
         episode=episode,
         object_id=recording.object_id,
         seed=recording.seed,
         key_frames=len(recording.columns[schema.ACTION]) - 1,
         replayed=len(seen) - 1,
-        differences=differences,
+        differences=_differences(recording, seen),
         success=success,
         recorded_success=recording.success,
         changed=changed,
     )
+
+
+def _differences(recording: _Recording, seen: list[dict[str, NDArray[Any]]]) -> dict[str, float]:
+    """Returns the largest difference of each column that is compared."""
+    return {
+        key: float(max(np.abs(frame[key] - recording.columns[key][t]).max() for t, frame in enumerate(seen)))
+        for key in _COMPARED
+    }
+
+
+def _write_side_by_side(video: str | Path, recording: _Recording, seen: list[dict[str, NDArray[Any]]]) -> None:
+    recorded = recording.columns[schema.FRONT_IMAGE]
+    pairs = [np.concatenate([recorded[t], frame[schema.FRONT_IMAGE]], axis=1) for t, frame in enumerate(seen)]
+    write_video(video, pairs, schema.FPS)
 
 
 def _require_content(manifest: Manifest, object_id: str, assets: str | Path) -> None:

@@ -92,8 +92,8 @@ class ResultFile:
         return {"schema": 1, **asdict(self)}
 
 
-def check_command(command: str) -> None:
-    """Raises `ConfigurationError` for a command that cannot be published: one with a path of this machine."""
+def check_command(command: str) -> str:
+    """Returns a command that can be published; raises `ConfigurationError` if it holds a path of this machine."""
     if PRIVATE_PATH.search(command):
         raise ConfigurationError(
             "A command in a result file must run elsewhere.",
@@ -101,6 +101,7 @@ def check_command(command: str) -> None:
             allowed="paths relative to the repository's root, no addresses, no users",
             hint="--command 'lerobot-eval --policy.path=outputs/train/... '",
         )
+    return command
 
 
 def make_result(
@@ -126,12 +127,11 @@ def make_result(
         scenes: their split.
         seconds: it took.
     """
-    check_command(command)
     commit, changed = _commit()
     return ResultFile(
         kind=kind,
         title=title,
-        command=command,
+        command=check_command(command),
         commit=commit,
         changed=changed,
         fingerprint=fingerprint,

@@ -14,6 +14,7 @@ from demos_helpers import make_spec
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.demos.card import COLUMNS
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.fingerprint import combined
 from lerobot_adamanip.hub import cards
@@ -34,7 +35,7 @@ def test_its_front_matter_is_what_the_hub_reads(card: str) -> None:
 def test_every_column_is_described(card: str) -> None:
     for key in schema.dataset_features():
         assert f"| `{key}` |" in card
-    assert set(cards.COLUMNS) == set(schema.dataset_features())
+    assert set(COLUMNS) == set(schema.dataset_features())
 
 
 def test_its_numbers_are_those_of_the_dataset(published: Path, card: str) -> None:

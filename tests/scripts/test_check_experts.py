@@ -161,9 +161,8 @@ def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
     result = read_result(path)
     assert result.command == "python scripts/check_experts.py --category safe"
     assert result.fingerprint == check_common.present_fingerprint()
-    assert [(row.subject, row.objects, row.episodes) for row in result.rows] == [
-        ("adaptive", "seen", 4), ("static", "seen", 4), ("adaptive", "novel", 4), ("static", "novel", 4),
-    ]  # fmt: skip
+    rows = [("adaptive", "seen", 4), ("static", "seen", 4), ("adaptive", "novel", 4), ("static", "novel", 4)]
+    assert [(row.subject, row.objects, row.episodes) for row in result.rows] == rows
     assert all(row.hidden == {"locked": (2, 2), "unlocked": (2, 2)} for row in result.rows)
 
 

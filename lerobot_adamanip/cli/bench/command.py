@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,25 +106,25 @@ class Bench:
         results["reader"] = stage("dataset reader", lambda: learning.reading(root, items=16, repeats=repeats))
         presets = ("fast", "paper") if self.paper_training else ("fast",)
         results["training"] = {
-            name: stage(
-                f"training steps, {name}",
-                lambda name=name: learning.training(  # type: ignore[misc]
-                    root, name, batch_size=self.batch_size, repeats=repeats if name == "fast" else 1, device=self.device
-                ),
-            )
+            name: stage(f"training steps, {name}", partial(self._train, root, name, repeats if name == "fast" else 1))
             for name in presets
         }
         results["action_ms"] = {
-            name: stage(
-                f"actions, {name}",
-                lambda name=name, number=number: learning.acting(  # type: ignore[misc]
-                    root, name, batch_sizes=(1, 10), repeats=number, device=self.device
-                ),
-            )
+            name: stage(f"actions, {name}", partial(self._act, root, name, number))
             for name, number in (("fast", 3 * repeats), *((("paper", 1),) if not self.quick else ()))
         }
         results["seconds"] = round(time.monotonic() - begin, 1)
         return results
+
+    def _train(self, root: Path, preset: str, repeats: int) -> Any:
+        from lerobot_adamanip.cli.bench import learning
+
+        return learning.training(root, preset, batch_size=self.batch_size, repeats=repeats, device=self.device)
+
+    def _act(self, root: Path, preset: str, repeats: int) -> Any:
+        from lerobot_adamanip.cli.bench import learning
+
+        return learning.acting(root, preset, batch_sizes=(1, 10), repeats=repeats, device=self.device)
 
 
 def finish(results: Results) -> Results:
