@@ -92,10 +92,13 @@ def make_expert(
     _check_knowledge(require_choice("expert", kind, EXPERT_KINDS), trials, hidden)
     if hidden is not None:
         return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
-    theirs = require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and expert.upstream
     known = Knowledge(annotations, fixed_direction(category, mechanism_preset))
-    frames = theirs.adaptive(hand, known) if theirs else expert.adaptive(hand, known)
-    return _started(hand, annotations, feedback, frames)
+    return _started(hand, annotations, feedback, _adaptive(expert, preset)(hand, known))
+
+
+def _adaptive(expert: Expert, preset: str) -> Callable[[Hand, Knowledge], KeyFrames]:
+    theirs = require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and expert.upstream
+    return theirs.adaptive if theirs else expert.adaptive
 
 
 def _check_knowledge(kind: str, trials: int, hidden: Hidden | None) -> None:

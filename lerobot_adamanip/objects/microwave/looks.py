@@ -259,22 +259,32 @@ def handle_shapes(
     if style == "fin":
         return (chamfered_box((x / 2, y, z), (x / 2 + 0.008, radius, half), 0.003, material),)
     if style == "ball bar":
-        tips = [np.array([x, y, z + s * half]) for s in (-1, 1)]
-        balls = [rod(tip, tip - (0, 0, 5e-4), 1.5 * radius, material) for tip in tips]
-        stems = [rod((0.0, y, tip[2]), tip, 0.75 * radius, material) for tip in tips]
-        return (rod(tips[0], tips[1], radius, material), *balls, *stems)
+        return _ball_bar(grip, half, radius, material)
     if style == "pull":
         bar = plate((x, y, z), (0.010, radius, half), radius, material, bevel=0.003)
         posts = [box((x / 2, y, z + s * (half - 0.020)), (x / 2, radius, 0.018), material) for s in (-1, 1)]
         return (bar, *posts)
     if style == "bow":
-        roots = [np.array([0.0, y, z + s * half]) for s in (-1, 1)]
-        ends = [np.array([x, y, z + s * 0.5 * half]) for s in (-1, 1)]
-        knees = [np.array([0.78 * x, y, z + s * 0.8 * half]) for s in (-1, 1)]
-        arms = [rod(a, b, radius, material) for i in (0, 1) for a, b in ((roots[i], knees[i]), (knees[i], ends[i]))]
-        return (rod(ends[0], ends[1], radius, material), *arms)
+        return _bow(grip, half, radius, material)
     ends = [np.array([x, y, z + s * half]) for s in (-1, 1)]
     posts = [
         rod((0.0, y, z + s * (half - 0.014)), (x, y, z + s * (half - 0.014)), 0.7 * radius, material) for s in (-1, 1)
     ]
     return (rod(ends[0], ends[1], radius, material, round_ends=False), *posts)
+
+
+def _ball_bar(grip: tuple[float, float, float], half: float, radius: float, material: Material) -> tuple[Shape, ...]:
+    x, y, z = grip
+    tips = [np.array([x, y, z + s * half]) for s in (-1, 1)]
+    balls = [rod(tip, tip - (0, 0, 5e-4), 1.5 * radius, material) for tip in tips]
+    stems = [rod((0.0, y, tip[2]), tip, 0.75 * radius, material) for tip in tips]
+    return (rod(tips[0], tips[1], radius, material), *balls, *stems)
+
+
+def _bow(grip: tuple[float, float, float], half: float, radius: float, material: Material) -> tuple[Shape, ...]:
+    x, y, z = grip
+    roots = [np.array([0.0, y, z + s * half]) for s in (-1, 1)]
+    ends = [np.array([x, y, z + s * 0.5 * half]) for s in (-1, 1)]
+    knees = [np.array([0.78 * x, y, z + s * 0.8 * half]) for s in (-1, 1)]
+    arms = [rod(a, b, radius, material) for i in (0, 1) for a, b in ((roots[i], knees[i]), (knees[i], ends[i]))]
+    return (rod(ends[0], ends[1], radius, material), *arms)

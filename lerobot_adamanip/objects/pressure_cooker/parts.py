@@ -104,14 +104,18 @@ def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     return tuple(shapes + _valve_shapes(design, top) + _lid_handle_shapes(design, edge, top))
 
 
+def _safety_plug(design: PressureCookerDesign, low: float) -> list[Shape]:
+    """The small plug beside the valve; it stands at the height ``low`` [m]."""
+    along, side = 0.05 * design.radius, -0.42 * design.radius
+    return [
+        upright((along, side, low), 0.009, 0.007, design.accent),
+        upright((along, side, low + 0.007), 0.0045, 0.002, design.steel, collides=False),
+    ]
+
+
 def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
     black, steel = Material((0.02, 0.02, 0.022), 0.5), design.steel
-    side = -0.42 * design.radius
-    low = top - 0.004
-    shapes = [  # the safety plug, apart from the valve
-        upright((0.05 * design.radius, side, low), 0.009, 0.007, design.accent),
-        upright((0.05 * design.radius, side, low + 0.007), 0.0045, 0.002, steel, collides=False),
-    ]
+    shapes = _safety_plug(design, top - 0.004)
     if design.valve_style == "bell":
         shapes += [
             upright((0, 0, top), 0.006, 0.008, steel),

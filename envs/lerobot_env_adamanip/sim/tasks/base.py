@@ -81,20 +81,7 @@ class AdaManipTask(BaseEnv):
         sim_backend: str = "auto",
         **kwargs: Any,
     ) -> None:
-        if sim_backend not in CPU_BACKENDS:
-            raise ConfigurationError(
-                "AdaManip tasks need CPU physics: their joint limits change while they run.",
-                got=f"sim_backend={sim_backend!r}",
-                allowed=", ".join(CPU_BACKENDS),
-                hint="leave sim_backend out",
-            )
-        if num_envs != 1:
-            raise ConfigurationError(
-                "AdaManip tasks run one environment per process.",
-                got=f"num_envs={num_envs}",
-                allowed="1",
-                hint="gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
-            )
+        _require_one_on_cpu(sim_backend, num_envs)
         self.object_ids, self._assets = select_objects(self.category, objects, assets), assets
         self.randomization = randomization(poses)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
@@ -286,3 +273,20 @@ class AdaManipTask(BaseEnv):
         """1 while the success conditions hold."""
         reward: torch.Tensor = info["success"].float()
         return reward
+
+
+def _require_one_on_cpu(sim_backend: str, num_envs: int) -> None:
+    if sim_backend not in CPU_BACKENDS:
+        raise ConfigurationError(
+            "AdaManip tasks need CPU physics: their joint limits change while they run.",
+            got=f"sim_backend={sim_backend!r}",
+            allowed=", ".join(CPU_BACKENDS),
+            hint="leave sim_backend out",
+        )
+    if num_envs != 1:
+        raise ConfigurationError(
+            "AdaManip tasks run one environment per process.",
+            got=f"num_envs={num_envs}",
+            allowed="1",
+            hint="gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
+        )
