@@ -92,11 +92,13 @@ def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
 
 
 @pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval")])
-def test_lerobot_commands_parse(words: list[str]) -> None:
+def test_lerobot_commands_parse(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import draccus
 
     import lerobot_env_adamanip  # noqa: F401  (as LeRobot does with every installed plugin)
 
+    write_asset_safe(tmp_path / "assets" / "safe" / "sa1")
+    monkeypatch.chdir(tmp_path)  # the documents say `assets` for the reader's own folder
     kind, arguments = lerobot_config(words)
     if "--resume=true" in arguments:  # the rest is in the checkpoint's file
         arguments += ["--dataset.repo_id=local/x", "--policy.type=dp3_adaptive"]

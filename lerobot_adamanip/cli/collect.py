@@ -9,9 +9,7 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-
-import tyro
+from typing import Literal
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.catalog import select_objects
@@ -109,7 +107,8 @@ class Collect:
     json: bool = False
     """Print one JSON object when done. Progress goes to stderr."""
 
-    pose_preset: Annotated[str | None, tyro.conf.Suppress] = None
+    pose_preset: str | None = None
+    """Name of --poses in version 0.1: says what to give instead."""
 
     def run(self) -> int:
         """Collects, and publishes if asked to; 0 when the dataset is complete, 130 after Ctrl-C."""

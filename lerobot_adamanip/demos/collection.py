@@ -191,6 +191,7 @@ DECIDING = (
 """Options of an environment that a manifest holds."""
 NOT_DECIDING = (
     "category", "objects", "assets", "observe_images", "split", "seed_offset", "render_backend", "episode_log",
+    "run_id", "run_label",
 )  # fmt: skip
 """Options that it does not: category and objects stand beside them, images and split are the same for every
-collection, a path is of one machine, and the fingerprint tells the renderer."""
+collection, a path is of one machine, a run is of an evaluation, and the fingerprint tells the renderer."""
