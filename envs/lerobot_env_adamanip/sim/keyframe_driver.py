@@ -24,6 +24,10 @@ MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
 """A goal nearer than this is where the hand is already [m, rad]."""
 
 
+LEANING_SPEED = 0.5
+"""An arm that has stalled and whose joints are slower than this leans against something [rad/s]."""
+
+
 @dataclass
 class ArmState:
     """What the joints tell. Arrays are (7,) but ``fingers`` (2,): [rad], [rad/s], [m]."""
@@ -64,6 +68,7 @@ class KeyframeDriver:
         self._ticks = self._strained = 0
         # Whether this key frame only closes the fingers, or moves a hand that is closed: see `MechanismDriver`.
         self.closing = self.moving_closed = False
+        self._leans = False
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
@@ -71,15 +76,16 @@ class KeyframeDriver:
     def execute(self, action: NDArray[np.float32]) -> Feedback:
         """Runs one key frame and returns what was felt.
 
-        A motion that was given up ends under strain, and that moment is what state, cloud and effort tell, as the
-        external torque of a robot that still leans does; the next key frame begins by giving the strain up.
+        A motion that stalled ends at rest under strain, and that moment is what state, cloud and effort tell, as the
+        external torque of a robot that still leans does; the next key frame begins by giving the strain up. An arm that
+        was stopped on its way, or flung off, is braked first.
 
         Raises:
             ConfigurationError: the action has the wrong shape, or is not finite.
         """
         goal, gripper = self.goal = self._checked(action)
         self._ticks = self._strained = 0
-        if self.feedback.failed:
+        if self._leans:
             self._relax()
         finger_goal = self._finger_goal(gripper)
         gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
@@ -94,6 +100,9 @@ class KeyframeDriver:
             outcome = self._go_round(goal)
         if outcome is Outcome.REACHED:
             outcome = self._settle(goal, self.limits.grip_ticks if gripper_moves else 0)
+        self._leans = outcome is Outcome.STALLED and np.abs(self._read().qvel).max() < LEANING_SPEED
+        if outcome is not Outcome.REACHED and not self._leans:
+            self._relax()
         self.effort = self._torque(self._read())
         self.feedback = self._feedback(outcome)
         self.closing = self.moving_closed = False
