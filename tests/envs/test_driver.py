@@ -38,6 +38,10 @@ class Gantry:
         error = pose_error(self.tcp_in_base(qpos), goal)
         return IKResult(qpos, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
 
+    @property
+    def rest(self) -> Any:
+        return START
+
     def canonical(self, goal: Any) -> IKResult:
         return self.solve(goal, START)
 

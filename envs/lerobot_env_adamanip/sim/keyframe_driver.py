@@ -24,6 +24,8 @@ MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
 """A goal nearer than this is where the hand is already [m, rad]."""
 
 
+FOLDED = 1.5
+"""A posture with a joint this far from rest folds the arm against itself, and no straight line leads back [rad]."""
 LEANING_SPEED = 0.5
 """An arm that has stalled and whose joints are slower than this leans against something [rad/s]."""
 
@@ -160,7 +162,8 @@ class KeyframeDriver:
         goal would be out of reach until the next reset. Only an open hand goes round, a closed one may hold something.
         """
         posture = self.kinematics.canonical(goal)
-        if not posture.within(0.01, 0.06):
+        folded = np.abs(posture.qpos - self.kinematics.rest).max() > FOLDED
+        if folded or not posture.within(0.01, 0.06):
             return Outcome.UNREACHABLE
         for target in joint_path(self._target, posture.qpos, self.limits.joint_speed * self._dt):
             if self._advance(target):
