@@ -33,13 +33,17 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
         crash_points: names of the moments before and after it takes its place.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with open(temporary, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    if crash_points is not None:
-        crash_point(crash_points[0])
-    os.replace(temporary, path)
+    try:
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        if crash_points is not None:
+            crash_point(crash_points[0])
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
     sync(path.parent)
     if crash_points is not None:
         crash_point(crash_points[1])

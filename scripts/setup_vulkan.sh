@@ -13,7 +13,7 @@ BACKPORTS_FILE=/etc/apt/sources.list.d/adamanip-backports.sources
 source scripts/setup_common.sh
 
 # In a process of its own: a broken driver may segfault instead of raising.
-renders() { timeout 180 .venv/bin/python -m lerobot_adamanip.cli.doctor.render_probe; }
+renders() { timeout 180 .venv/bin/python -m lerobot_env_adamanip.sim.render_probe; }
 
 # What is there already stays at its version: this machine's other programs are not ours to upgrade.
 install_libraries() { install --no-upgrade "${LIBRARIES[@]}"; }

@@ -6,7 +6,6 @@ import hashlib
 import io
 import logging
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.urdf import Geometry, broken, parse_xml
+from lerobot_adamanip.files import write_atomically
 
 logger = logging.getLogger(__name__)
 
@@ -289,8 +289,8 @@ def cache_folder() -> Path:
 def _store(path: Path, parts: list[NDArray[np.float64]]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as stream:
-            np.savez(cast(Any, stream), *parts)
-        Path(stream.name).replace(path)
+        content = io.BytesIO()
+        np.savez(cast(Any, content), *parts)
+        write_atomically(path, content.getvalue())
     except OSError as error:
         logger.warning("convex parts are not kept: %s", error)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.keyframes import PRE_GRASP, Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.keyframes import EMPTY_HAND, FOLLOWED, PRE_GRASP, Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.rotations import transform
 
@@ -20,10 +20,6 @@ leads there varies, so that a policy learns to correct the last 10 cm by what it
 APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
 """Share of `PRE_GRASP`, and of the jitter, of one approach after the other: the farther away, the nearer to the end of
 the arm's reach, where a path may not exist though both of its ends are within reach."""
-FOLLOWED = 0.5
-"""A part that has covered this share of a commanded motion follows; one that has not is blocked."""
-EMPTY_HAND = 0.05
-"""Finger opening below which nothing is between them: the grip was torn off."""
 OPEN_HAND = 0.9
 """Finger opening above which a hand holds nothing."""
 NEAR_PART = 0.06

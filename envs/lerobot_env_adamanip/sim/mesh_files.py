@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.objects import Shape
 
 MAX_CACHE_BYTES = 512 * 1024**2
@@ -79,9 +80,7 @@ def _write(path: Path, shape: Shape) -> None:
     corners = shape.vertices[shape.faces].reshape(-1, 3)
     flat = trimesh.Trimesh(corners, np.arange(shape.faces.size).reshape(-1, 3), process=False)
     content = str(flat.export(file_type="obj", include_normals=True)).rstrip().encode() + b"\n"
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as stream:
-        stream.write(content + _SEAL + hashlib.sha256(content).hexdigest().encode() + b"\n")
-    Path(stream.name).replace(path)
+    write_atomically(path, content + _SEAL + hashlib.sha256(content).hexdigest().encode() + b"\n")
 
 
 @functools.lru_cache(maxsize=4096)

@@ -2,8 +2,8 @@
 
 That PyTorch finds a GPU does not say that Vulkan does: a container for computing often has none of NVIDIA's drivers
 for graphics. A picture is the only proof, and a broken driver may crash or hang instead of raising, so the picture is
-taken in a process of its own (``python -m lerobot_env_adamanip.sim.render_device``). The answer is kept in the user's
-cache for this machine, driver and SAPIEN. Importing this imports no simulator.
+taken in a process of its own (`render_probe`). The answer is kept in the user's cache for this machine, driver and
+SAPIEN. Importing this imports no simulator.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ from pathlib import Path
 from typing import Literal, cast
 
 from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip.files import write_atomically
 
 RenderBackend = Literal["cuda", "cpu"]
 RENDER_BACKENDS = ("auto", "cuda", "cpu")
+MANISKILL_NAMES = {"cuda": "gpu", "cpu": "cpu"}
+"""What ManiSkill calls the backends."""
+PROBE = "lerobot_env_adamanip.sim.render_probe"
 PROBE_SECONDS = 90.0
 """A first picture compiles its shaders: 8 s of two slow cores. What takes this long hangs."""
 _DRIVER = Path("/proc/driver/nvidia/version")
 _ENVIRONMENT = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "VK_ICD_FILENAMES", "VK_DRIVER_FILES")
-_SIZE = 32
 
 
 def resolve_render_backend(wanted: str = "auto", probe: Callable[[], bool] | None = None) -> RenderBackend:
@@ -72,7 +75,7 @@ def _has_gpu() -> bool:
 
 def _takes_a_picture(command: tuple[str, ...] = (), seconds: float = PROBE_SECONDS) -> bool:
     """Runs the probe in a process that may crash, or is ended when it hangs."""
-    command = command or (sys.executable, "-m", __spec__.name)
+    command = command or (sys.executable, "-m", PROBE, "cuda")
     quiet = subprocess.DEVNULL
     try:
         done = subprocess.run(command, check=False, stdin=quiet, stdout=quiet, stderr=quiet, timeout=seconds)
@@ -105,34 +108,7 @@ def _read(path: Path) -> dict[str, bool]:
 
 
 def _write(path: Path, answers: dict[str, bool]) -> None:
-    half = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
+    # A cache that cannot be written costs the next process a probe.
+    with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        half.write_text(json.dumps(answers), encoding="utf-8")
-        half.replace(path)
-    except OSError:
-        # A cache that cannot be written costs the next process a probe.
-        with contextlib.suppress(OSError):
-            half.unlink()
-
-
-def _render_box() -> None:
-    """Renders a red box on the GPU; raises `RuntimeError` if the picture does not show it."""
-    import sapien
-
-    scene = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(sapien.Device("cuda"))])
-    scene.set_ambient_light([0.5, 0.5, 0.5])
-    box = scene.create_actor_builder()
-    box.add_box_visual(half_size=[0.1, 0.1, 0.1], material=[1.0, 0.0, 0.0])
-    box.build_static(name="box")
-    camera = scene.add_camera("probe", _SIZE, _SIZE, 1.0, 0.01, 10.0)
-    camera.entity.set_pose(sapien.Pose([-0.5, 0.0, 0.0]))
-    scene.update_render()
-    camera.take_picture()
-    red, green, blue = (float(value) for value in camera.get_picture("Color")[_SIZE // 2, _SIZE // 2, :3])
-    if not red > 0.2 > max(green, blue):
-        raise RuntimeError(f"the rendered box is not red: {red:.2f}, {green:.2f}, {blue:.2f}")
-
-
-if __name__ == "__main__":
-    _render_box()
+        write_atomically(path, json.dumps(answers).encode())

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import sapien
-import torch
 from mani_skill.envs.scene import ManiSkillScene
 from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
 from mani_skill.utils import sapien_utils
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.errors import no_vulkan_device
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.building import build_object
+from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
 
 FIELD_OF_VIEW = np.deg2rad(26)
 OVERSAMPLING = 2
@@ -85,7 +85,7 @@ def _camera_side(obj: ArticulatedObject) -> float:
 
 def _studio(obj: ArticulatedObject) -> ManiSkillScene:
     """A scene with a floor that has no end, soft light from everywhere, and a lamp that casts a shadow."""
-    backend = parse_sim_and_render_backend("physx_cpu", "gpu" if torch.cuda.is_available() else "cpu")
+    backend = parse_sim_and_render_backend("physx_cpu", MANISKILL_NAMES[resolve_render_backend()])
     try:
         raw = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(backend.render_device)])
     except RuntimeError as error:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import HUGE, broken
 from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
 from lerobot_adamanip.rotations import transform
 
@@ -116,16 +115,7 @@ def save_annotation(path: Path, annotation: Annotation) -> None:
         },
     }
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".json.part", delete=False) as stream:
-        try:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-            Path(stream.name).chmod(0o644)  # temporary files are private; this one is data
-            Path(stream.name).replace(path)
-        except BaseException:
-            Path(stream.name).unlink(missing_ok=True)
-            raise
+    write_atomically(path, text.encode())
 
 
 def pose_from_json(value: Any) -> Pose:

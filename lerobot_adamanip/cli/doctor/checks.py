@@ -144,7 +144,7 @@ def check_vulkan() -> Check:
 
 def check_rendering() -> Check:
     """A frame rendered by SAPIEN."""
-    ok, answer = run_probe("lerobot_adamanip.cli.doctor.render_probe")
+    ok, answer = run_probe("lerobot_env_adamanip.sim.render_probe")
     overridden = [f"{k}={os.environ[k]}" for k in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES") if os.environ.get(k)]
     advice = f"{VULKAN_ADVICE}. Set here: {', '.join(overridden)}" if overridden else VULKAN_ADVICE
     return Check("SAPIEN renders", ok, f"on {answer}" if ok else answer, advice)

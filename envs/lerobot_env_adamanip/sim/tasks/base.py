@@ -24,7 +24,7 @@ from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
 from lerobot_env_adamanip.sim.observation import CameraParameters, SimObservation
 from lerobot_env_adamanip.sim.placement import Placement, draw_placement, randomization
-from lerobot_env_adamanip.sim.render_device import resolve_render_backend
+from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
 from lerobot_env_adamanip.sim.rendering import keep_shaders
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
@@ -88,7 +88,7 @@ class AdaManipTask(BaseEnv):
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._shader = image_size, shader
         kwargs.setdefault("reconfiguration_freq", 1)
-        device = {"cuda": "gpu", "cpu": "cpu"}[resolve_render_backend(render_backend)]
+        device = MANISKILL_NAMES[resolve_render_backend(render_backend)]
         super().__init__(
             *args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", render_backend=device, **kwargs
         )

@@ -1,12 +1,14 @@
 """Renders one small frame with SAPIEN and checks its pixels: the only proof that rendering works.
 
 `sapien.Device.can_render()` says False for Mesa's lavapipe, which does render. Run this in a process of its own
-(`python -m lerobot_adamanip.cli.doctor.render_probe`): a broken driver may crash instead of raising. Prints the device.
+(``python -m lerobot_env_adamanip.sim.render_probe [cuda|cpu ...]``): a broken driver may crash instead of raising.
+Prints the first device that renders; tried are those named, or the GPU, then the CPU.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 SIZE = 32
 """Side of the probe's image [pixels]."""
@@ -36,19 +38,19 @@ def render_box(backend: str) -> str:
     return f"{backend} ({device.name})" if device.name != backend else backend
 
 
-def main() -> int:
-    """Tries the GPU, then the CPU; exit status 0 if one of them renders."""
+def main(backends: Sequence[str]) -> int:
+    """Tries one backend after the other; exit status 0 if one of them renders."""
     failures = []
-    for backend in ("cuda", "cpu"):
+    for backend in backends or ("cuda", "cpu"):
         try:
-            print(render_box(backend))
+            sys.stdout.write(f"{render_box(backend)}\n")
         except (RuntimeError, ImportError) as error:
             failures.append(f"{backend}: {error}")
         else:
             return 0
-    print("; ".join(failures), file=sys.stderr)
+    sys.stderr.write("; ".join(failures) + "\n")
     return 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
