@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.schema import ACTION, POINT_CLOUD, POSE_NAMES, SKIP_VIDEOS
+from lerobot_adamanip.schema import ACTION, LATEST_ONLY, POINT_CLOUD, POSE_NAMES, SKIP_VIDEOS
 
 TESTED = {"0.6.1": "e594c630a264f01d"}
 """LeRobot version -> hash of its reader's source, for which `FastDatasetReader` was written and tested."""
@@ -104,6 +104,14 @@ def skip_videos(dataset_meta: Any) -> None:
     The mark is an attribute of the metadata, so it travels with the dataset into data-loading processes.
     """
     setattr(dataset_meta, SKIP_VIDEOS, True)
+
+
+def read_latest_only(dataset_meta: Any, *keys: str) -> None:
+    """Marks observations of which a policy looks at the latest step alone, however long the window of others is.
+
+    LeRobot asks for the same steps of every observation: a memory of poses would read as many clouds.
+    """
+    setattr(dataset_meta, LATEST_ONLY, tuple(keys))
 
 
 def item_milliseconds(dataset: Any, indices: Iterable[int]) -> float:

@@ -17,7 +17,7 @@ import torch
 from lerobot.datasets.dataset_reader import DatasetReader
 from numpy.typing import NDArray
 
-from lerobot_adamanip.schema import SKIP_VIDEOS
+from lerobot_adamanip.schema import LATEST_ONLY, SKIP_VIDEOS
 
 _DEPTH_UNITS = "_image_depth_units"
 
@@ -126,7 +126,8 @@ class FastDatasetReader(DatasetReader):
         start, end = self._tables().bounds[ep_idx]
         queries: dict[str, list[int]] = {}
         padding: dict[str, torch.Tensor] = {}
-        for key, deltas in self.delta_indices.items():
+        for key, asked in self.delta_indices.items():
+            deltas = asked[-1:] if key in getattr(self._meta, LATEST_ONLY, ()) else asked
             queries[key] = [max(start, min(end - 1, abs_idx + delta)) for delta in deltas]
             padding[f"{key}_is_pad"] = torch.BoolTensor([not start <= abs_idx + delta < end for delta in deltas])
         return queries, padding

@@ -51,6 +51,8 @@ FPS = 4
 
 SKIP_VIDEOS = "_adamanip_skip_videos"
 """Attribute of a LeRobot dataset's metadata: no reader of it looks at videos."""
+LATEST_ONLY = "_adamanip_latest_only"
+"""Attribute of a LeRobot dataset's metadata: keys of whose windows nobody looks at more than the last step."""
 LABEL_DTYPES = {
     PHASE: "int64", TRIAL: "int64", OUTCOME: "int64", TRIED: "int64", FAILED: "bool", PROGRESS: "float32",
     SUCCESS: "bool", DONE: "bool",

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
@@ -27,14 +28,17 @@ def make_policy(**options: Any) -> Any:
         schema.STATE: PolicyFeature(FeatureType.STATE, (schema.STATE_DIM,)),
     }
     config.output_features = {schema.ACTION: PolicyFeature(FeatureType.ACTION, (schema.ACTION_DIM,))}
-    return DP3AdaptivePolicy(config)
+    policy = DP3AdaptivePolicy(config)
+    if policy.config.head == "anchors":
+        policy.fit_anchors(np.random.default_rng(0).normal(size=(40, 1, 7)).astype(np.float32))
+    return policy
 
 
 def half_precision_step(policy: Any) -> tuple[Any, Any]:
     """A loss and an action, under autocast."""
     batch = {
         schema.POINT_CLOUD: torch.rand(2, 1, 32, 3),
-        schema.STATE: torch.rand(2, 1, schema.STATE_DIM),
+        schema.STATE: torch.rand(2, policy.config.observed_steps, schema.STATE_DIM),
         schema.ACTION: torch.rand(2, policy.config.n_action_history_steps + policy.config.horizon, schema.ACTION_DIM),
     }
     batch["action_is_pad"] = torch.zeros(batch[schema.ACTION].shape[:2], dtype=torch.bool)
@@ -42,7 +46,7 @@ def half_precision_step(policy: Any) -> tuple[Any, Any]:
         loss, _ = policy.forward(batch)
         loss.backward()
         policy.eval()
-        action = policy.select_action({key: batch[key][:, 0] for key in (schema.POINT_CLOUD, schema.STATE)})
+        action = policy.select_action({key: batch[key][:, -1] for key in (schema.POINT_CLOUD, schema.STATE)})
     return loss, action
 
 
@@ -53,15 +57,16 @@ def _nothing_known() -> Iterator[None]:
     mixed_precision.mixed_precision_problem.cache_clear()
 
 
-def test_a_policy_trains_and_acts_in_half_precision_exactly_where_the_probe_says_so() -> None:
+@pytest.mark.parametrize("preset", ["fast", "diffusion"])
+def test_a_policy_trains_and_acts_in_half_precision_exactly_where_the_probe_says_so(preset: str) -> None:
     if mixed_precision.mixed_precision_problem("cpu") is None:
-        loss, action = half_precision_step(make_policy(use_amp=True))
+        loss, action = half_precision_step(make_policy(preset=preset, use_amp=True))
         assert torch.isfinite(loss)
         assert action.dtype == torch.float32
         assert torch.isfinite(action).all()
     else:
         with pytest.raises(ConfigurationError, match=r"--policy.use_amp=false"):
-            make_policy(use_amp=True)
+            make_policy(preset=preset, use_amp=True)
 
 
 @pytest.mark.usefixtures("_nothing_known")

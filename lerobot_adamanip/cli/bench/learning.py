@@ -47,6 +47,8 @@ def open_for(root: Path, config: Any, *, fast: bool, videos: bool) -> Any:
         lerobot_compat.apply()
     if not videos:
         lerobot_compat.skip_videos(dataset.meta)
+        if config.head == "anchors":
+            lerobot_compat.read_latest_only(dataset.meta, POINT_CLOUD)
     return dataset
 
 
@@ -75,13 +77,13 @@ def make_policy(root: Path, preset: str, *, device: str) -> tuple[Any, Any, Any,
 
     meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
     config = make_config(preset, meta.features, device=device)
-    policy = DP3AdaptivePolicy(config, dataset_stats=meta.stats).to(device)
+    policy = DP3AdaptivePolicy(config, dataset_stats=meta.stats, dataset_meta=meta).to(device)
     before, after = make_dp3_adaptive_pre_post_processors(config, meta.stats)
     return policy, before, after, open_for(root, config, fast=True, videos=False)
 
 
 def training(root: Path, preset: str, *, batch_size: int, repeats: int, device: str) -> dict[str, Any]:
-    """Returns a training step's time by stage [ms]; ``encoder`` and ``unet`` are forward and backward together."""
+    """Returns a training step's time by stage [ms]; ``encoder`` and ``head`` are forward and backward together."""
     policy, before, _, dataset = make_policy(root, preset, device=device)
     policy.train()
     preset_ = policy.config.get_optimizer_preset()
@@ -108,33 +110,32 @@ def training(root: Path, preset: str, *, batch_size: int, repeats: int, device: 
 
 
 def _learn(policy: Any, batch: Batch, watch: Stopwatch, device: str) -> None:
-    """Forward and backward, cut at the conditioning vector, so that encoder and U-Net can be timed apart."""
+    """Forward and backward, cut behind the cloud's encoder, so that it and the rest can be timed apart."""
     cut: list[tuple[torch.Tensor, torch.Tensor]] = []
-    encoder_watch = Stopwatch()
+    encoder_watch, whole_watch, encoder = Stopwatch(), Stopwatch(), policy.model.encoder
 
-    def condition(*args: Any) -> torch.Tensor:
+    def encode(*args: Any) -> torch.Tensor:
         with encoder_watch.stage("forward"):
-            whole = type(policy).condition(policy, *args)
+            whole = type(encoder).forward(encoder, *args)
             _synchronise(device)
         cut.append((whole, whole.detach().requires_grad_()))
         return cut[0][1]
 
-    whole_watch = Stopwatch()
-    policy.condition = condition
+    encoder.forward = encode
     try:
         with whole_watch.stage("step"):
             loss, _ = policy.forward(batch)
             loss.backward()
             _synchronise(device)
     finally:
-        del policy.condition
+        del encoder.forward
     encoded, leaf = cut[0]
     with encoder_watch.stage("backward"):
         torch.autograd.backward(encoded, leaf.grad)
         _synchronise(device)
     forward, backward = (encoder_watch.laps[name][0] for name in ("forward", "backward"))
     watch.laps.setdefault("encoder", []).append(forward + backward)
-    watch.laps.setdefault("unet", []).append(whole_watch.laps["step"][0] - forward)
+    watch.laps.setdefault("head", []).append(whole_watch.laps["step"][0] - forward)
 
 
 def acting(root: Path, preset: str, *, batch_sizes: tuple[int, ...], repeats: int, device: str) -> dict[str, float]:

@@ -41,55 +41,79 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Set by itself: name and shape of the action, from the dataset.
     output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
 
-    # Observed steps, the present one included (fast 1, paper 4).
+    # What draws the next actions: anchors, typical motions corrected, or diffusion, as in the paper
+    # (fast anchors, diffusion diffusion, paper diffusion).
+    head: str = from_preset()
+
+    # Observed steps, the present one included; the head anchors looks at one (fast 1, diffusion 1, paper 4).
     n_obs_steps: int = from_preset()
-    # Past actions that the policy is conditioned on; 0 for none (fast 8, paper 4).
+    # Past actions that the policy is conditioned on; 0 for none (fast 16, diffusion 8, paper 4).
     n_action_history_steps: int = from_preset()
-    # Actions generated at once (fast 4, paper 4).
+    # Actions generated at once (fast 1, diffusion 4, paper 4).
     horizon: int = from_preset()
-    # Of those, executed before the next are generated (fast 1, paper 2).
+    # Of those, executed before the next are generated (fast 1, diffusion 1, paper 2).
     n_action_steps: int = from_preset()
 
-    # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 512, paper 4096).
+    # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 512, diffusion
+    # 512, paper 4096).
     num_points: int = from_preset()
-    # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, paper pointnet2).
+    # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, diffusion mlp,
+    # paper pointnet2).
     encoder: str = from_preset()
-    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, paper 64 128 256 512).
+    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, paper 64 128
+    # 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
-    # Features that a cloud is condensed to (fast 128, paper 128).
+    # Features that a cloud is condensed to (fast 128, diffusion 128, paper 128).
     encoder_out_dim: int = from_preset()
-    # Points also relative to the tool, history and chunk in positions relative to it (fast True, paper False).
-    # Takes effect where state and action are poses, named as this project's datasets name them.
+    # Points also relative to the tool, history and chunk in positions relative to it (fast True, diffusion True,
+    # paper False). Takes effect where state and action are poses, named as this project's datasets name them.
     tcp_relative: bool = from_preset()
-    # Proprioception: pose, which is tool pose and gripper, or full, joints too (fast pose, paper full).
+    # Proprioception: pose, which is tool pose and gripper, or full, joints too (fast pose, diffusion pose, paper
+    # full).
     proprioception: str = from_preset()
     # Look at the external joint torque too.
     use_effort: bool = False
 
-    # Channels of the U-Net's levels; it halves the chunk between levels (fast 128 256, paper 256 512 1024).
+    # Head anchors: typical motions of the demonstrations that are told apart.
+    num_anchors: int = 32
+    # Head anchors: size of what is remembered of the last n_action_history_steps events.
+    memory_dim: int = 64
+    # Head anchors: width of the layers behind cloud and memory.
+    trunk_dim: int = 256
+    # Head anchors: weight of the correction's loss beside that of the choice.
+    residual_weight: float = 1.0
+    # Head anchors, training only: points drawn from each cloud ...
+    training_points: int = 320
+    # ... and the standard deviation of the noise on them [m].
+    point_noise_std: float = 0.002
+
+    # Channels of the U-Net's levels; it halves the chunk between levels (fast 128 256, diffusion 128 256, paper 256
+    # 512 1024).
     down_dims: tuple[int, ...] = from_preset()
-    # Kernel of the U-Net's convolutions over time, odd (fast 3, paper 5).
+    # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, paper 5).
     kernel_size: int = from_preset()
     # Groups of the U-Net's group normalisation; divides every one of down_dims.
     n_groups: int = 8
-    # Size of the diffusion step's embedding (fast 64, paper 256).
+    # Size of the diffusion step's embedding (fast 64, diffusion 64, paper 256).
     diffusion_step_embed_dim: int = from_preset()
     # Whether the condition scales features besides shifting them (FiLM).
     use_film_scale_modulation: bool = True
     # Compute the U-Net's activations again in the backward pass: less memory, more time.
     gradient_checkpointing: bool = False
 
-    # Sampler: DDPM or DDIM (fast DDIM, paper DDPM).
+    # Sampler: DDPM or DDIM (fast DDIM, diffusion DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
     # Diffusion steps in training.
     num_train_timesteps: int = 100
-    # Denoising steps per chunk at run time (fast 10, paper 100).
+    # Denoising steps per chunk at run time (fast 10, diffusion 10, paper 100).
     num_inference_steps: int = from_preset()
     # Noise schedule, as diffusers names it.
     beta_schedule: str = "squaredcos_cap_v2"
-    # What the U-Net predicts: epsilon, the noise, or sample, the clean action as in DP3 (fast sample, paper epsilon).
+    # What the U-Net predicts: epsilon, the noise, or sample, the clean action as in DP3 (fast sample, diffusion
+    # sample, paper epsilon).
     prediction_type: str = from_preset()
-    # Bound of an action while sampling: normalised units, or 0.15 m where tcp_relative holds (fast 6.0, paper 1.0).
+    # Bound of an action while sampling: normalised units, or 0.15 m where tcp_relative holds (fast 6.0, diffusion
+    # 6.0, paper 1.0).
     clip_sample_range: float = from_preset()
 
     # The averaged weights' decay at step n is 1 - (1 + n)^-ema_power ...
@@ -97,13 +121,15 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # ... but at most this.
     ema_max: float = 0.9999
 
-    # Training only: scenes are shifted by up to this along each axis [m] (fast 0.03, paper 0.0) ...
+    # Training only: scenes are shifted by up to this along each axis [m] (fast 0.0, diffusion 0.03, paper 0.0) ...
     augmentation_translation: float = from_preset()
-    # ... and turned by up to this about the vertical [rad]; joint positions do not follow (fast 0.1, paper 0.0) ...
+    # ... and turned by up to this about the vertical [rad]; joint positions do not follow (fast 0.0, diffusion 0.1,
+    # paper 0.0) ...
     augmentation_yaw: float = from_preset()
     # ... through this point: x, y, z [m], robot base frame.
     augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
-    # Training only: standard deviation of noise on the history, normalised units (fast 0.02, paper 0.0).
+    # Training only: standard deviation of noise on the history, normalised units (fast 0.0, diffusion 0.02, paper
+    # 0.0).
     history_noise_std: float = from_preset()
 
     # Set by itself: whether state and action are poses, from the dataset's names.
@@ -111,15 +137,8 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Set by itself: names of the action's numbers, from the dataset; lerobot-rollout maps them to a robot's.
     action_feature_names: list[str] | None = None
 
-    # How each kind of feature is normalised; STATE and ACTION as MIN_MAX where tcp_relative holds.
-    normalization_mapping: dict[str, NormalizationMode] = field(
-        default_factory=lambda: {
-            "STATE": NormalizationMode.MIN_MAX,
-            "ENV": NormalizationMode.IDENTITY,
-            "VISUAL": NormalizationMode.IDENTITY,
-            "ACTION": NormalizationMode.MIN_MAX,
-        }
-    )
+    # How each kind of feature is normalised. Left open: STATE and ACTION not at all by the head anchors, else MIN_MAX.
+    normalization_mapping: dict[str, NormalizationMode] = field(default_factory=dict)
     # Publish the policy on the Hub when the training ends, under repo_id.
     push_to_hub: bool = True
     # Where on the Hub: user/name.
@@ -127,15 +146,15 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Licence of a published policy, as the Hub names it.
     license: str | None = "apache-2.0"
 
-    # Learning rate of AdamW (fast 0.0005, paper 0.0001).
+    # Learning rate of AdamW (fast 0.001, diffusion 0.0005, paper 0.0001).
     optimizer_lr: float = from_preset()
-    # Weight decay of AdamW (fast 1e-06, paper 1e-06).
+    # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, paper 1e-06).
     optimizer_weight_decay: float = from_preset()
     # Decay rates of AdamW's averages.
     optimizer_betas: tuple[float, float] = (0.95, 0.999)
     # Schedule of the learning rate, as diffusers names it.
     scheduler_name: str = "cosine"
-    # Steps until the full learning rate (fast 100, paper 500).
+    # Steps until the full learning rate (fast 100, diffusion 100, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
     def __post_init__(self) -> None:
@@ -146,6 +165,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         super().__post_init__()
 
     def _check(self) -> None:
+        require_choice("head", self.head, ("anchors", "diffusion"))
         require_choice("encoder", self.encoder, ("mlp", "pointnet2"))
         require_choice("proprioception", self.proprioception, ("pose", "full"))
         require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
@@ -167,17 +187,26 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             if getattr(self, name) is None:
                 setattr(self, name, value)
         self.values_from = self.preset
+        if not self.normalization_mapping:
+            mode = NormalizationMode.IDENTITY if self.head == "anchors" else NormalizationMode.MIN_MAX
+            none = NormalizationMode.IDENTITY
+            self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
 
     def _check_sizes(self) -> None:
         widths = tuple(self.down_dims)
         fits = widths and all(width > 0 and width % self.n_groups == 0 for width in widths) and self.kernel_size % 2
         sampled = 1 <= self.num_inference_steps <= self.num_train_timesteps
-        if not fits or not sampled or self.num_points < 1 or not self.encoder_dims:
-            got = ("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps")
+        anchored = min(self.num_anchors, self.memory_dim, self.trunk_dim, self.training_points) >= 1
+        if not fits or not sampled or not anchored or self.num_points < 1 or not self.encoder_dims:
+            got = [
+                *("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps"),
+                *("num_anchors", "memory_dim", "trunk_dim", "training_points"),
+            ]
             raise ConfigurationError(
                 "Sizes do not fit.",
                 got=", ".join(f"{name}={getattr(self, name)}" for name in got),
                 allowed="down_dims that n_groups divides, an odd kernel_size, num_points >= 1, some encoder_dims, "
+                "num_anchors, memory_dim, trunk_dim and training_points >= 1, "
                 f"1 <= num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
                 hint="--policy.preset=fast, and none of these",
             )
@@ -185,16 +214,18 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     def _check_normalization(self) -> None:
         """Relating poses to clouds undoes the normalisation, and knows how to for one kind only."""
         modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
-        if self.tcp_relative and any(mode is not NormalizationMode.MIN_MAX for mode in modes):
+        anchors = self.head == "anchors"
+        wanted = NormalizationMode.IDENTITY if anchors else NormalizationMode.MIN_MAX
+        if (anchors or self.tcp_relative) and any(mode is not wanted for mode in modes):
             raise ConfigurationError(
-                "tcp_relative does not go with this normalisation.",
+                f"{'The head anchors' if anchors else 'tcp_relative'} does not go with this normalisation.",
                 got=", ".join(map(str, modes)),
-                allowed="MIN_MAX for STATE and for ACTION",
-                hint="--policy.tcp_relative=false",
+                allowed=f"{wanted.name} for STATE and for ACTION",
+                hint="--policy.preset=diffusion --policy.tcp_relative=false",
             )
 
     def _check_horizon(self) -> None:
-        factor = 2 ** (len(self.down_dims) - 1)
+        factor = 1 if self.head == "anchors" else 2 ** (len(self.down_dims) - 1)
         fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
         if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
             got = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
@@ -205,11 +236,23 @@ class DP3AdaptiveConfig(PreTrainedConfig):
                 "n_obs_steps >= 1, n_action_history_steps >= 0",
                 hint="--policy.horizon=4 --policy.n_action_steps=1",
             )
+        if self.head == "anchors" and self.n_obs_steps != 1:
+            raise ConfigurationError(
+                "The head anchors looks at the present cloud alone.",
+                got=f"n_obs_steps={self.n_obs_steps}",
+                allowed="n_obs_steps=1; n_action_history_steps says how far back it remembers",
+                hint="--policy.preset=diffusion",
+            )
 
     @property
     def observation_delta_indices(self) -> list[int]:
         """Observation steps relative to the present."""
-        return list(range(1 - self.n_obs_steps, 1))
+        return list(range(1 - self.observed_steps, 1))
+
+    @property
+    def observed_steps(self) -> int:
+        """Observed steps that are kept: for the head anchors, also those before the remembered actions."""
+        return max(self.n_obs_steps, 1 + self.n_action_history_steps if self.head == "anchors" else 1)
 
     @property
     def action_delta_indices(self) -> list[int]:
@@ -256,8 +299,12 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     @property
     def state_dim(self) -> int:
         """Dimensions of the state that are used."""
-        full = int((self.input_features or {})[STATE].shape[0])
+        full = self.feature_size(STATE)
         return ACTION_DIM if self.proprioception == "pose" and self.has_pose_layout else full
+
+    def feature_size(self, key: str) -> int:
+        """Numbers of an input."""
+        return int((self.input_features or {})[key].shape[0])
 
     @property
     def has_pose_layout(self) -> bool:

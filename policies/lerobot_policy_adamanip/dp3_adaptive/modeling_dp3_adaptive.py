@@ -1,7 +1,7 @@
-"""``dp3_adaptive``: a diffusion policy over point clouds that remembers what it has tried.
+"""``dp3_adaptive``: a policy over point clouds that remembers what it has tried.
 
-Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. The cloud is encoded, joined with
-state and history into one vector, and modulates (FiLM) LeRobot's conditional U-Net, which denoises a chunk of actions.
+Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. What the cloud shows is joined with
+what is remembered, and a *head* draws the next actions: `diffusion`, the paper's, or `anchors`.
 """
 
 from __future__ import annotations
@@ -12,25 +12,22 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-import torch.nn.functional as F
-from diffusers.schedulers.scheduling_ddim import DDIMScheduler
-from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
-from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d
 from lerobot.policies.pretrained import PreTrainedPolicy
-from torch import Tensor, nn
+from numpy.typing import NDArray
+from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mixed_precision import require_mixed_precision
-from lerobot_adamanip.schema import ACTION, EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE
+from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead, demonstrated_motions, fit_anchors
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig, wrong_number_of_points
-from lerobot_policy_adamanip.encoders import make_encoder
+from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
+from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
+from lerobot_policy_adamanip.dp3_adaptive.window import Window
 
 ACTION_IS_PAD = "action_is_pad"
-RELATIVE_SCALE = 0.15
-"""Positions relative to the tool are given in this unit [m]: the length of a typical key frame."""
-BODY_RANGE = 3.0
-"""Bound of normalised proprioception; the demonstrations are within 1."""
 
 
 def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
@@ -78,27 +75,29 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
                 allowed="demonstrations",
                 hint="adamanip collect",
             )
+        if config.head == "anchors" and not config.has_pose_layout:
+            raise ConfigurationError(
+                "The head anchors moves a tool, and these actions are no poses of one.",
+                got=f"action {tuple(config.action_feature.shape)}",
+                allowed="the ten pose numbers of the contract, in action and in state",
+                hint="--policy.preset=diffusion",
+            )
         if config.tcp_relative and not config.has_pose_layout:
             logging.getLogger(__name__).warning(
                 "State and action are not the ten pose numbers of the contract: tcp_relative, augmentation and "
                 "orthonormalisation do not apply."
             )
         self.frames = PoseFrames(config, dataset_stats)
-        self.model = ActionDenoiser(config, self.frames.point_dim)
+        self.head = DiffusionHead(config, self.frames) if config.head == "diffusion" else AnchorHead(config)
+        self.model = self.head.network()
         # The averaged weights are part of the policy, so that they are saved, resumed and evaluated.
         self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
         self._ema_count: int | None = None  # known once `update` has read the buffer
         self.register_load_state_dict_post_hook(_forget_count)
-        scheduler = DDIMScheduler if config.noise_scheduler_type == "DDIM" else DDPMScheduler
-        self.noise_scheduler = scheduler(
-            num_train_timesteps=config.num_train_timesteps,
-            beta_schedule=config.beta_schedule,
-            prediction_type=config.prediction_type,
-            clip_sample=True,
-            clip_sample_range=config.clip_sample_range,
-        )
         self._meet_dataset(dataset_meta)
+        if dataset_meta is not None and config.head == "anchors":
+            self.fit_anchors(demonstrated_motions(dataset_meta, config.horizon))
         self.reset()
 
     @classmethod
@@ -116,9 +115,18 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
     def _meet_dataset(self, dataset_meta: Any) -> None:
         if dataset_meta is not None:
-            from lerobot_adamanip.lerobot_compat import skip_videos
+            from lerobot_adamanip.lerobot_compat import read_latest_only, skip_videos
 
             skip_videos(dataset_meta)
+            if self.config.head == "anchors":
+                read_latest_only(dataset_meta, POINT_CLOUD)
+
+    def fit_anchors(self, motions: NDArray[np.float32]) -> None:
+        """Takes the typical ones of demonstrated motions (M, T, 7) [m, rad, -] as an untrained policy's anchors."""
+        anchors, spread = fit_anchors(motions, self.config.num_anchors)
+        for model in (self.model, self.ema_model):
+            model.anchors.copy_(anchors)
+            model.spread.copy_(spread)
 
     def supports_rtc(self) -> bool:
         """No: real-time chunking asks for chunks only, so that the histories would never advance."""
@@ -140,25 +148,13 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
             reduction: ``mean``, or ``none`` for one loss per sample (B,).
         """
         past = self.config.n_action_history_steps
-        observations = self._observations(batch)
-        history, valid = batch[ACTION][:, :past], ~batch[ACTION_IS_PAD][:, :past]
-        if self.training and self.config.history_noise_std:
-            history = history + self.config.history_noise_std * torch.randn_like(history)
-        target = self.frames.to_relative(batch[ACTION][:, past:], observations[STATE][:, -1])
-        condition = self.condition(observations, history, valid)
-        noise = torch.randn_like(target)
-        steps = torch.randint(0, self.config.num_train_timesteps, (len(target),), device=target.device)
-        model = self._active_model()
-        predicted = model.unet(self.noise_scheduler.add_noise(target, noise, steps), steps, global_cond=condition)
-        # Padded labels repeat the episode's last action: they are no demonstrations, so they carry no loss.
-        wanted = noise if self.config.prediction_type == "epsilon" else target
-        real = (~batch[ACTION_IS_PAD][:, past:]).unsqueeze(-1).to(predicted.dtype)
-        error = F.mse_loss(predicted, wanted, reduction="none") * real
+        actions, padded = batch[ACTION], batch[ACTION_IS_PAD]
+        window = Window(self._observations(batch), actions[:, :past], ~padded[:, :past])
+        losses, weights, told = self.head.loss(self._active_model(), window, actions[:, past:], ~padded[:, past:])
         if reduction == "none":
-            loss = error.flatten(1).sum(1) / (real.flatten(1).sum(1) * error.shape[-1]).clamp(min=1)
-        else:
-            loss = error.sum() / (real.sum() * error.shape[-1]).clamp(min=1)
-        return loss, {}
+            return losses, {}
+        told = {name: float(value) for name, value in told.items()}
+        return (losses * weights).sum() / weights.sum().clamp(min=1), told
 
     @torch.no_grad()
     def update(self) -> None:
@@ -173,7 +169,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
     def reset(self) -> None:
         """Forgets the episode."""
-        self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.n_obs_steps)
+        self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.observed_steps)
         self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
         self._planned: deque[Tensor] = deque()
 
@@ -183,12 +179,12 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
         Args:
             batch: one observation, normalised: cloud (B, N, 3) [m], state (B, D). An ``action`` is ignored.
-            noise: what denoising starts from, (B, T, A); drawn if None.
+            noise: what the head draws with, (B, T, A); drawn if None.
             kwargs: ignored.
         """
         observation = self._single(batch)
         self._observed.append(observation)
-        while len(self._observed) < self.config.n_obs_steps:
+        while len(self._observed) < self.config.observed_steps:
             self._observed.append(observation)
         if not self._planned:
             chunk = self._generate(list(self._observed), noise)
@@ -200,10 +196,10 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
         """Returns the chunk (B, T, A) that would follow ``batch`` after what was observed and done; changes nothing."""
-        observed = deque(self._observed, maxlen=self.config.n_obs_steps)
+        observed = deque(self._observed, maxlen=self.config.observed_steps)
         observation = self._single(batch)
         observed.append(observation)
-        while len(observed) < self.config.n_obs_steps:
+        while len(observed) < self.config.observed_steps:
             observed.appendleft(observed[0])
         return self._generate(list(observed), noise)
 
@@ -220,43 +216,12 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
     def _generate(self, observed: list[dict[str, Tensor]], noise: Tensor | None) -> Tensor:
         observations = {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
-        state = observations[STATE]
-        history, valid = self.executed_history(len(state), state)
-        condition = self.condition(observations, history, valid)
-        shape = (len(state), self.config.horizon, self.config.action_feature.shape[0])
-        # In float32 under autocast too: ten steps of rounding would cost millimetres.
-        sample = torch.randn(shape, device=state.device, dtype=torch.float32) if noise is None else noise
-        self.noise_scheduler.set_timesteps(self.config.num_inference_steps)
-        unet = self._active_model().unet
-        for step in self.noise_scheduler.timesteps:
-            steps = torch.full((len(sample),), int(step), dtype=torch.long, device=sample.device)
-            predicted = unet(sample, steps, global_cond=condition)
-            sample = self.noise_scheduler.step(predicted.float(), step, sample).prev_sample
-        return self.frames.to_absolute(sample, state[:, -1])
+        window = Window(observations, *self.executed_history(len(observations[STATE]), observations[STATE]))
+        return self.head.sample(self._active_model(), window, noise)
 
     # Shared -----------------------------------------------------------------------------------------------------
 
-    def condition(self, observations: dict[str, Tensor], history: Tensor, valid: Tensor) -> Tensor:
-        """Returns the conditioning vector (B, C).
-
-        Args:
-            observations: cloud (B, S, N, 3) [m], state (B, S, D), effort (B, S, 7) if used.
-            history: normalised actions (B, H, A), oldest first. At an episode's start LeRobot pads it with the *label*:
-                whatever is not valid is zeroed here, so that neither training nor run time can see it.
-            valid: (B, H) bool.
-        """
-        state = observations[STATE]
-        points = self.frames.points(observations[POINT_CLOUD], state)
-        relative = self.frames.to_relative(history, state[:, -1])
-        past = torch.cat([relative.masked_fill(~valid[..., None], 0.0), valid[..., None].to(relative.dtype)], dim=-1)
-        body = [state[..., : self.config.state_dim]]
-        if self.config.use_effort:
-            body.append(observations[EFFORT])
-        # Dimensions that hardly vary in the demonstrations explode under MIN_MAX as soon as they do.
-        body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
-        return self._active_model().condition(points, torch.cat(body, dim=-1), past)
-
-    def _active_model(self) -> ActionDenoiser:
+    def _active_model(self) -> Any:
         """The trained weights in training mode, the averaged ones otherwise."""
         return self.model if self.training or int(self.ema_steps) == 0 else self.ema_model
 
@@ -320,102 +285,3 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         )
         card.text = own.rstrip() + "\n\n" + card.text.lstrip()
         return card
-
-
-class PoseFrames(nn.Module):
-    """The few constants that relate normalised states and actions to metres, so that clouds and poses can be related.
-
-    Set from dataset statistics when training starts, saved with the checkpoint.
-    """
-
-    def __init__(self, config: DP3AdaptiveConfig, stats: dict | None) -> None:
-        super().__init__()
-        self.relative = bool(config.tcp_relative) and config.has_pose_layout
-        for name, size, value in (
-            ("cloud_center", 3, 0.0),
-            ("cloud_scale", 1, 1.0),
-            ("state_center", 3, 0.0),
-            ("state_half", 3, 1.0),
-            ("action_center", 3, 0.0),
-            ("action_half", 3, 1.0),
-        ):
-            self.register_buffer(name, torch.full((size,), value))
-        if stats and POINT_CLOUD in stats:
-            lower, upper = _range(stats, POINT_CLOUD)
-            self.cloud_center.copy_((lower + upper) / 2)
-            self.cloud_scale.copy_(((upper - lower) / 2).max().clamp(min=1e-3))
-        self.set_pose_statistics(stats)
-
-    def set_pose_statistics(self, stats: dict | None) -> None:
-        """Sets what LeRobot's MIN_MAX normalises positions with: it must be the same as in the processors."""
-        if not stats or not self.relative:
-            return
-        for key, name in ((STATE, "state"), (ACTION, "action")):
-            lower, upper = _range(stats, key)
-            center, half = getattr(self, f"{name}_center"), getattr(self, f"{name}_half")
-            center.copy_((lower + upper) / 2)
-            # LeRobot replaces a range of zero by 1e-8; so does this, in float32.
-            half.copy_(torch.where(upper == lower, torch.full_like(upper, 1e-8), upper - lower) / 2)
-
-    @property
-    def point_dim(self) -> int:
-        """Numbers per point."""
-        return 6 if self.relative else 3
-
-    def tcp(self, state: Tensor) -> Tensor:
-        """Normalised states (..., D) -> tool positions (..., 3) [m]."""
-        return state[..., :3] * self.state_half + self.state_center
-
-    def points(self, cloud: Tensor, state: Tensor) -> Tensor:
-        """(B, S, N, 3) [m] -> (B, S, N, 3 or 6): centred and scaled, and relative to the tool."""
-        centred = (cloud - self.cloud_center) / self.cloud_scale
-        if not self.relative:
-            return centred
-        return torch.cat([centred, (cloud - self.tcp(state)[..., None, :]) / RELATIVE_SCALE], dim=-1)
-
-    def to_relative(self, actions: Tensor, state: Tensor) -> Tensor:
-        """Normalised actions (B, T, A) -> positions relative to the tool of ``state`` (B, D)."""
-        if not self.relative:
-            return actions
-        position = actions[..., :3] * self.action_half + self.action_center
-        return torch.cat([(position - self.tcp(state)[:, None]) / RELATIVE_SCALE, actions[..., 3:]], dim=-1)
-
-    def to_absolute(self, actions: Tensor, state: Tensor) -> Tensor:
-        """The inverse of `to_relative`."""
-        if not self.relative:
-            return actions
-        position = actions[..., :3] * RELATIVE_SCALE + self.tcp(state)[:, None]
-        return torch.cat([(position - self.action_center) / self.action_half, actions[..., 3:]], dim=-1)
-
-
-def _range(stats: dict, key: str) -> tuple[Tensor, Tensor]:
-    lower, upper = (torch.as_tensor(stats[key][name], dtype=torch.float32).reshape(-1)[:3] for name in ("min", "max"))
-    return lower, upper
-
-
-class ActionDenoiser(nn.Module):
-    """What is trained: cloud encoder, history encoder and LeRobot's conditional U-Net.
-
-    Args:
-        config: of the policy.
-        point_dim: numbers per point, as `PoseFrames` gives them.
-    """
-
-    def __init__(self, config: DP3AdaptiveConfig, point_dim: int) -> None:
-        super().__init__()
-        self.encoder = make_encoder(
-            config.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
-        )
-        body_dim = config.state_dim + (config.input_features[EFFORT].shape[0] if config.use_effort else 0)
-        past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)
-        self.history = nn.Sequential(nn.Linear(past_dim, 128), nn.Mish(), nn.Linear(128, 64)) if past_dim else None
-        condition_dim = config.n_obs_steps * (config.encoder_out_dim + body_dim) + (64 if past_dim else 0)
-        self.unet = DiffusionConditionalUnet1d(config, global_cond_dim=condition_dim)
-
-    def condition(self, points: Tensor, body: Tensor, past: Tensor) -> Tensor:
-        """(B, S, N, C), (B, S, D), (B, H, A + 1) -> (B, condition)."""
-        encoded = self.encoder(points.flatten(0, 1)).unflatten(0, points.shape[:2])
-        parts = [torch.cat([encoded, body], dim=-1).flatten(1)]
-        if self.history is not None:
-            parts.append(self.history(past.flatten(1)))
-        return torch.cat(parts, dim=-1)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.rotations import orthonormal_6d
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 Pipelines = tuple[
@@ -110,26 +111,6 @@ class OrthonormaliseStep(ProcessorStep):
     def transform_features(self, features: Features) -> Features:
         """Shapes stay."""
         return features
-
-
-def orthonormal_6d(rotation_6d: Tensor) -> Tensor:
-    """Returns the nearest rotation's first two rows. (..., 6) -> (..., 6).
-
-    Rows that vanish or are parallel are completed with a unit axis, as `lerobot_adamanip.rotations` does, so that a
-    policy that is still untrained never commands something that is no rotation.
-    """
-    first, second = rotation_6d[..., :3], rotation_6d[..., 3:]
-    axes = torch.eye(3, dtype=rotation_6d.dtype, device=rotation_6d.device)
-    first = _unit(first, axes[0].expand_as(first))
-    helper = torch.where(first[..., :1].abs() < 0.9, axes[0], axes[1])
-    spare = _unit(torch.linalg.cross(first, helper), axes[1].expand_as(first))
-    second = _unit(second - (first * second).sum(-1, keepdim=True) * first, spare)
-    return torch.cat([first, second], dim=-1)
-
-
-def _unit(vector: Tensor, fallback: Tensor) -> Tensor:
-    norm = vector.norm(dim=-1, keepdim=True)
-    return torch.where(norm > 1e-6, vector / norm.clamp(min=1e-6), fallback)
 
 
 def _about_z(angle: Tensor) -> Tensor:

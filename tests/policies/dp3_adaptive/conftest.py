@@ -17,6 +17,7 @@ REPO_ID = "local/tiny"
 EPISODE_LENGTHS = (9, 12, 8)
 NUM_POINTS = 64
 TINY: dict[str, Any] = {
+    "preset": "diffusion",
     "num_points": 32,
     "encoder_dims": (16, 24),
     "encoder_out_dim": 16,

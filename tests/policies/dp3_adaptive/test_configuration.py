@@ -54,14 +54,16 @@ def test_a_preset_fills_what_was_left_open_and_nothing_else(preset: str) -> None
         assert getattr(config, name) == given.get(name, value), name
 
 
-def test_both_presets_set_the_same_options() -> None:
-    assert PRESETS["fast"].keys() == PRESETS["paper"].keys()
+@pytest.mark.parametrize("preset", PRESETS)
+def test_all_presets_set_the_same_options(preset: str) -> None:
+    assert PRESETS["fast"].keys() == PRESETS[preset].keys()
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
     config = DP3AdaptiveConfig(
         preset=preset,
+        head="diffusion",
         horizon=8,
         num_points=77,
         encoder_dims=(8, 16),

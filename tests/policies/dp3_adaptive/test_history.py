@@ -26,15 +26,16 @@ class Spy:
 
     def __init__(self, policy: Any) -> None:
         self.seen: list[dict[str, torch.Tensor]] = []
-        original = policy.condition
+        original = policy.head.condition
 
-        def condition(observations: dict[str, torch.Tensor], history: Any, valid: Any) -> Any:
-            vector = original(observations, history, valid)
-            past = history.masked_fill(~valid[..., None], 0.0)
-            self.seen.append({**observations, "history": past, "valid": valid, "vector": vector.detach()})
+        def condition(model: Any, window: Any) -> Any:
+            vector = original(model, window)
+            past = window.history.masked_fill(~window.valid[..., None], 0.0)
+            seen = {**window.observations, "history": past, "valid": window.valid, "vector": vector.detach()}
+            self.seen.append(seen)
             return vector
 
-        policy.condition = condition
+        policy.head.condition = condition
 
 
 def _steer(policy: Any, actions: torch.Tensor) -> Callable[[int], None]:

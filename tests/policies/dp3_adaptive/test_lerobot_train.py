@@ -12,6 +12,7 @@ from safetensors import safe_open
 
 DP3 = (
     "--policy.type=dp3_adaptive",
+    "--policy.preset=diffusion",
     "--policy.num_points=32",
     "--policy.encoder_dims=[16,16]",
     "--policy.encoder_out_dim=16",

@@ -158,7 +158,7 @@ def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
     """What the policy calls relative is the difference of goal and tool in metres, as recorded."""
     changes = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0}
     policy, before, _, dataset = make_tiny(**changes)
-    from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import RELATIVE_SCALE
+    from lerobot_policy_adamanip.dp3_adaptive.pose_frames import RELATIVE_SCALE
 
     item = dataset[13]
     batch = batch_of(dataset, before, 13)

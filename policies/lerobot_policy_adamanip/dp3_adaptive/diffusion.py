@@ -1,0 +1,124 @@
+"""The head ``diffusion``: LeRobot's conditional U-Net denoises a chunk of actions (paper, section 4.2 and eq. 2)."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
+from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d
+from torch import Tensor, nn
+
+from lerobot_adamanip.schema import EFFORT, POINT_CLOUD, STATE
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
+from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.encoders import make_encoder
+
+BODY_RANGE = 3.0
+"""Bound of normalised proprioception; the demonstrations are within 1."""
+
+
+class ActionDenoiser(nn.Module):
+    """What is trained: cloud encoder, history encoder and LeRobot's conditional U-Net.
+
+    Args:
+        config: of the policy.
+        point_dim: numbers per point, as `PoseFrames` gives them.
+    """
+
+    def __init__(self, config: DP3AdaptiveConfig, point_dim: int) -> None:
+        super().__init__()
+        self.encoder = make_encoder(
+            config.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
+        )
+        body_dim = config.state_dim + (config.feature_size(EFFORT) if config.use_effort else 0)
+        past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)
+        self.history = nn.Sequential(nn.Linear(past_dim, 128), nn.Mish(), nn.Linear(128, 64)) if past_dim else None
+        condition_dim = config.n_obs_steps * (config.encoder_out_dim + body_dim) + (64 if past_dim else 0)
+        self.unet = DiffusionConditionalUnet1d(config, global_cond_dim=condition_dim)
+
+    def condition(self, points: Tensor, body: Tensor, past: Tensor) -> Tensor:
+        """(B, S, N, C), (B, S, D), (B, H, A + 1) -> (B, condition)."""
+        encoded = self.encoder(points.flatten(0, 1)).unflatten(0, points.shape[:2])
+        parts = [torch.cat([encoded, body], dim=-1).flatten(1)]
+        if self.history is not None:
+            parts.append(self.history(past.flatten(1)))
+        return torch.cat(parts, dim=-1)
+
+
+class DiffusionHead:
+    """Loss and sampling of an `ActionDenoiser`. States and actions are normalised.
+
+    Args:
+        config: of the policy.
+        frames: that relate what is normalised to metres.
+    """
+
+    def __init__(self, config: DP3AdaptiveConfig, frames: PoseFrames) -> None:
+        self.config, self.frames = config, frames
+        scheduler = DDIMScheduler if config.noise_scheduler_type == "DDIM" else DDPMScheduler
+        self.noise_scheduler = scheduler(
+            num_train_timesteps=config.num_train_timesteps,
+            beta_schedule=config.beta_schedule,
+            prediction_type=config.prediction_type,
+            clip_sample=True,
+            clip_sample_range=config.clip_sample_range,
+        )
+
+    def network(self) -> ActionDenoiser:
+        """Returns a network that is still untrained."""
+        return ActionDenoiser(self.config, self.frames.point_dim)
+
+    def loss(
+        self, model: ActionDenoiser, window: Window, actions: Tensor, real: Tensor
+    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Returns the denoising error per sample (B,), its weight (B,), and what to log, which is nothing more.
+
+        Args:
+            model: a network of this head.
+            window: what it is conditioned on.
+            actions: (B, T, A) normalised.
+            real: (B, T) bool. Padded labels repeat the episode's last action: they are no demonstrations.
+        """
+        if model.training and self.config.history_noise_std:
+            noisy = window.history + self.config.history_noise_std * torch.randn_like(window.history)
+            window = Window(window.observations, noisy, window.valid)
+        target = self.frames.to_relative(actions, window.observations[STATE][:, -1])
+        condition = self.condition(model, window)
+        noise = torch.randn_like(target)
+        steps = torch.randint(0, self.config.num_train_timesteps, (len(target),), device=target.device)
+        predicted = model.unet(self.noise_scheduler.add_noise(target, noise, steps), steps, global_cond=condition)
+        wanted = noise if self.config.prediction_type == "epsilon" else target
+        weight = real.sum(dim=1).to(predicted.dtype)
+        error = F.mse_loss(predicted, wanted, reduction="none") * real.unsqueeze(-1).to(predicted.dtype)
+        return error.flatten(1).sum(1) / (weight * error.shape[-1]).clamp(min=1), weight, {}
+
+    def sample(self, model: ActionDenoiser, window: Window, noise: Tensor | None) -> Tensor:
+        """Draws actions (B, T, A), normalised, from ``noise`` (B, T, A); drawn if None."""
+        state = window.observations[STATE]
+        condition = self.condition(model, window)
+        shape = (len(state), self.config.horizon, window.history.shape[-1])
+        # In float32 under autocast too: ten steps of rounding would cost millimetres.
+        sample = torch.randn(shape, device=state.device, dtype=torch.float32) if noise is None else noise
+        self.noise_scheduler.set_timesteps(self.config.num_inference_steps)
+        for step in self.noise_scheduler.timesteps:
+            steps = torch.full((len(sample),), int(step), dtype=torch.long, device=sample.device)
+            predicted = model.unet(sample, steps, global_cond=condition)
+            sample = self.noise_scheduler.step(predicted.float(), step, sample).prev_sample
+        return self.frames.to_absolute(sample, state[:, -1])
+
+    def condition(self, model: ActionDenoiser, window: Window) -> Tensor:
+        """Returns the conditioning vector (B, C)."""
+        observations, valid = window.observations, window.valid[..., None]
+        state = observations[STATE]
+        points = self.frames.points(observations[POINT_CLOUD], state)
+        relative = self.frames.to_relative(window.history, state[:, -1])
+        # What is not valid is the label: zeroed here, so that neither training nor run time can see it.
+        past = torch.cat([relative.masked_fill(~valid, 0.0), valid.to(relative.dtype)], dim=-1)
+        body = [state[..., : self.config.state_dim]]
+        if self.config.use_effort:
+            body.append(observations[EFFORT])
+        # Dimensions that hardly vary in the demonstrations explode under MIN_MAX as soon as they do.
+        body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
+        return model.condition(points, torch.cat(body, dim=-1), past)

@@ -1,0 +1,59 @@
+"""What was tried and what came of it: a memory of events, each a command together with what the arm did of it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from lerobot_policy_adamanip.dp3_adaptive.tool_frame import MOTION_DIM, MOTION_UNITS, motion_between
+
+UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
+"""What counts as one in what is left of a motion [m, m, m, rad, rad, rad, -]: so far off is an arm that is stopped."""
+EVENT_RANGE = 3.0
+EVENT_DIM = 2 * MOTION_DIM + 2
+
+
+def events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
+    """Returns what happened, one row per past key frame, seen from the tool as it stood then.
+
+    Args:
+        commands: (B, H, 10) poses commanded, oldest first.
+        poses: (B, H + 1, 10) tool poses before each command, and the present one.
+        valid: (B, H) bool; what is not valid (before the start) leaves no trace.
+
+    Returns:
+        (B, H, 16): motion commanded, motion left undone (both in units of their own), gripper reached, validity.
+    """
+    commanded = motion_between(commands, poses[:, :-1])
+    undone = motion_between(commands, poses[:, 1:])
+    undone = torch.cat([undone[..., :6], undone[..., 6:] - poses[:, 1:, 9:10]], dim=-1)
+    told = torch.cat(
+        [
+            commanded / commanded.new_tensor(MOTION_UNITS),
+            undone / undone.new_tensor(UNDONE_UNITS),
+            poses[:, 1:, 9:10],
+            torch.ones_like(commanded[..., :1]),
+        ],
+        dim=-1,
+    )
+    return told.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~valid[..., None], 0.0)
+
+
+class EventMemory(nn.Module):
+    """Reads `events` in order (a GRU): what failed before the last try counts as much as the last one.
+
+    Args:
+        dim: of what it remembers.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.embedding = nn.Sequential(nn.Linear(EVENT_DIM, dim), nn.ReLU())
+        self.gru = nn.GRU(dim, dim, batch_first=True)
+
+    def forward(self, happened: Tensor) -> Tensor:
+        """(B, H, 16) -> (B, dim)."""
+        known = happened[..., -1:]
+        _, last = self.gru(self.embedding(happened) * known)
+        remembered: Tensor = last[0]
+        return remembered

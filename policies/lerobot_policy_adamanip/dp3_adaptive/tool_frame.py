@@ -1,0 +1,61 @@
+"""Poses and points as the tool sees them: a motion is the same numbers wherever the object stands.
+
+A pose of the contract is position [m], rotation 6D and gripper (10); a *motion* is a pose seen from another one:
+position in that tool's frame [m], rotation vector in it [rad], gripper (7).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from lerobot_adamanip.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_policy_adamanip.rotations import matrix_from_6d, matrix_from_rotation_vector, rotation_vector
+
+MOTION_DIM = 7
+MOTION_UNITS = (0.05, 0.05, 0.05, 0.5, 0.5, 0.5, 1.0)
+"""What counts as one in each number of a motion [m, m, m, rad, rad, rad, -]: a typical motion in contact."""
+
+
+def _whole(function: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
+    """Without autocast: in half precision a position is known to centimetres."""
+
+    @functools.wraps(function)
+    def in_float32(first: Tensor, second: Tensor) -> Tensor:
+        with torch.autocast(first.device.type, enabled=False):
+            return function(first.float(), second.float())
+
+    return in_float32
+
+
+@_whole
+def motion_between(pose: Tensor, tool: Tensor) -> Tensor:
+    """Poses (..., 10) as seen from tool poses (..., 10), broadcast -> motions (..., 7)."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
+    moved = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
+    turned = frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
+    return torch.cat([moved.squeeze(-2), rotation_vector(turned), pose[..., GRIPPER_DIM : GRIPPER_DIM + 1]], dim=-1)
+
+
+@_whole
+def pose_after(motion: Tensor, tool: Tensor) -> Tensor:
+    """The inverse of `motion_between`: motions (..., 7) from tool poses (..., 10) -> poses (..., 10)."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
+    position = tool[..., POSITION_DIMS] + (frame @ motion[..., :3, None]).squeeze(-1)
+    rotation = frame @ matrix_from_rotation_vector(motion[..., 3:6])
+    return torch.cat([position, rotation[..., :2, :].flatten(-2), motion[..., 6:7]], dim=-1)
+
+
+@_whole
+def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
+    """Points (..., N, 3) [m, base frame] in the frame of tool poses (..., 10) -> (..., N, 3) [m]."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
+    return (cloud - tool[..., None, POSITION_DIMS]) @ frame
+
+
+def upwards(tool: Tensor) -> Tensor:
+    """The vertical as tool poses (..., 10) see it -> (..., 3): what a tool's frame alone does not tell."""
+    return matrix_from_6d(tool[..., ROTATION_DIMS])[..., 2, :]

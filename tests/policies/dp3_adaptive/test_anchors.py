@@ -1,0 +1,318 @@
+"""The head that draws a typical motion and corrects it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip.dp3_adaptive.anchors import LEAST_SPREAD, demonstrated_motions, fit_anchors
+from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
+from lerobot_policy_adamanip.dp3_adaptive.window import Window
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+ANCHORS: dict[str, Any] = {
+    "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
+    "training_points": 24,
+}  # fmt: skip
+
+
+@pytest.fixture
+def make_anchors(make_tiny: MakeTiny) -> MakeTiny:
+    """As `make_tiny`, with the head ``anchors``."""
+    return lambda **changes: make_tiny(**{**ANCHORS, **changes})
+
+
+def _window(policy: Any, batch: dict[str, Any]) -> tuple[Window, torch.Tensor, torch.Tensor]:
+    past = policy.config.n_action_history_steps
+    actions, padded = batch[schema.ACTION], batch["action_is_pad"]
+    window = Window(policy._observations(batch), actions[:, :past], ~padded[:, :past])
+    return window, actions[:, past:], ~padded[:, past:]
+
+
+# Anchors ------------------------------------------------------------------------------------------------------------
+
+
+def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
+    draw = np.random.default_rng(0)
+    middles = np.array([[0.018, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.5, 0], [0.1, 0, 0.1, 0, 0, 0, 1]], np.float32)
+    wide = np.array([0.0005, 0, 0, 0, 0, 0.05, 0], np.float32)
+    rows = np.concatenate([middle + wide * draw.normal(size=(300, 7)) for middle in middles])[:, None]
+    anchors, spread = fit_anchors(rows.astype(np.float32), 3)
+    for middle in middles:
+        away = (anchors - torch.from_numpy(middle)).abs()
+        nearest = int(away.sum(1).argmin())
+        assert (away[nearest] < torch.tensor([2e-4, 1e-6, 1e-6, 1e-6, 1e-6, 0.02, 1e-6])).all()
+        assert spread[nearest, 5] == pytest.approx(0.05, rel=0.2)
+        np.testing.assert_allclose(spread[nearest, :5], LEAST_SPREAD[:5])
+
+
+def test_few_motions_are_anchors_enough() -> None:
+    rows = np.random.default_rng(1).normal(size=(2, 1, 7)).astype(np.float32)
+    anchors, spread = fit_anchors(rows, 5)
+    assert anchors.shape == spread.shape == (5, 7)
+    assert torch.isfinite(anchors).all()
+    assert (spread >= torch.tensor(LEAST_SPREAD)).all()
+
+
+def test_motions_are_those_of_the_dataset(make_anchors: MakeTiny) -> None:
+    policy, _, _, dataset = make_anchors()
+    motions = demonstrated_motions(dataset.meta, 2)
+    assert motions.shape == (len(dataset), 2, 7)
+    item = dataset[4]
+    action, state = item[schema.ACTION][policy.config.n_action_history_steps], item[schema.STATE][-1]
+    frame = matrix_from_rotation_6d(state[3:9].numpy())
+    np.testing.assert_allclose(motions[4, 0, :3], (action[:3] - state[:3]).numpy() @ frame, atol=1e-5)
+    assert motions[4, 0, 6] == action[9]
+    # At an episode's end the last action stands in for what follows; the next episode's is none of its own.
+    np.testing.assert_allclose(motions[8, 0], motions[8, 1])
+    assert not np.allclose(motions[7, 0], motions[7, 1])
+
+
+def test_without_data_there_is_nothing_to_train(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    empty = DP3AdaptivePolicy(policy.config, dataset_stats=dataset.meta.stats)
+    with pytest.raises(ConfigurationError, match="anchors"):
+        empty.forward(batch_of(dataset, before, 3))
+    dataset.meta.root = Path("nowhere")
+    with pytest.raises(ConfigurationError, match="downloaded"):
+        DP3AdaptivePolicy(policy.config, dataset_meta=dataset.meta)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"n_obs_steps": 2}, "n_obs_steps"),
+        ({"horizon": 2, "n_action_steps": 3}, "horizon"),
+        ({"num_anchors": 0}, "num_anchors"),
+    ],
+)
+def test_what_the_head_cannot_do_is_refused(make_anchors: MakeTiny, changes: dict[str, Any], told: str) -> None:
+    with pytest.raises(AdaManipError, match=told):
+        make_anchors(**changes)
+
+
+# Training -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("changes", [{}, {"horizon": 3}, {"n_action_history_steps": 0}, {"use_effort": True},
+                                     {"encoder": "pointnet2"}])  # fmt: skip
+def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dict[str, Any]) -> None:
+    policy, before, _, dataset = make_anchors(**changes)
+    loss, told = policy.forward(batch_of(dataset, before, *range(0, 29, 2)))
+    assert torch.isfinite(loss)
+    assert not told or all(isinstance(value, float) for value in told.values())
+    loss.backward()
+    still = [name for name, weight in policy.model.named_parameters() if weight.grad is None or not weight.grad.any()]
+    assert not still
+
+
+def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    window, actions, real = _window(policy, batch_of(dataset, before, 2, 11))
+    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
+
+    motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10]).flatten(1)
+    unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
+    nearest = ((motion[:, None] - policy.model.anchors) * unit).square().sum(-1).argmin(1)
+    logits = torch.full((2, 6), -50.0).scatter(1, nearest[:, None], 50.0)
+    residuals = torch.zeros(2, 6, 7)
+    rows = torch.arange(2)
+    residuals[rows, nearest] = (motion - policy.model.anchors[nearest]) / policy.model.spread[nearest]
+    policy.head.predict = lambda *_, **__: (logits, residuals)
+    loss, _, _ = policy.head.loss(policy.model, window, actions, real)
+    torch.testing.assert_close(loss, torch.zeros(2), rtol=0, atol=1e-6)
+    drawn = policy.head.sample(policy.model, window, None)
+    torch.testing.assert_close(drawn, actions, rtol=0, atol=1e-4)
+    residuals[0, nearest[0], 0] += 1.0
+    assert policy.head.loss(policy.model, window, actions, real)[0][0] > 0.05
+
+
+def test_it_learns_what_it_is_shown(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors(point_noise_std=0.0, training_points=32)
+    batch = batch_of(dataset, before, 0, 5, 12)
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+    for _ in range(150):
+        optimizer.zero_grad()
+        policy.forward(batch)[0].backward()
+        optimizer.step()
+    policy.eval()
+    window, actions, _ = _window(policy, batch)
+    drawn = policy.head.sample(policy.model, window, None)
+    torch.testing.assert_close(drawn, actions, rtol=0, atol=0.02)
+
+
+def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    window, actions, real = _window(policy, batch_of(dataset, before, *[6] * 40))
+    state = window.observations[schema.STATE][:, -1, :10]
+    up = torch.where(torch.arange(40)[:, None, None] % 2 == 0, 0.03, -0.03)
+    actions = state[:, None] + up * torch.eye(10)[2]
+    rows = np.array([[[0.0, 0, 0, 0, 0, 0, float(state[0, 9])]]], np.float32)
+    frame = matrix_from_rotation_6d(state[0, 3:9].numpy())
+    motions = np.concatenate([rows, rows])
+    motions[0, 0, :3], motions[1, 0, :3] = 0.03 * frame[2], -0.03 * frame[2]
+    policy.fit_anchors(np.repeat(motions, 10, axis=0))
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+    for _ in range(60):
+        optimizer.zero_grad()
+        loss, *_ = policy.head.loss(policy.model, window, actions, real)
+        loss.mean().backward()
+        optimizer.step()
+    policy.eval()
+    torch.manual_seed(0)
+    height = policy.head.sample(policy.model, window, None)[:, 0, 2] - state[:, 2]
+    torch.testing.assert_close(height.abs(), torch.full((40,), 0.03), rtol=0, atol=0.004)
+    assert 8 <= int((height > 0).sum()) <= 32
+
+
+def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    window, *_ = _window(policy, batch_of(dataset, before, *[3] * 50))
+    likely = torch.tensor([0.5, 0.0, 0.47, 0.01, 0.02, 0.0])
+    policy.head.predict = lambda *_, **__: (likely.log().expand(50, 6), torch.zeros(50, 6, 7))
+    noise = torch.linspace(0, 1 - 1e-6, 50)
+    drawn = policy.head.sample(policy.model, window, noise)[:, 0]
+    state = window.observations[schema.STATE][:1, -1, :10]
+    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import pose_after
+
+    known = [pose_after(policy.model.anchors[index : index + 1], state) for index in (0, 2)]
+    which = [int(torch.allclose(row, known[1][0], atol=1e-5)) for row in drawn]
+    assert all(torch.allclose(row, known[pick][0], atol=1e-5) for row, pick in zip(drawn, which, strict=True))
+    assert which == sorted(which)
+    assert sum(which) / 50 == pytest.approx(0.47 / 0.97, abs=0.03)
+
+
+# What it looks at ---------------------------------------------------------------------------------------------------
+
+
+def test_the_action_moves_with_the_scene(make_anchors: MakeTiny, observation_of: Any) -> None:
+    """Wherever the robot stands about the vertical, the same scene is met by the same motion."""
+    policy, before, _, dataset = make_anchors()
+    policy.eval()
+    observation = observation_of(dataset, before, 5)
+    turn, shift = Rotation.from_euler("z", 1.1), np.array([0.3, -0.5, 0.2])
+
+    def poses(rows: torch.Tensor) -> torch.Tensor:
+        moved = rows.clone().double()
+        moved[..., :3] = torch.from_numpy(turn.apply(rows[..., :3].numpy()) + shift)
+        matrices = turn.as_matrix() @ matrix_from_rotation_6d(rows[..., 3:9].numpy())
+        moved[..., 3:9] = torch.from_numpy(rotation_6d_from_matrix(matrices))
+        return moved.float()
+
+    cloud = turn.apply(observation[schema.POINT_CLOUD].reshape(-1, 3).numpy()) + shift
+    moved = {
+        **observation,
+        schema.POINT_CLOUD: torch.from_numpy(cloud).float().reshape(observation[schema.POINT_CLOUD].shape),
+        schema.STATE: poses(observation[schema.STATE]),
+    }
+    noise = torch.tensor([[0.37]])
+    here = [policy.select_action(observation, noise=noise) for _ in range(3)]
+    policy.reset()
+    there = [policy.select_action(moved, noise=noise) for _ in range(3)]
+    for one, other in zip(here, there, strict=True):
+        torch.testing.assert_close(other, poses(one), rtol=0, atol=2e-3)
+
+
+class Spy:
+    """Records what the network is given."""
+
+    def __init__(self, policy: Any) -> None:
+        self.seen: list[list[torch.Tensor]] = []
+        for model in (policy.model, policy.ema_model):
+            model.register_forward_hook(
+                lambda _, given, __: self.seen.append([part.detach().clone() for part in given])
+            )
+
+
+def test_training_and_run_time_see_the_same(make_anchors: MakeTiny, batch_of: Any, observation_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    policy.eval()
+    spy = Spy(policy)
+    episode = dataset.meta.episodes[1]
+    past = policy.config.n_action_history_steps
+    for index in range(episode["dataset_from_index"], episode["dataset_to_index"]):
+        batch = batch_of(dataset, before, index)
+        policy.forward(batch)
+        trained = spy.seen.pop()
+        policy.select_action(observation_of(dataset, before, index))
+        ran = spy.seen.pop()
+        for one, other in zip(trained, ran, strict=True):
+            torch.testing.assert_close(other, one, rtol=0, atol=1e-6)
+        # It 'executed' what was recorded.
+        policy._executed[-1] = batch[schema.ACTION][:, past]
+
+
+def test_the_first_frame_cannot_see_its_label(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    policy.eval()
+    spy = Spy(policy)
+    batch = batch_of(dataset, before, 0)
+    policy.forward(batch)
+    policy.forward({**batch, schema.ACTION: batch[schema.ACTION] * 0.5 + 1.0})
+    first, second = spy.seen
+    assert all(torch.equal(one, other) for one, other in zip(first, second, strict=True))
+    assert not first[2].any()
+
+
+def test_only_the_latest_cloud_is_read(make_anchors: MakeTiny) -> None:
+    from lerobot_adamanip import lerobot_compat
+
+    lerobot_compat.apply()
+    try:
+        policy, _, _, dataset = make_anchors()
+        item = dataset[6]
+    finally:
+        lerobot_compat.restore()
+    assert item[schema.POINT_CLOUD].shape == (1, 64, 3)
+    assert item[schema.STATE].shape == (policy.config.n_action_history_steps + 1, 24)
+
+
+def test_a_loaded_policy_has_its_anchors(make_anchors: MakeTiny, observation_of: Any, tmp_path: Path) -> None:
+    policy, before, _, dataset = make_anchors()
+    policy.update()
+    policy.save_pretrained(tmp_path)
+    loaded = DP3AdaptivePolicy.from_pretrained(tmp_path)
+    assert torch.equal(loaded.ema_model.anchors, policy.model.anchors)
+    observation, noise = observation_of(dataset, before, 5), torch.tensor([[0.9]])
+    policy.eval()
+    assert torch.equal(loaded.select_action(observation, noise=noise), policy.select_action(observation, noise=noise))
+
+
+def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
+    """Nothing to be seen tells three modes apart: after one failure the second is tried, after two the third."""
+    policy, before, _, dataset = make_anchors(num_anchors=3)
+    window, *_ = _window(policy, batch_of(dataset, before, *[6] * 3))
+    pose = window.observations[schema.STATE][:1, -1, :10]
+    steps = policy.config.n_action_history_steps
+    lifts = torch.tensor([0.02, -0.02, 0.05])
+    tries = pose.expand(3, 10).clone()
+    tries[:, 0] += lifts
+    history = torch.zeros(3, steps, 10) + pose
+    valid = torch.zeros(3, steps, dtype=torch.bool)
+    for row in range(1, 3):
+        history[row, -row:] = tries[:row]
+        valid[row, -row:] = True
+    states = window.observations[schema.STATE][:1, -1:].expand(3, steps + 1, -1)
+    window = Window({**window.observations, schema.STATE: states}, history, valid)
+    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
+
+    policy.fit_anchors(motion_between(tries, pose)[:, None].numpy())
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+    for _ in range(80):
+        optimizer.zero_grad()
+        policy.head.loss(policy.model, window, tries[:, None], torch.ones(3, 1, dtype=torch.bool))[0].mean().backward()
+        optimizer.step()
+    policy.eval()
+    for seed in range(5):
+        torch.manual_seed(seed)
+        drawn = policy.head.sample(policy.model, window, None)[:, 0, 0] - pose[0, 0]
+        torch.testing.assert_close(drawn, lifts, rtol=0, atol=0.003)

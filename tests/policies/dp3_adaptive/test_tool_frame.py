@@ -1,0 +1,109 @@
+"""What the tool sees, and what it remembers of what it did."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
+from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between, points_seen, pose_after, upwards
+
+
+def _poses(count: int, seed: int) -> torch.Tensor:
+    draw = np.random.default_rng(seed)
+    turns = Rotation.random(count, random_state=seed).as_matrix()
+    parts = [draw.normal(size=(count, 3)), rotation_6d_from_matrix(turns), draw.uniform(size=(count, 1))]
+    return torch.from_numpy(np.concatenate(parts, axis=1)).float()
+
+
+def _moved(poses: torch.Tensor, turn: Rotation, shift: np.ndarray) -> torch.Tensor:
+    position = turn.apply(poses[:, :3].numpy()) + shift
+    rotation = turn.as_matrix() @ matrix_from_rotation_6d(poses[:, 3:9].numpy())
+    return torch.from_numpy(
+        np.concatenate([position, rotation_6d_from_matrix(rotation), poses[:, 9:].numpy()], axis=1)
+    ).float()
+
+
+def test_a_motion_leads_where_it_was_seen_to_lead() -> None:
+    tool, goal = _poses(60, 1), _poses(60, 2)
+    motion = motion_between(goal, tool)
+    assert motion.shape == (60, 7)
+    torch.testing.assert_close(pose_after(motion, tool), goal, rtol=0, atol=2e-4)
+    distance = (goal[:, :3] - tool[:, :3]).norm(dim=-1)
+    torch.testing.assert_close(motion[:, :3].norm(dim=-1), distance, rtol=0, atol=1e-5)
+
+
+def test_staying_is_no_motion() -> None:
+    tool = _poses(20, 3)
+    still = motion_between(tool, tool)
+    torch.testing.assert_close(still[:, :6], torch.zeros(20, 6), rtol=0, atol=1e-3)
+
+
+def test_what_is_seen_does_not_depend_on_where_everything_stands() -> None:
+    tool, goal = _poses(30, 4), _poses(30, 5)
+    cloud = torch.from_numpy(np.random.default_rng(6).normal(size=(30, 11, 3))).float()
+    turn, shift = Rotation.from_rotvec([0.3, -1.0, 2.0]), np.array([0.5, -0.2, 0.8])
+    there = [_moved(poses, turn, shift) for poses in (tool, goal)]
+    moved_cloud = torch.from_numpy(turn.apply(cloud.reshape(-1, 3).numpy()) + shift).float().reshape(30, 11, 3)
+    torch.testing.assert_close(motion_between(there[1], there[0]), motion_between(goal, tool), rtol=0, atol=1e-3)
+    torch.testing.assert_close(points_seen(moved_cloud, there[0]), points_seen(cloud, tool), rtol=0, atol=1e-5)
+    # Only gravity tells a fallen scene from an upright one.
+    assert not torch.allclose(upwards(there[0]), upwards(tool), atol=0.1)
+    upright = _moved(tool, Rotation.from_rotvec([0, 0, 1.2]), shift)
+    torch.testing.assert_close(upwards(upright), upwards(tool), rtol=0, atol=1e-6)
+
+
+def test_half_precision_does_not_blur_positions() -> None:
+    tool, goal = _poses(30, 7), _poses(30, 8)
+    with torch.autocast("cpu", torch.bfloat16):
+        blurred = motion_between(goal, tool)
+    assert torch.equal(blurred, motion_between(goal, tool))
+
+
+def test_a_tools_own_axes_are_the_coordinates() -> None:
+    tool = torch.zeros(1, 10)
+    # The tool's x points along the base's y: its matrix' columns are its axes.
+    tool[0, 3:9] = torch.from_numpy(rotation_6d_from_matrix(Rotation.from_euler("z", 90, degrees=True).as_matrix()))
+    points = torch.tensor([[[0.0, 0.2, 0.0]]])
+    torch.testing.assert_close(points_seen(points, tool), torch.tensor([[[0.2, 0.0, 0.0]]]), rtol=0, atol=1e-6)
+
+
+def test_an_event_tells_what_was_left_undone() -> None:
+    poses = _poses(3, 9)[None]
+    reached = events(poses[:, 1:], poses, torch.ones(1, 2, dtype=torch.bool))
+    torch.testing.assert_close(reached[0, :, 7:14], torch.zeros(2, 7), rtol=0, atol=0.05)
+    assert reached[..., -1].all()
+    commands = poses[:, 1:].clone()
+    commands[0, 0, 9] += 0.5
+    commands[0, 1, :3] += 0.007 * matrix_first_axis(poses[0, 2])
+    stopped = events(commands, poses, torch.ones(1, 2, dtype=torch.bool))
+    torch.testing.assert_close(stopped[0, 0, 13], torch.tensor(0.5), rtol=0, atol=1e-5)
+    torch.testing.assert_close(stopped[0, 1, 7:10], torch.tensor([0.7, 0.0, 0.0]), rtol=0, atol=1e-3)
+
+
+def matrix_first_axis(pose: torch.Tensor) -> torch.Tensor:
+    """The tool's x axis in the base frame."""
+    return torch.from_numpy(matrix_from_rotation_6d(pose[3:9].numpy())[:, 0]).float()
+
+
+def test_what_was_before_the_start_leaves_no_trace() -> None:
+    valid = torch.tensor([[False, False, True]])
+    poses, commands = _poses(4, 10)[None], _poses(3, 11)[None]
+    told = events(commands, poses, valid)
+    assert not told[0, :2].any()
+    other_poses, other_commands = poses.clone(), commands.clone()
+    other_poses[:, :2] += 1.0
+    other_commands[:, :2] -= 1.0
+    assert torch.equal(events(other_commands, other_poses, valid), told)
+    memory = EventMemory(8)
+    assert torch.equal(memory(events(other_commands, other_poses, valid)), memory(told))
+
+
+def test_the_order_of_events_is_remembered() -> None:
+    torch.manual_seed(0)
+    poses, commands = _poses(4, 12)[None], _poses(3, 13)[None]
+    told = events(commands, poses, torch.ones(1, 3, dtype=torch.bool))
+    memory = EventMemory(8)
+    assert not torch.allclose(memory(told), memory(told.flip(1)), atol=1e-4)

@@ -1,0 +1,55 @@
+"""Rotations in torch, held against scipy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.rotations import rotation_6d_from_matrix
+from lerobot_policy_adamanip.rotations import matrix_from_6d, matrix_from_rotation_vector, rotation_vector
+
+HALF_TURNS = np.pi * np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0.0, -0.6, 0.8]])
+
+
+def _vectors(kind: str) -> np.ndarray:
+    draw = np.random.default_rng(3)
+    axes = draw.normal(size=(200, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = {"any": draw.uniform(0, np.pi - 0.01, 200), "small": 10.0 ** draw.uniform(-9, -2, 200),
+              "nearly half a turn": np.pi - 10.0 ** draw.uniform(-5, -2, 200)}  # fmt: skip
+    return axes * angles[kind][:, None]
+
+
+@pytest.mark.parametrize("kind", ["any", "small", "nearly half a turn"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_vector_becomes_a_matrix_and_comes_back(kind: str, dtype: torch.dtype) -> None:
+    vectors = _vectors(kind)
+    matrices = matrix_from_rotation_vector(torch.from_numpy(vectors).to(dtype))
+    exact = dtype is torch.float64
+    wanted = Rotation.from_rotvec(vectors)
+    np.testing.assert_allclose(matrices.numpy(), wanted.as_matrix(), atol=1e-12 if exact else 3e-6)
+    back = rotation_vector(matrices).double().numpy()
+    # As rotations: in single precision half a turn and a little less are the same, and either axis will do.
+    missed = (Rotation.from_rotvec(back).inv() * wanted).magnitude()
+    np.testing.assert_allclose(missed, 0.0, atol=1e-9 if exact else 1e-5)
+    if kind != "nearly half a turn":
+        np.testing.assert_allclose(back, vectors, atol=1e-9 if exact else 1e-5)
+
+
+def test_half_a_turn_has_an_axis() -> None:
+    matrices = torch.from_numpy(Rotation.from_rotvec(HALF_TURNS).as_matrix()).float()
+    found = rotation_vector(matrices).double().numpy()
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), np.pi, atol=1e-5)
+    np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), matrices.numpy(), atol=1e-5)
+
+
+def test_no_turn_is_no_vector() -> None:
+    assert torch.equal(rotation_vector(torch.eye(3)[None]), torch.zeros(1, 3))
+
+
+def test_rotation_6d_is_a_matrix_again() -> None:
+    matrices = Rotation.random(50, random_state=1).as_matrix()
+    six = torch.from_numpy(rotation_6d_from_matrix(matrices))
+    np.testing.assert_allclose(matrix_from_6d(six).numpy(), matrices, atol=1e-12)
