@@ -30,7 +30,7 @@ def make_policy(**options: Any) -> Any:
     config.output_features = {schema.ACTION: PolicyFeature(FeatureType.ACTION, (schema.ACTION_DIM,))}
     policy = DP3AdaptivePolicy(config)
     if policy.config.head == "anchors":
-        policy.fit_anchors(np.random.default_rng(0).normal(size=(40, 1, 7)).astype(np.float32))
+        policy.fit_anchors(np.random.default_rng(0).normal(size=(40, 7)).astype(np.float32))
     return policy
 
 

@@ -20,6 +20,7 @@ from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
+from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
@@ -37,12 +38,14 @@ POINT_UNIT, POINT_NEAR = 0.15, 0.03
 """A point is told by where it is in this unit, and by its direction, which is sharp within this distance [m]."""
 EFFORT_UNIT = 20.0
 """[N m]"""
+OPEN, SCATTERED = 0.5, 0.005
+"""Gripper opening of an open hand, and the spread [m] beyond which an anchor's motions end in different places."""
 SILENT = 0.03
 """Anchors less likely than this are never drawn: what a network has not quite unlearned is no choice."""
 
 
 class AnchorNetwork(nn.Module):
-    """Cloud and memory to logits of anchors and a residual for each.
+    """Cloud and memory to logits of anchors and a residual for each; and what corrects a pose by the points around it.
 
     Args:
         config: of the policy.
@@ -53,9 +56,8 @@ class AnchorNetwork(nn.Module):
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         super().__init__()
-        motion = config.horizon * MOTION_DIM
-        self.register_buffer("anchors", torch.zeros(config.num_anchors, motion))
-        self.register_buffer("spread", torch.zeros(config.num_anchors, motion))
+        self.register_buffer("anchors", torch.zeros(config.num_anchors, MOTION_DIM))
+        self.register_buffer("spread", torch.zeros(config.num_anchors, MOTION_DIM))
         self.encoder = make_encoder(config.encoder, 6, config.encoder_dims, config.encoder_out_dim, config.num_points)
         remembers = config.n_action_history_steps > 0
         self.memory = EventMemory(config.memory_dim) if remembers else None
@@ -64,15 +66,29 @@ class AnchorNetwork(nn.Module):
         width = config.trunk_dim
         self.trunk = nn.Sequential(nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
-        self.residuals = nn.Linear(width, config.num_anchors * motion)
+        self.residuals = nn.Linear(width, config.num_anchors * MOTION_DIM)
+        self.refiner = Refiner(config.num_anchors, config.refinement_points) if config.num_refinements else None
 
     def forward(self, points: Tensor, body: Tensor, happened: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, N, 6), (B, 4+), (B, H, 16) -> logits (B, K), residuals (B, K, D) in units of their anchors' spread."""
+        """(B, N, 6), (B, 4+), (B, H, 16) -> logits (B, K), residuals (B, K, 7) in units of their anchors' spread."""
         parts = [self.encoder(points), body]
         if self.memory is not None:
             parts.append(self.memory(happened))
         features = self.trunk(torch.cat(parts, dim=-1))
         return self.logits(features), self.residuals(features).reshape(-1, *self.anchors.shape)
+
+    def nearest_anchor(self, motion: Tensor) -> Tensor:
+        """Motions (B, 7) -> indices (B,) of their anchors."""
+        away = (motion[:, None] - self.anchors) / motion.new_tensor(MOTION_UNITS)
+        return away.square().sum(dim=-1).argmin(dim=-1)
+
+    def aims(self, index: Tensor) -> Tensor:
+        """Whether anchors (B,) lead an open hand to something: demonstrations of one anchor end in different places.
+
+        What a closed hand can do is decided by what it holds, and a hand that lets go stays where it is.
+        """
+        aiming = (self.anchors[:, -1] > OPEN) & (self.spread[:, :3].amax(dim=-1) > SCATTERED)
+        return aiming[index]
 
 
 class AnchorHead:
@@ -84,16 +100,17 @@ class AnchorHead:
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         self.config = config
+        self._known: AnchorNetwork | None = None
 
     def network(self) -> AnchorNetwork:
         """Returns a network that is still untrained and without anchors."""
         return AnchorNetwork(self.config)
 
-    def predict(self, model: AnchorNetwork, window: Window, *, training: bool = False) -> tuple[Tensor, Tensor]:
-        """Returns logits (B, K) and residuals (B, K, D)."""
-        cloud = window.observations[POINT_CLOUD][:, -1]
+    def predict(self, model: AnchorNetwork, window: Window) -> tuple[Tensor, Tensor]:
+        """Returns logits (B, K) and residuals (B, K, 7)."""
+        cloud = window.observations[POINT_CLOUD][:, -1, : self.config.coarse_points]
         poses = window.observations[STATE][..., :ACTION_DIM]
-        if training:
+        if model.training:
             cloud = self._perturbed(cloud)
         points = points_seen(cloud, poses[:, -1])
         near = points / (points.norm(dim=-1, keepdim=True) + POINT_NEAR)
@@ -102,8 +119,10 @@ class AnchorHead:
             body.append(window.observations[EFFORT][:, -1] / EFFORT_UNIT)
         steps = self.config.n_action_history_steps
         happened = events(window.history, poses[:, -steps - 1 :], window.valid)
-        logits, residuals = model(torch.cat([points / POINT_UNIT, near], dim=-1), torch.cat(body, dim=-1), happened)
-        return logits, residuals
+        predicted: tuple[Tensor, Tensor] = model(
+            torch.cat([points / POINT_UNIT, near], dim=-1), torch.cat(body, dim=-1), happened
+        )
+        return predicted
 
     def _perturbed(self, cloud: Tensor) -> Tensor:
         """Other points of the same surfaces at every step, not quite where they were."""
@@ -116,92 +135,100 @@ class AnchorHead:
     def loss(
         self, model: AnchorNetwork, window: Window, actions: Tensor, real: Tensor
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns a loss per sample (B,), its weight (B,), and what to log.
+        """Returns a loss per sample (B,), its weight (B,), and its parts, to be logged.
 
         Args:
             model: of which the anchors are known.
             window: what it is conditioned on.
-            actions: (B, T, 10) poses.
-            real: (B, T) bool; what lies beyond an episode's end is no demonstration.
+            actions: (B, 1, 10) poses.
+            real: (B, 1) bool; what lies beyond an episode's end is no demonstration.
+
+        Raises:
+            ConfigurationError: the anchors are not known.
         """
-        if not model.spread.any():
+        if self._known is not model and not model.spread.any():
             raise ConfigurationError(
                 "The anchors are not known.",
                 got="a policy made without a dataset",
                 allowed="make_policy(..., ds_meta=) of a dataset, or a checkpoint",
                 hint="policy.fit_anchors(motions), or --policy.preset=diffusion",
             )
-        tool = window.observations[STATE][:, -1:, :ACTION_DIM]
-        target = motion_between(actions, tool)
-        units = target.new_tensor(MOTION_UNITS)
-        logits, residuals = self.predict(model, window, training=model.training)
-        away = (
-            (target[:, None] - model.anchors.reshape(-1, self.config.horizon, MOTION_DIM))
-            / units
-            * real[:, None, :, None]
-        ) ** 2
-        nearest = away.flatten(2).sum(-1).argmin(dim=1)
-        chosen = residuals[torch.arange(len(target), device=target.device), nearest]
-        wanted = (target.flatten(1) - model.anchors[nearest]) / model.spread[nearest]
-        mask = real.repeat_interleave(MOTION_DIM, dim=1).to(wanted.dtype)
-        missed = F.smooth_l1_loss(chosen, wanted, reduction="none") * mask
-        choice = F.cross_entropy(logits, nearest, reduction="none")
-        correction = missed.sum(1) / mask.sum(1).clamp(min=1)
-        told = {
-            "choice_loss": choice.detach().mean(),
-            "correction_loss": correction.detach().mean(),
-        }
-        return choice + self.config.residual_weight * correction, real[:, 0].to(choice.dtype), told
+        self._known = model  # looking at the buffer waits for a GPU: once is enough
+        tool, goal = window.observations[STATE][:, -1, :ACTION_DIM], actions[:, 0]
+        motion = motion_between(goal, tool)
+        index = model.nearest_anchor(motion)
+        logits, residuals = self.predict(model, window)
+        choice = F.cross_entropy(logits, index, reduction="none")
+        wanted = (motion - model.anchors[index]) / model.spread[index]
+        found = residuals[torch.arange(len(index), device=index.device), index]
+        residual = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
+        total, parts = choice + residual, {"choice_loss": choice.mean(), "residual_loss": residual.mean()}
+        if model.refiner is not None:
+            # Of every sample, so that no step waits to learn how many of them aim.
+            cloud = window.observations[POINT_CLOUD][:, -1]
+            refinement = model.refiner.loss(cloud, goal, tool, index) * model.aims(index)
+            total, parts["refinement_loss"] = total + refinement, refinement.mean()
+        return total, real[:, 0].to(total.dtype), {name: part.detach() for name, part in parts.items()}
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, T, 10).
+        """Draws actions (B, 1, 10).
 
         Args:
             model: trained.
             window: what it is conditioned on.
             noise: uniform numbers in [0, 1), (B, ...), the first of a row is used; drawn if None.
         """
+        tool = window.observations[STATE][:, -1, :ACTION_DIM].float()
         logits, residuals = self.predict(model, window)
-        likely = logits.float().softmax(dim=-1)
-        likely = likely.masked_fill((likely < SILENT) & (likely < likely.amax(dim=-1, keepdim=True)), 0.0)
-        draw = torch.rand(len(likely), device=likely.device) if noise is None else noise.reshape(len(likely), -1)[:, 0]
-        passed = likely.cumsum(dim=-1) / likely.sum(dim=-1, keepdim=True)
-        index = torch.searchsorted(passed, draw[:, None].to(passed.dtype), right=True).squeeze(-1)
-        index = index.clamp(max=likely.shape[-1] - 1)
-        rows = torch.arange(len(likely), device=likely.device)
-        motion = model.anchors[index] + residuals[rows, index].float() * model.spread[index]
-        motion = motion.reshape(len(motion), -1, MOTION_DIM)
-        motion[..., 6:] = motion[..., 6:].clamp(0, 1)
-        return pose_after(motion, window.observations[STATE][:, -1:, :ACTION_DIM].float())
+        index = _drawn(logits.float().softmax(dim=-1), noise)
+        residual = residuals[torch.arange(len(index), device=index.device), index].float()
+        motion = model.anchors[index] + residual * model.spread[index]
+        motion = torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1)
+        pose = pose_after(motion, tool)
+        if model.refiner is not None:
+            cloud = window.observations[POINT_CLOUD][:, -1]
+            refined = model.refiner.refined(cloud, pose, tool, index, self.config.num_refinements)
+            pose = torch.where(model.aims(index)[:, None], refined, pose)
+        return pose[:, None]
+
+
+def _drawn(likely: Tensor, noise: Tensor | None) -> Tensor:
+    """Draws indices (B,) from probabilities (B, K), never one that is `SILENT`."""
+    silent = (likely < SILENT) & (likely < likely.amax(dim=-1, keepdim=True))
+    passed = likely.masked_fill(silent, 0.0).cumsum(dim=-1)
+    draw = torch.rand(len(likely), device=likely.device) if noise is None else noise.reshape(len(likely), -1)[:, 0]
+    index = torch.searchsorted(passed, draw[:, None].to(passed.dtype) * passed[:, -1:], right=True).squeeze(-1)
+    return index.clamp(max=likely.shape[-1] - 1)
 
 
 def fit_anchors(motions: NDArray[np.float32], count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
     """Clusters motions by k-means in their units.
 
     Args:
-        motions: (M, T, 7) of the demonstrations.
+        motions: (M, 7) of the demonstrations.
         count: of anchors; with fewer different motions some stand twice.
         seed: of the clustering.
 
     Returns:
-        anchors (count, T * 7) [m, rad, -] and the spread of each cluster (count, T * 7), bounded below.
+        anchors (count, 7) [m, rad, -] and the spread of each cluster (count, 7), bounded below.
     """
     from scipy.cluster.vq import kmeans2
 
-    horizon = motions.shape[1]
-    units, least = (np.tile(np.asarray(one), horizon) for one in (MOTION_UNITS, LEAST_SPREAD))
-    rows = motions.reshape(len(motions), -1).astype(np.float64) / units
-    rows = rows if len(rows) >= count else np.tile(rows, (-(-count // len(rows)), 1))
-    centres, labels = kmeans2(rows, count, minit="++", iter=50, seed=seed, missing="warn")
-    spread = np.stack(
-        [rows[labels == k].std(axis=0) if (labels == k).any() else np.zeros(rows.shape[1]) for k in range(count)]
-    )
+    units, least = np.asarray(MOTION_UNITS), np.asarray(LEAST_SPREAD)
+    rows = motions.astype(np.float64) / units
+    different = np.unique(rows.round(4), axis=0)
+    starts = different if len(different) <= count else count
+    centres, labels = kmeans2(rows, starts, minit="matrix" if starts is different else "++", iter=50, seed=seed)
+    counted = range(len(centres))
+    spread = np.stack([rows[labels == k].std(axis=0) if (labels == k).any() else 0 * units for k in counted])
     spread = np.maximum(spread * units, least)
-    return torch.from_numpy((centres * units).astype(np.float32)), torch.from_numpy(spread.astype(np.float32))
+    again = np.arange(count) % len(centres)
+    anchors, spread = (part[again].astype(np.float32) for part in (centres * units, spread))
+    return torch.from_numpy(anchors), torch.from_numpy(spread)
 
 
-def demonstrated_motions(dataset_meta: Any, horizon: int) -> NDArray[np.float32]:
-    """Returns the motions (M, T, 7) of a dataset, from its files; beyond an episode's end its last action.
+def demonstrated_motions(dataset_meta: Any) -> NDArray[np.float32]:
+    """Returns the motions (M, 7) of a dataset, from its files.
 
     Raises:
         ConfigurationError: the files are not there.
@@ -216,10 +243,7 @@ def demonstrated_motions(dataset_meta: Any, horizon: int) -> NDArray[np.float32]
             allowed="a dataset whose files have been downloaded",
             hint="LeRobotDataset(repo_id), before the policy is made",
         )
-    table = files.dataset(folder, format="parquet").to_table(columns=[STATE, ACTION, "episode_index", "index"])
-    table = table.sort_by("index")
+    table = files.dataset(folder, format="parquet").to_table(columns=[STATE, ACTION])
     poses, actions = (torch.from_numpy(np.stack(table[key].to_numpy()).astype(np.float32)) for key in (STATE, ACTION))
-    episodes = table["episode_index"].to_numpy()
-    ends = np.searchsorted(episodes, episodes, side="right") - 1
-    window = np.minimum(np.arange(len(episodes))[:, None] + np.arange(horizon), ends[:, None])
-    return motion_between(actions[window], poses[:, None, :ACTION_DIM]).numpy()
+    motions: NDArray[np.float32] = motion_between(actions, poses[:, :ACTION_DIM]).numpy()
+    return motions

@@ -14,6 +14,8 @@ from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, POSE_NAMES, STATE
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
 
+ANCHOR_SIZES = ("num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points")
+
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
 @dataclass
@@ -54,7 +56,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Of those, executed before the next are generated (fast 1, diffusion 1, paper 2).
     n_action_steps: int = from_preset()
 
-    # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 512, diffusion
+    # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 1024, diffusion
     # 512, paper 4096).
     num_points: int = from_preset()
     # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, diffusion mlp,
@@ -80,9 +82,13 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     memory_dim: int = 64
     # Head anchors: width of the layers behind cloud and memory.
     trunk_dim: int = 256
-    # Head anchors: weight of the correction's loss beside that of the choice.
-    residual_weight: float = 1.0
-    # Head anchors, training only: points drawn from each cloud ...
+    # Head anchors: points that the choice is made by, the first of each cloud; corrections look at all of them.
+    coarse_points: int = 512
+    # Head anchors: how often a pose that an open hand goes to is corrected by the points around it; 0 for never ...
+    num_refinements: int = 3
+    # ... and how many points those are.
+    refinement_points: int = 128
+    # Head anchors, training only: of coarse_points so many are drawn ...
     training_points: int = 320
     # ... and the standard deviation of the noise on them [m].
     point_noise_std: float = 0.002
@@ -196,17 +202,18 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         widths = tuple(self.down_dims)
         fits = widths and all(width > 0 and width % self.n_groups == 0 for width in widths) and self.kernel_size % 2
         sampled = 1 <= self.num_inference_steps <= self.num_train_timesteps
-        anchored = min(self.num_anchors, self.memory_dim, self.trunk_dim, self.training_points) >= 1
+        anchored = all(getattr(self, name) >= 1 for name in ANCHOR_SIZES) and self.num_refinements >= 0
         if not fits or not sampled or not anchored or self.num_points < 1 or not self.encoder_dims:
             got = [
                 *("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps"),
-                *("num_anchors", "memory_dim", "trunk_dim", "training_points"),
+                *ANCHOR_SIZES,
+                "num_refinements",
             ]
             raise ConfigurationError(
                 "Sizes do not fit.",
                 got=", ".join(f"{name}={getattr(self, name)}" for name in got),
                 allowed="down_dims that n_groups divides, an odd kernel_size, num_points >= 1, some encoder_dims, "
-                "num_anchors, memory_dim, trunk_dim and training_points >= 1, "
+                f"{', '.join(ANCHOR_SIZES)} >= 1, num_refinements >= 0, "
                 f"1 <= num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
                 hint="--policy.preset=fast, and none of these",
             )
@@ -236,11 +243,11 @@ class DP3AdaptiveConfig(PreTrainedConfig):
                 "n_obs_steps >= 1, n_action_history_steps >= 0",
                 hint="--policy.horizon=4 --policy.n_action_steps=1",
             )
-        if self.head == "anchors" and self.n_obs_steps != 1:
+        if self.head == "anchors" and (self.n_obs_steps, self.horizon) != (1, 1):
             raise ConfigurationError(
-                "The head anchors looks at the present cloud alone.",
-                got=f"n_obs_steps={self.n_obs_steps}",
-                allowed="n_obs_steps=1; n_action_history_steps says how far back it remembers",
+                "The head anchors looks at one cloud and draws one action.",
+                got=f"n_obs_steps={self.n_obs_steps}, horizon={self.horizon}",
+                allowed="n_obs_steps=1, horizon=1; n_action_history_steps says how far back it remembers",
                 hint="--policy.preset=diffusion",
             )
 

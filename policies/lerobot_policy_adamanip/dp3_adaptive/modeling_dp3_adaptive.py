@@ -97,7 +97,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         self.register_load_state_dict_post_hook(_forget_count)
         self._meet_dataset(dataset_meta)
         if dataset_meta is not None and config.head == "anchors":
-            self.fit_anchors(demonstrated_motions(dataset_meta, config.horizon))
+            self.fit_anchors(demonstrated_motions(dataset_meta))
         self.reset()
 
     @classmethod
@@ -122,7 +122,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
                 read_latest_only(dataset_meta, POINT_CLOUD)
 
     def fit_anchors(self, motions: NDArray[np.float32]) -> None:
-        """Takes the typical ones of demonstrated motions (M, T, 7) [m, rad, -] as an untrained policy's anchors."""
+        """Takes the typical ones of demonstrated motions (M, 7) [m, rad, -] as an untrained policy's anchors."""
         anchors, spread = fit_anchors(motions, self.config.num_anchors)
         for model in (self.model, self.ema_model):
             model.anchors.copy_(anchors)

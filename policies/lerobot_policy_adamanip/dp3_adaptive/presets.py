@@ -8,7 +8,7 @@ from typing import Any
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {
         "head": "anchors",
-        "num_points": 512, "encoder": "mlp", "encoder_dims": (64, 128, 192), "encoder_out_dim": 128,
+        "num_points": 1024, "encoder": "mlp", "encoder_dims": (64, 128, 192), "encoder_out_dim": 128,
         "tcp_relative": True, "proprioception": "pose",
         "n_obs_steps": 1, "n_action_history_steps": 16, "horizon": 1, "n_action_steps": 1,
         "down_dims": (128, 256), "kernel_size": 3, "diffusion_step_embed_dim": 64,

@@ -21,7 +21,7 @@ from lerobot_policy_adamanip.dp3_adaptive.window import Window
 MakeTiny = Callable[..., tuple[Any, ...]]
 ANCHORS: dict[str, Any] = {
     "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
-    "training_points": 24,
+    "training_points": 24, "coarse_points": 32, "num_points": 48, "refinement_points": 16, "num_refinements": 2,
 }  # fmt: skip
 
 
@@ -45,7 +45,7 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
     draw = np.random.default_rng(0)
     middles = np.array([[0.018, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.5, 0], [0.1, 0, 0.1, 0, 0, 0, 1]], np.float32)
     wide = np.array([0.0005, 0, 0, 0, 0, 0.05, 0], np.float32)
-    rows = np.concatenate([middle + wide * draw.normal(size=(300, 7)) for middle in middles])[:, None]
+    rows = np.concatenate([middle + wide * draw.normal(size=(300, 7)) for middle in middles])
     anchors, spread = fit_anchors(rows.astype(np.float32), 3)
     for middle in middles:
         away = (anchors - torch.from_numpy(middle)).abs()
@@ -56,7 +56,7 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
 
 
 def test_few_motions_are_anchors_enough() -> None:
-    rows = np.random.default_rng(1).normal(size=(2, 1, 7)).astype(np.float32)
+    rows = np.random.default_rng(1).normal(size=(2, 7)).astype(np.float32)
     anchors, spread = fit_anchors(rows, 5)
     assert anchors.shape == spread.shape == (5, 7)
     assert torch.isfinite(anchors).all()
@@ -65,16 +65,13 @@ def test_few_motions_are_anchors_enough() -> None:
 
 def test_motions_are_those_of_the_dataset(make_anchors: MakeTiny) -> None:
     policy, _, _, dataset = make_anchors()
-    motions = demonstrated_motions(dataset.meta, 2)
-    assert motions.shape == (len(dataset), 2, 7)
+    motions = demonstrated_motions(dataset.meta)
+    assert motions.shape == (len(dataset), 7)
     item = dataset[4]
     action, state = item[schema.ACTION][policy.config.n_action_history_steps], item[schema.STATE][-1]
     frame = matrix_from_rotation_6d(state[3:9].numpy())
-    np.testing.assert_allclose(motions[4, 0, :3], (action[:3] - state[:3]).numpy() @ frame, atol=1e-5)
-    assert motions[4, 0, 6] == action[9]
-    # At an episode's end the last action stands in for what follows; the next episode's is none of its own.
-    np.testing.assert_allclose(motions[8, 0], motions[8, 1])
-    assert not np.allclose(motions[7, 0], motions[7, 1])
+    np.testing.assert_allclose(motions[4, :3], (action[:3] - state[:3]).numpy() @ frame, atol=1e-5)
+    assert motions[4, 6] == action[9]
 
 
 def test_without_data_there_is_nothing_to_train(make_anchors: MakeTiny, batch_of: Any) -> None:
@@ -91,7 +88,7 @@ def test_without_data_there_is_nothing_to_train(make_anchors: MakeTiny, batch_of
     ("changes", "told"),
     [
         ({"n_obs_steps": 2}, "n_obs_steps"),
-        ({"horizon": 2, "n_action_steps": 3}, "horizon"),
+        ({"horizon": 2}, "horizon"),
         ({"num_anchors": 0}, "num_anchors"),
     ],
 )
@@ -103,7 +100,7 @@ def test_what_the_head_cannot_do_is_refused(make_anchors: MakeTiny, changes: dic
 # Training -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("changes", [{}, {"horizon": 3}, {"n_action_history_steps": 0}, {"use_effort": True},
+@pytest.mark.parametrize("changes", [{}, {"num_refinements": 0}, {"n_action_history_steps": 0}, {"use_effort": True},
                                      {"encoder": "pointnet2"}])  # fmt: skip
 def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dict[str, Any]) -> None:
     policy, before, _, dataset = make_anchors(**changes)
@@ -111,16 +108,18 @@ def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dic
     assert torch.isfinite(loss)
     assert not told or all(isinstance(value, float) for value in told.values())
     loss.backward()
+    # Whether anything is aimed at depends on what was demonstrated.
+    assert policy.model.refiner is None or policy.model.aims(torch.arange(6)).any()
     still = [name for name, weight in policy.model.named_parameters() if weight.grad is None or not weight.grad.any()]
     assert not still
 
 
 def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors()
+    policy, before, _, dataset = make_anchors(num_refinements=0)
     window, actions, real = _window(policy, batch_of(dataset, before, 2, 11))
     from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
 
-    motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10]).flatten(1)
+    motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10])[:, 0]
     unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
     nearest = ((motion[:, None] - policy.model.anchors) * unit).square().sum(-1).argmin(1)
     logits = torch.full((2, 6), -50.0).scatter(1, nearest[:, None], 50.0)
@@ -137,7 +136,7 @@ def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: Ma
 
 
 def test_it_learns_what_it_is_shown(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors(point_noise_std=0.0, training_points=32)
+    policy, before, _, dataset = make_anchors(point_noise_std=0.0, training_points=32, num_refinements=0)
     batch = batch_of(dataset, before, 0, 5, 12)
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(150):
@@ -156,10 +155,10 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
     state = window.observations[schema.STATE][:, -1, :10]
     up = torch.where(torch.arange(40)[:, None, None] % 2 == 0, 0.03, -0.03)
     actions = state[:, None] + up * torch.eye(10)[2]
-    rows = np.array([[[0.0, 0, 0, 0, 0, 0, float(state[0, 9])]]], np.float32)
+    rows = np.array([[0.0, 0, 0, 0, 0, 0, float(state[0, 9])]], np.float32)
     frame = matrix_from_rotation_6d(state[0, 3:9].numpy())
     motions = np.concatenate([rows, rows])
-    motions[0, 0, :3], motions[1, 0, :3] = 0.03 * frame[2], -0.03 * frame[2]
+    motions[0, :3], motions[1, :3] = 0.03 * frame[2], -0.03 * frame[2]
     policy.fit_anchors(np.repeat(motions, 10, axis=0))
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(60):
@@ -175,7 +174,7 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
 
 
 def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors()
+    policy, before, _, dataset = make_anchors(num_refinements=0)
     window, *_ = _window(policy, batch_of(dataset, before, *[3] * 50))
     likely = torch.tensor([0.5, 0.0, 0.47, 0.01, 0.02, 0.0])
     policy.head.predict = lambda *_, **__: (likely.log().expand(50, 6), torch.zeros(50, 6, 7))
@@ -305,7 +304,7 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
     window = Window({**window.observations, schema.STATE: states}, history, valid)
     from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
 
-    policy.fit_anchors(motion_between(tries, pose)[:, None].numpy())
+    policy.fit_anchors(motion_between(tries, pose).numpy())
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(80):
         optimizer.zero_grad()
@@ -316,3 +315,55 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
         torch.manual_seed(seed)
         drawn = policy.head.sample(policy.model, window, None)[:, 0, 0] - pose[0, 0]
         torch.testing.assert_close(drawn, lifts, rtol=0, atol=0.003)
+
+
+# Refinement ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
+    """Goals are at a corner of a wedge: taught from poses beside them on a few scenes, found on others."""
+    from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+
+    torch.manual_seed(0)
+    draw = np.random.default_rng(0)
+    plane = np.stack(np.meshgrid(np.linspace(0, 0.08, 7), np.linspace(0, 0.05, 6)), axis=-1).reshape(-1, 2)
+    wedge = np.concatenate([np.c_[plane, np.zeros(42)], np.c_[plane[:, 0], np.zeros(42), plane[:, 1]]])
+
+    def scenes(count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        turns = Rotation.random(count, random_state=int(draw.integers(1 << 30)))
+        places = draw.uniform(-0.5, 0.5, (count, 3))
+        clouds = np.stack([turn.apply(wedge) + place for turn, place in zip(turns, places, strict=True)])
+        goals = np.c_[places, rotation_6d_from_matrix(turns.as_matrix()), np.ones(count)]
+        tools = np.c_[places + 0.1, rotation_6d_from_matrix(turns.as_matrix()), np.ones(count)]
+        return tuple(torch.from_numpy(part).float() for part in (clouds, goals, tools))  # type: ignore[return-value]
+
+    refiner, index = Refiner(1, 48), torch.zeros(16, dtype=torch.int64)
+    optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
+    shown = [scenes(16) for _ in range(4)]
+    for step in range(400):
+        cloud, goal, tool = shown[step % 4]
+        optimizer.zero_grad()
+        refiner.loss(cloud, goal, tool, index).mean().backward()
+        optimizer.step()
+    refiner.eval()
+    cloud, goal, tool = scenes(16)
+    off = torch.cat([torch.from_numpy(draw.normal(scale=0.015, size=(16, 3))).float(), torch.zeros(16, 4)], dim=1)
+    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import pose_after
+
+    start = pose_after(off, goal)
+    with torch.no_grad():
+        ends = [refiner.refined(cloud, start, tool, index, steps)[:, :3] for steps in (0, 1, 3)]
+    missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
+    assert missed[0] > 0.015
+    assert missed[1] < 0.5 * missed[0]
+    assert missed[2] < 0.006
+
+
+def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> None:
+    policy, *_ = make_anchors()
+    model = policy.model
+    model.anchors[:] = 0.0
+    model.spread[:] = torch.tensor(LEAST_SPREAD)
+    model.anchors[:3, 6] = 1.0
+    model.spread[[0, 3], 2] = 0.03
+    assert model.aims(torch.arange(6)).tolist() == [True, False, False, False, False, False]
