@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from lerobot_adamanip.assets import load_object
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.rollout import rollout
 from lerobot_env_adamanip.sim.placement import ReachRequirement
 from lerobot_env_adamanip.sim.stand import ExternalStand, external_stand, generated_stand
 
@@ -59,24 +62,35 @@ def test_small_assets_and_generated_objects_stand_as_they_did(tmp_path: Path) ->
     assert shifted.y == pytest.approx(0.05 - 0.08), "the handle, 8 cm aside, is brought within 5 cm"
 
 
-@pytest.mark.sim
-def test_the_adaptive_expert_opens_a_full_size_door_and_the_camera_sees_what_it_holds(tmp_path: Path) -> None:
+@pytest.fixture
+def full_size(tmp_path: Path) -> Iterator[Any]:
+    """An environment with a door of 0.9 x 2.0 m."""
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
     full_size_door(tmp_path / "door" / "big")
     env = KeyframeEnv("door", objects="door:big", assets=str(tmp_path), image_size=64, num_points=512)
-    try:
-        observation, info = env.reset(seed=1)
-        lever = env.annotations["lever"].grasp[:3, 3]
-        near = np.linalg.norm(observation["point_cloud"] - lever, axis=1) < 0.10
-        assert near.sum() >= 5
-        expert = make_expert("door", "adaptive", env.annotations, generator=np.random.default_rng(1))
-        goal = next(expert)
-        for _ in range(45):
-            *_, info = env.step(goal.action())
-            if info["is_success"]:
-                break
-            goal = expert.send(env.feedback)
-        assert info["is_success"]
-    finally:
-        env.close()
+    yield env
+    env.close()
+
+
+def _opens(env: Any, seed: int) -> bool:
+    observation, _ = env.reset(seed=seed)
+    expert = make_expert("door", "adaptive", env.annotations, generator=np.random.default_rng(seed))
+    return rollout(env, observation, expert).success
+
+
+@pytest.mark.sim
+def test_the_adaptive_expert_opens_a_full_size_door_and_the_camera_sees_what_it_holds(full_size: Any) -> None:
+    observation, _ = full_size.reset(seed=1)
+    lever = full_size.annotations["lever"].grasp[:3, 3]
+    near = np.linalg.norm(observation["point_cloud"] - lever, axis=1) < 0.10
+    assert near.sum() >= 5
+    assert _opens(full_size, 1)
+
+
+@pytest.mark.sim
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+def test_nine_of_ten_full_size_doors_are_opened(full_size: Any) -> None:
+    opened = [seed for seed in range(100, 120) if _opens(full_size, seed)]
+    assert len(opened) >= 18, f"opened: {opened}"
