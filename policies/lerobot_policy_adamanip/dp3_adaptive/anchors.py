@@ -38,7 +38,7 @@ POINT_UNIT, POINT_NEAR = 0.15, 0.03
 """A point is told by where it is in this unit, and by its direction, which is sharp within this distance [m]."""
 EFFORT_UNIT = 20.0
 """[N m]"""
-OPEN, SCATTERED = 0.5, 0.005
+OPEN, SCATTERED = 0.5, 0.01
 """Gripper opening of an open hand, and the spread [m] beyond which an anchor's motions end in different places."""
 SILENT = 0.03
 """Anchors less likely than this are never drawn: what a network has not quite unlearned is no choice."""
@@ -164,11 +164,21 @@ class AnchorHead:
         residual = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
         total, parts = choice + residual, {"choice_loss": choice.mean(), "residual_loss": residual.mean()}
         if model.refiner is not None:
-            # Of every sample, so that no step waits to learn how many of them aim.
-            cloud = window.observations[POINT_CLOUD][:, -1]
-            refinement = model.refiner.loss(cloud, goal, tool, index) * model.aims(index)
+            refinement = self._refinement_loss(model, model.refiner, window, goal, index)
             total, parts["refinement_loss"] = total + refinement, refinement.mean()
         return total, real[:, 0].to(total.dtype), {name: part.detach() for name, part in parts.items()}
+
+    def _refinement_loss(
+        self, model: AnchorNetwork, refiner: Refiner, window: Window, goal: Tensor, index: Tensor
+    ) -> Tensor:
+        """(B,): of the samples that aim; nothing for the others, which are most, and are spared the work."""
+        aims = model.aims(index)
+        rows = aims.nonzero().squeeze(-1)
+        # One that counts for nothing if none does: every weight has a gradient in every step.
+        rows = rows if len(rows) else rows.new_zeros(1)
+        cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
+        loss = refiner.loss(cloud, goal[rows], tool, index[rows]) * aims[rows]
+        return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, 1, 10).
