@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 out=${OUT:-outputs/demo}
-safes=${SAFES:-0:4} episodes=${EPISODES:-25} steps=${STEPS:-1800} evaluate=${EVALUATE:-40}
+safes=${SAFES:-0:4} episodes=${EPISODES:-40} steps=${STEPS:-2400} evaluate=${EVALUATE:-40}
 bin=.venv/bin
 export HF_HUB_OFFLINE=1 TOKENIZERS_PARALLELISM=false
 say() { printf '\n== %s\n' "$*"; }
@@ -29,7 +29,7 @@ else
     "$bin/lerobot-train" --policy.type=dp3_adaptive --policy.device=cpu --policy.push_to_hub=false \
         --env.type=adamanip_safe --env.objects="$safes" --env_eval_freq=0 \
         --dataset.repo_id=local/adamanip-safe-demo --dataset.root="$out/demos" \
-        --batch_size=64 --steps="$steps" --save_freq=600 --log_freq=100 --num_workers=1 --output_dir="$out/train"
+        --batch_size=64 --steps="$steps" --save_freq=800 --log_freq=100 --num_workers=1 --output_dir="$out/train"
 fi
 
 say "4/5  Evaluating on scenes it has not seen, with lerobot-eval"

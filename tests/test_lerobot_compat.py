@@ -128,6 +128,20 @@ def test_marked_videos_are_not_decoded_and_everything_else_stays(root: Path, mon
         assert_same(item, lean[index], without=(CAMERA,))
 
 
+def test_of_a_marked_key_the_latest_step_is_read_and_everything_else_stays(root: Path) -> None:
+    key = "observation.state"
+    options = {"deltas": {key: [-2, -1, 0], "action": [-1, 0, 1]}}
+    full, lean = (opened(root, lerobot_compat.apply, **options) for _ in range(2))
+    lerobot_compat.read_latest_only(lean.meta, key)
+    for index in range(len(full)):
+        whole, short = full[index], lean[index]
+        assert short[key].shape[0] == 1
+        assert torch.equal(short[key], whole[key][-1:])
+        assert short[f"{key}_is_pad"].tolist() == [False]
+        others = {name: value for name, value in short.items() if not name.startswith(key)}
+        assert_same(whole, others, without=(key, f"{key}_is_pad"))
+
+
 def test_reader_and_mark_travel_into_data_loading_processes(root: Path) -> None:
     dataset = opened(root, lerobot_compat.apply, deltas={"action": [-1, 0, 1]})
     here = [dataset[index] for index in range(4)]

@@ -279,7 +279,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
             n_action_history_steps=config.n_action_history_steps,
             horizon=config.horizon,
             n_action_steps=config.n_action_steps,
-            sampler=f"{config.noise_scheduler_type}, {config.num_inference_steps} steps, {config.prediction_type}",
+            sampler=self.head.describe(),
             parameters=f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.1f}",
             updates=int(self.ema_steps),
         )
