@@ -12,9 +12,13 @@ from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
 from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, POSE_NAMES, STATE
+from lerobot_policy_adamanip.dp3_adaptive.checks import (
+    check_horizon,
+    check_normalization,
+    check_sizes,
+    wrong_number_of_points,
+)
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
-
-ANCHOR_SIZES = ("num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points")
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
@@ -176,9 +180,9 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         require_choice("proprioception", self.proprioception, ("pose", "full"))
         require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
         require_choice("prediction_type", self.prediction_type, ("epsilon", "sample"))
-        self._check_sizes()
-        self._check_horizon()
-        self._check_normalization()
+        check_sizes(self)
+        check_horizon(self)
+        check_normalization(self)
 
     def _take_preset(self) -> None:
         values = PRESETS[require_choice("preset", self.preset, PRESETS)]
@@ -197,59 +201,6 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             mode = NormalizationMode.IDENTITY if self.head == "anchors" else NormalizationMode.MIN_MAX
             none = NormalizationMode.IDENTITY
             self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
-
-    def _check_sizes(self) -> None:
-        widths = tuple(self.down_dims)
-        fits = widths and all(width > 0 and width % self.n_groups == 0 for width in widths) and self.kernel_size % 2
-        sampled = 1 <= self.num_inference_steps <= self.num_train_timesteps
-        anchored = all(getattr(self, name) >= 1 for name in ANCHOR_SIZES) and self.num_refinements >= 0
-        if not fits or not sampled or not anchored or self.num_points < 1 or not self.encoder_dims:
-            got = [
-                *("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps"),
-                *ANCHOR_SIZES,
-                "num_refinements",
-            ]
-            raise ConfigurationError(
-                "Sizes do not fit.",
-                got=", ".join(f"{name}={getattr(self, name)}" for name in got),
-                allowed="down_dims that n_groups divides, an odd kernel_size, num_points >= 1, some encoder_dims, "
-                f"{', '.join(ANCHOR_SIZES)} >= 1, num_refinements >= 0, "
-                f"1 <= num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
-                hint="--policy.preset=fast, and none of these",
-            )
-
-    def _check_normalization(self) -> None:
-        """Relating poses to clouds undoes the normalisation, and knows how to for one kind only."""
-        modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
-        anchors = self.head == "anchors"
-        wanted = NormalizationMode.IDENTITY if anchors else NormalizationMode.MIN_MAX
-        if (anchors or self.tcp_relative) and any(mode is not wanted for mode in modes):
-            raise ConfigurationError(
-                f"{'The head anchors' if anchors else 'tcp_relative'} does not go with this normalisation.",
-                got=", ".join(map(str, modes)),
-                allowed=f"{wanted.name} for STATE and for ACTION",
-                hint="--policy.preset=diffusion --policy.tcp_relative=false",
-            )
-
-    def _check_horizon(self) -> None:
-        factor = 1 if self.head == "anchors" else 2 ** (len(self.down_dims) - 1)
-        fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
-        if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
-            got = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
-            raise ConfigurationError(
-                "Horizons do not fit.",
-                got=", ".join(f"{name}={getattr(self, name)}" for name in got),
-                allowed=f"horizon a multiple of {factor}, 1 <= n_action_steps <= horizon, "
-                "n_obs_steps >= 1, n_action_history_steps >= 0",
-                hint="--policy.horizon=4 --policy.n_action_steps=1",
-            )
-        if self.head == "anchors" and (self.n_obs_steps, self.horizon) != (1, 1):
-            raise ConfigurationError(
-                "The head anchors looks at one cloud and draws one action.",
-                got=f"n_obs_steps={self.n_obs_steps}, horizon={self.horizon}",
-                allowed="n_obs_steps=1, horizon=1; n_action_history_steps says how far back it remembers",
-                hint="--policy.preset=diffusion",
-            )
 
     @property
     def observation_delta_indices(self) -> list[int]:
@@ -331,16 +282,6 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
         """Cosine with warm-up."""
         return DiffuserSchedulerConfig(name=self.scheduler_name, num_warmup_steps=self.scheduler_warmup_steps)
-
-
-def wrong_number_of_points(shape: tuple[int, ...], num_points: int) -> ConfigurationError:
-    """Returns the error for clouds of a shape (N, 3) that is too small for a policy that uses ``num_points``."""
-    return ConfigurationError(
-        "Wrong number of points.",
-        got=f"clouds of shape {tuple(shape)}",
-        allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
-        hint=f"clouds of {num_points} points (--num-points, --env.num_points), or a policy trained with fewer",
-    )
 
 
 def _flat_names(names: Any) -> list[str]:

@@ -22,7 +22,8 @@ from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead, demonstrated_motions, fit_anchors
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig, wrong_number_of_points
+from lerobot_policy_adamanip.dp3_adaptive.checks import wrong_number_of_points
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.window import Window

@@ -48,7 +48,7 @@ def test_the_papers_preset_has_the_papers_numbers() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_fills_what_was_left_open_and_nothing_else(preset: str) -> None:
-    given = {"horizon": 8, "optimizer_lr": 3e-3, "augmentation_yaw": 0.0, "n_action_history_steps": 0}
+    given = {"num_points": 77, "optimizer_lr": 3e-3, "augmentation_yaw": 0.5, "n_action_history_steps": 0}
     config = DP3AdaptiveConfig(preset=preset, device="cpu", **given)  # type: ignore[arg-type]
     for name, value in PRESETS[preset].items():
         assert getattr(config, name) == given.get(name, value), name
