@@ -32,9 +32,9 @@ setup: .venv/.renders  ## create .venv, install everything, see to a Vulkan devi
 
 test: setup .venv/.browser  ## all tests but the nightly ones: first those without a simulator, then those with it
 	@status=0; \
-	echo "== 1/2  tests without the simulator, $(JOBS) at a time: some 4 minutes on two cores"; \
+	echo "== 1/2  tests without the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
 	$(PYTEST) -m "not sim and not nightly" || status=$$?; \
-	echo "== 2/2  tests with the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
+	echo "== 2/2  tests with the simulator, $(JOBS) at a time: some 9 minutes on two cores"; \
 	$(PYTEST) -m "sim and not nightly" || status=$$?; \
 	exit $$status
 

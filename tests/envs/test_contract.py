@@ -21,6 +21,11 @@ pytestmark = pytest.mark.sim
 REGISTERED = sorted(name for name in EnvConfig.get_known_choices() if name.startswith("adamanip"))
 SINGLE = [name for name in REGISTERED if name != "adamanip"]
 every_environment = pytest.mark.parametrize("env_type", SINGLE)
+AT_ONCE = ("adamanip_lamp", "adamanip_safe")
+some_at_once = pytest.mark.parametrize(
+    "env_type", [pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.nightly) for name in SINGLE]
+)
+"""For what hardly depends on the category: two with every change, the others at night."""
 
 
 def config_of(env_type: str, **options: Any) -> Any:
@@ -59,7 +64,7 @@ def test_spaces_seeding_and_success_are_as_agreed(env: KeyframeEnv, env_type: st
     assert other != again
 
 
-@every_environment
+@some_at_once
 def test_gymnasiums_checker_has_nothing_to_say(env: KeyframeEnv, env_type: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -78,7 +83,7 @@ def test_the_adaptive_expert_ends_an_episode_with_success(env: KeyframeEnv, env_
     assert expert_episode(env, 17)[0] == hashes
 
 
-@every_environment
+@some_at_once
 def test_resetting_one_of_two_leaves_the_other_alone_and_processes_change_nothing(env_type: str) -> None:
     config = config_of(env_type, observe_images=False)
     function = lambda: KeyframeEnv(**config.gym_kwargs)  # noqa: E731
