@@ -25,6 +25,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
     motion_between,
+    point_features,
     points_seen,
     pose_after,
     upwards,
@@ -118,14 +119,13 @@ class AnchorHead:
         if model.training:
             cloud = self._perturbed(cloud)
         points = points_seen(cloud, poses[:, -1])
-        near = points / (points.norm(dim=-1, keepdim=True) + POINT_NEAR)
         body = [upwards(poses[:, -1]), poses[:, -1, 9:10]]
         if self.config.use_effort:
             body.append(window.observations[EFFORT][:, -1] / EFFORT_UNIT)
         steps = self.config.n_action_history_steps
         happened = events(window.history, poses[:, -steps - 1 :], window.valid)
         predicted: tuple[Tensor, Tensor] = model(
-            torch.cat([points / POINT_UNIT, near], dim=-1), torch.cat(body, dim=-1), happened
+            point_features(points, POINT_UNIT, POINT_NEAR), torch.cat(body, dim=-1), happened
         )
         return predicted
 

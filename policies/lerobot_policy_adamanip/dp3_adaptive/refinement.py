@@ -11,7 +11,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_policy_adamanip.dp3_adaptive.tool_frame import MOTION_UNITS, motion_between, points_seen, pose_after
+from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
+    MOTION_UNITS,
+    motion_between,
+    point_features,
+    points_seen,
+    pose_after,
+)
 from lerobot_policy_adamanip.encoders import make_encoder
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.05)
@@ -51,8 +57,7 @@ class Refiner(nn.Module):
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
             points = points + JITTER * torch.randn_like(points)
-        direction = points / (points.norm(dim=-1, keepdim=True) + SHARP)
-        local = self.encoder(torch.cat([points / NEAR, direction], dim=-1))
+        local = self.encoder(point_features(points, NEAR, SHARP))
         way = motion_between(pose, tool)[:, :6] / points.new_tensor(MOTION_UNITS[:6])
         correction: Tensor = self.out(torch.cat([local, self.embedding(anchor), way], dim=-1))
         return correction

@@ -56,6 +56,11 @@ def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
     return (cloud - tool[..., None, POSITION_DIMS]) @ frame
 
 
+def point_features(points: Tensor, unit: float, sharp: float) -> Tensor:
+    """Tells points (..., 3) [m] by where they are, in ``unit`` [m], and by direction, sharp within ``sharp`` [m]: 6."""
+    return torch.cat([points / unit, points / (points.norm(dim=-1, keepdim=True) + sharp)], dim=-1)
+
+
 def upwards(tool: Tensor) -> Tensor:
     """The vertical as tool poses (..., 10) see it -> (..., 3): what a tool's frame alone does not tell."""
     return matrix_from_6d(tool[..., ROTATION_DIMS])[..., 2, :]
