@@ -32,8 +32,8 @@ MOVED = 0.003
 """What stands this far from rest [rad or m] has moved."""
 OPENED = 0.8
 """Share of the way to an expert's last pose at which it is done: well past what counts as success."""
-MAX_PULLS = 3
-"""More pulls at what came along and stalled before it was open."""
+MAX_PULLS = 8
+"""More pulls at what came along and stalled before it was open: a full-size door comes 0.1 rad with each."""
 MAX_GRIPS = 4
 """Times a part is taken hold of to open it, until an expert goes about it otherwise."""
 
@@ -218,7 +218,7 @@ class Hand:
             # Also later on: a grip that slips leaves the joint behind.
             if self.feedback.failed and self.at(joint) - start < least:
                 if self.is_ajar(part, joint):
-                    return Opening.AJAR
+                    break  # heavy, not locked: pulled at from where it is
                 self.positions[joint] = start  # what is blocked is where it was; the hand gave way
                 return Opening.BLOCKED
         for _ in range(MAX_PULLS):  # from where the hand is now, a stiff joint comes farther
