@@ -15,7 +15,7 @@ from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_env_adamanip.sim.building import build_object, sapien_pose
+from lerobot_env_adamanip.sim.building import NO_SELF_COLLISION, build_object, sapien_pose
 
 CAMERA, IMAGE_CAMERA = "front", "front_image"
 """What observes, and what takes its image where that is larger than what is rendered for the cloud."""
@@ -55,6 +55,7 @@ class ObjectScene:
         material = sapien.render.RenderMaterial(base_color=[0.45, 0.36, 0.27, 1.0], roughness=0.8)
         builder.add_box_visual(half_size=half, material=material)
         builder.add_box_collision(half_size=half)
+        builder.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         builder.initial_pose = sapien.Pose([2.0, 0, self.floor_z / 2])
         return builder.build_kinematic(name="plinth")
 
