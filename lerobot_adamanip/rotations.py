@@ -68,7 +68,7 @@ def _quaternion(matrix: Array) -> Array:
     """One rotation (3, 3) -> (4,) wxyz: an object has dozens of poses, and scipy takes 0.2 ms for each."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
     squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)  # four times those of w, x, y, z
-    largest = max(range(4), key=squares.__getitem__)
+    largest = squares.index(max(squares))
     rows = (
         (squares[0], h - f, c - g, d - b),
         (h - f, squares[1], b + d, c + g),
@@ -152,7 +152,7 @@ def straight_path(start: Array, goal: Array, fractions: Array) -> Array:
     """Returns the (K, 4, 4) poses at ``fractions`` (K,) in [0, 1]: straight line for position, slerp for rotation."""
     turn = rotation_vector_from_matrix(start[:3, :3].T @ goal[:3, :3])
     angle = float(np.linalg.norm(turn))
-    x, y, z = (turn / max(angle, np.finfo(np.float64).tiny)).tolist()
+    x, y, z = (turn / (angle or 1.0)).tolist()
     cross = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
     turned = angle * fractions[:, None, None]
     path = np.zeros((len(fractions), 4, 4))

@@ -27,6 +27,9 @@ MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
 
 FOLDED = 1.5
 """A posture with a joint this far from rest folds the arm against itself, and no straight line leads back [rad]."""
+PATH_TOLERANCE, LAST_TOLERANCE = 5e-4, 1e-4
+"""Up to which inverse kinematics goes on, on the way and at its end [m and rad]: what one tick leaves,
+the next makes good."""
 LEANING_SPEED = 0.5
 """An arm that has stalled and whose joints are slower than this leans against something [rad/s]."""
 
@@ -144,8 +147,9 @@ class KeyframeDriver:
         )
         ticks = max(1, int(np.ceil(seconds / self._dt)))
         shares = [_quintic(k / ticks) for k in range(1, ticks + 1)]
-        for waypoint in straight_path(start, goal, np.array(shares)):
-            solution = self.kinematics.solve(waypoint, self._target, iterations=15)
+        for number, waypoint in enumerate(straight_path(start, goal, np.array(shares)), 1):
+            tolerance = LAST_TOLERANCE if number == ticks else PATH_TOLERANCE
+            solution = self.kinematics.solve(waypoint, self._target, iterations=15, tolerance=tolerance)
             if not solution.within(5e-3, 0.03):
                 solution = self.kinematics.solve(waypoint, self._target, iterations=80)
                 if not solution.within(0.01, 0.06):

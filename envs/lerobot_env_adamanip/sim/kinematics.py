@@ -133,12 +133,12 @@ class ArmKinematics:
         return _bounded(step, LARGEST_STEP) + _bounded(spare - taken, LARGEST_PULL)
 
     def _inside(self, qpos: Array) -> Array:
-        return np.minimum(np.maximum(qpos, self.lower), self.upper)
+        return np.asarray(np.minimum(np.maximum(qpos, self.lower), self.upper))
 
 
 def _bounded(vector: Array, largest: float) -> Array:
     """``np.clip`` without its overhead, which is five times the work."""
-    return np.minimum(np.maximum(vector, -largest), largest)
+    return np.asarray(np.minimum(np.maximum(vector, -largest), largest))
 
 
 def joint_path(start: Array, end: Array, largest_step: float) -> Array:

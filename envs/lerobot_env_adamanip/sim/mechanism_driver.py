@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.mechanisms import Mechanism
 from lerobot_adamanip.mechanisms.arrays import as_arrays
+from lerobot_adamanip.mechanisms.base import Reading
 
 Limits = tuple[float, float]
 
@@ -89,7 +90,7 @@ class MechanismDriver:
         positions = self.joint_positions()
         self._held = {name: self._held.get(name, positions[name]) for name in held}
         arrays = {name: np.array([position]) for name, position in positions.items()}
-        self.state, command = self.mechanism.step(self.state, arrays)
+        self.state, command = self.mechanism.step(self.state, cast(Reading, arrays))
         for name, joint in self._joints.items():
             limits = (float(command[name].lower[0]), float(command[name].upper[0]))
             if name in self._held:
