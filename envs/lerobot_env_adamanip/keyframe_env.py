@@ -172,6 +172,10 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Returns the object's joint positions as they stand now [rad or m]: what a camera sees of an open door."""
         return self._running().joint_positions()
 
+    def joints(self) -> NDArray[np.float32]:
+        """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records."""
+        return self._running().joints()
+
     def fingerprint(self) -> dict[str, str]:
         """Returns what decides how an episode comes out: hashes of the code, versions and what makes observations.
 

@@ -16,7 +16,8 @@ def device_for(cloud_source: str, render_backend: str, options: Mapping[str, Any
     """Returns ManiSkill's name of the device that renders its scene: ``none`` if only rays are cast there.
 
     Args:
-        cloud_source, render_backend: see `lerobot_adamanip.options`.
+        cloud_source: see `lerobot_adamanip.options.CLOUD_SOURCES`.
+        render_backend: see `lerobot_adamanip.options.RENDER_BACKENDS`.
         options: of ManiSkill's environment: whoever uses it plainly may look at it.
     """
     plain = options.get("obs_mode") != "none" or options.get("render_mode") is not None
