@@ -43,10 +43,14 @@ class PinholeCamera:
     size: int
     focal: float
 
-    def rays(self) -> NDArray[np.float64]:
-        """Returns the directions (size^2, 3) of all pixels in scan order, camera frame; of depth 1 each."""
-        middle = (np.arange(self.size) + 0.5 - self.size / 2) / self.focal
-        columns, rows = np.meshgrid(middle, -middle)
+    def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+        """Returns the directions (size^2, 3) of all pixels in scan order, camera frame; of depth 1 each.
+
+        Args:
+            beside: how far right and below the pixel's middle [px].
+        """
+        across, down = ((np.arange(self.size) + 0.5 - self.size / 2 + shift) / self.focal for shift in beside)
+        columns, rows = np.meshgrid(across, -down)
         return np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -1.0)], axis=1)
 
     def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -137,13 +141,14 @@ class RayScene:
     Args:
         camera: of one episode.
         workspace: only rays that can end in it are cast.
+        beside: see `PinholeCamera.rays`.
     """
 
-    def __init__(self, camera: PinholeCamera, workspace: Workspace) -> None:
+    def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
         self._camera = camera
         into_camera = np.linalg.inv(camera.pose)
         self._rotation, self._shift = into_camera[:3, :3], into_camera[:3, 3]
-        rays = camera.rays()
+        rays = camera.rays(beside)
         farthest = _farthest(camera, rays, workspace)
         self.pixels: NDArray[np.int64] = np.flatnonzero(farthest > 0.0)
         """Those whose rays are cast, in scan order (K,)."""

@@ -99,11 +99,18 @@ class RaycastSensor:
         config: of the camera.
         bodies: what rays can meet.
         workspace: of which points are wanted.
+        beside: how far right and below its pixel's middle each ray goes [px].
     """
 
-    def __init__(self, config: CameraConfig, bodies: Iterable[Body], workspace: Workspace) -> None:
+    def __init__(
+        self,
+        config: CameraConfig,
+        bodies: Iterable[Body],
+        workspace: Workspace,
+        beside: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         self._camera = pinhole(config)
-        self._scene = RayScene(self._camera, workspace)
+        self._scene = RayScene(self._camera, workspace, beside)
         bodies = tuple(bodies)
         self._resting = tuple(body for body in bodies if body.rests)
         self._moving = tuple(body for body in bodies if not body.rests)
@@ -113,10 +120,10 @@ class RaycastSensor:
 
     def points(self) -> Cloud:
         """Returns (M, 3) [m], robot base frame, in scan order: those of rays that end in the workspace, or near it."""
-        millimetres = self.millimetres()[1]
+        millimetres = self.pixels()[1]
         return points_in_world(millimetres * np.float32(1e-3), self._camera.pose)
 
-    def millimetres(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def pixels(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Returns pixels (M,), as numbers in scan order, and their points (M, 3), camera frame, in whole mm."""
         self._update_resting()
         depth = self._behind.copy()
