@@ -69,5 +69,5 @@ def no_vulkan_device(reason: object) -> SimulatorError:
         "SAPIEN found no Vulkan device to render with.",
         got=reason,
         allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
-        hint="adamanip doctor",
+        hint="adamanip doctor; or do without pictures: adamanip collect --no-images, --env.observe_images=false",
     )

@@ -45,9 +45,10 @@ def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np
 
 def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
     """Returns the dataset columns of one Gym observation: copies, so that the environment may reuse its buffers."""
+    pixels = observation.get("pixels", {})
     return {
         schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32),
         schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),
         schema.EFFORT: np.array(observation["effort"], dtype=np.float32),
-        schema.FRONT_IMAGE: np.array(observation["pixels"]["front"], dtype=np.uint8),
+        **({schema.FRONT_IMAGE: np.array(pixels["front"], dtype=np.uint8)} if "front" in pixels else {}),
     }

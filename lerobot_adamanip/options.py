@@ -17,6 +17,8 @@ POSES = ("randomized", "fixed")
 """``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as upstream's code has them."""
 RENDER_BACKENDS = ("auto", "cuda", "cpu")
 """``auto``: the first of the others that renders on this machine."""
+CLOUD_SOURCES = ("raycast", "render")
+"""``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
 IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
 """Least and largest."""
 
@@ -38,6 +40,7 @@ class EnvironmentOptions:
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: whose scenes seeds stand for, see `lerobot_adamanip.seeds.SPLITS`; a seed of another is mapped into it.
         seed_offset: added to seeds, so that the suite's categories have scenes of their own.
+        cloud_source: see `CLOUD_SOURCES`.
         render_backend: see `RENDER_BACKENDS`.
         episode_log: a file to which each ended episode's record is appended as a line of JSON.
         run_id: of the evaluation that those records belong to; drawn anew if left out.
@@ -60,6 +63,7 @@ class EnvironmentOptions:
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
     split: str = "test"
     seed_offset: int = 0
+    cloud_source: str = "raycast"
     render_backend: str = "auto"
     episode_log: str | None = None
     run_id: str | None = None
@@ -81,6 +85,7 @@ class EnvironmentOptions:
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
         require_choice("mechanism preset", self.mechanism_preset, MECHANISM_PRESETS)
         require_choice("split of scenes", self.split, SPLITS, hint="--env.split=test")
+        require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
         check_num_points(self.num_points)
         _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")

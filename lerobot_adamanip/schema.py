@@ -23,6 +23,7 @@ OUTCOME = "complementary_info.outcome"
 TRIED = "complementary_info.tried"
 FAILED = "complementary_info.failed"
 PROGRESS = "complementary_info.progress"
+JOINTS = "complementary_info.joints"
 SUCCESS = "next.success"
 DONE = "next.done"
 
@@ -35,6 +36,14 @@ STATE_NAMES = (
     *(f"joint_{i}.vel" for i in range(1, NUM_JOINTS + 1)),
 )
 EFFORT_NAMES = tuple(f"joint_{i}.effort" for i in range(1, NUM_JOINTS + 1))
+MAX_OBJECT_JOINTS = 4
+"""Of an object; every category has two or fewer."""
+JOINT_NAMES = (
+    *(f"joint_{i}.pos" for i in range(1, NUM_JOINTS + 1)), "left_finger.pos", "right_finger.pos",
+    *(f"object_joint_{i}.pos" for i in range(1, MAX_OBJECT_JOINTS + 1)),
+)  # fmt: skip
+"""Everything that moves, so that a picture of a row can be made later: arm [rad], fingers [m], then the object's joints
+in the order of its links [rad or m], 0 where it has fewer. Tells more than a camera sees, so never a policy's input."""
 ACTION_DIM = len(POSE_NAMES)
 STATE_DIM = len(STATE_NAMES)
 POSITION_DIMS = slice(0, 3)
@@ -66,20 +75,25 @@ FIXED_RANGE_DIMS = (*range(3, 9), GRIPPER_DIM)
 """Dimensions of a pose whose range is known: rotation 6D and gripper statistics are fixed to [-1, 1]."""
 
 
-def dataset_features(num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE) -> dict[str, dict[str, Any]]:
+def dataset_features(
+    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, images: bool = True
+) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 
     Args:
         num_points: points per cloud, N.
         image_size: height and width of the front image [px].
+        images: whether there is a column of them.
     """
+    image = {"dtype": "video", "shape": (image_size, image_size, 3), "names": ["height", "width", "channels"]}
     return {
         POINT_CLOUD: {"dtype": "float32", "shape": (num_points, 3), "names": None},
         STATE: {"dtype": "float32", "shape": (STATE_DIM,), "names": list(STATE_NAMES)},
         EFFORT: {"dtype": "float32", "shape": (NUM_JOINTS,), "names": list(EFFORT_NAMES)},
-        FRONT_IMAGE: {"dtype": "video", "shape": (image_size, image_size, 3), "names": ["height", "width", "channels"]},
+        **({FRONT_IMAGE: image} if images else {}),
         ACTION: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
         **{key: {"dtype": dtype, "shape": (1,), "names": None} for key, dtype in LABEL_DTYPES.items()},
+        JOINTS: {"dtype": "float32", "shape": (len(JOINT_NAMES),), "names": list(JOINT_NAMES)},
     }
 
 

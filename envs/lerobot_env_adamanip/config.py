@@ -75,6 +75,8 @@ class AdaManipEnvConfig(EnvConfig):
     episode_length: int = MAX_KEY_FRAMES
     # Whose scenes: test, validation or train, which share none. auto: validation inside lerobot-train, else test.
     split: str = AUTO
+    # Where clouds come from: raycast (needs no renderer), or render (ten times slower); the same clouds.
+    cloud_source: str = "raycast"
     # What renders: cuda, cpu, or auto, the first of them that renders on this machine.
     render_backend: str = "auto"
     # Lower corner of the box of which clouds keep the points: x, y, z, robot base frame [m].
@@ -144,6 +146,7 @@ class AdaManipEnvConfig(EnvConfig):
             max_key_frames=self.episode_length,
             hidden_overrides=self.hidden_overrides,
             split=resolve_split(self.split, self),
+            cloud_source=self.cloud_source,
             render_backend=self.render_backend,
             episode_log=self.episode_log,
             run_label=self.run_label,

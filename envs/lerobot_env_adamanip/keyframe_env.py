@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import (
-    AdaManipError,
-    SimulatorError,
-    UnreachableError,
-    no_vulkan_device,
-)
+from lerobot_adamanip.errors import SimulatorError, UnreachableError
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.fingerprint import versions
@@ -29,6 +24,7 @@ from lerobot_adamanip.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
 from lerobot_adamanip.seeds import retried_seed, scene_seed
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, present_fingerprint
+from lerobot_env_adamanip.starting import make_task, require_simulator, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
@@ -55,7 +51,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         options: all options at once ...
         values: ... or some of them by name, see `EnvironmentOptions`: ``objects``, ``assets``, ``num_points``,
             ``image_size``, ``observe_images``, ``poses``, ``mechanism_preset``, ``max_key_frames``,
-            ``hidden_overrides``, ``split``, ``render_backend``, ``episode_log``, ``workspace``.
+            ``hidden_overrides``, ``split``, ``cloud_source``, ``render_backend``, ``episode_log``, ``workspace``.
 
     Raises:
         ConfigurationError: there is no such option, or a value cannot work.
@@ -76,8 +72,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._monitor: EpisodeMonitor | None = None
         self._record: EpisodeRecord | None = None
         self._episode_log, self._provenance = _log_of(self.options)
-        size = self.options.image_size
-        self._image: NDArray[np.uint8] = np.zeros((size, size, 3), np.uint8)
+        self._image: NDArray[np.uint8] | None = None
+        self._renders = True
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
         self.observation_space = _observation_space(self.options)
 
@@ -102,7 +98,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
         chosen = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim = self._started()
-        self._monitor = self._record = None  # a reset that fails leaves no episode to go on with
+        self._monitor = self._record = self._image = None  # a reset that fails leaves no episode to go on with
         drawn = self._placed(sim, wanted, chosen)
         self._monitor = EpisodeMonitor(
             sim, sim.placement.annotations, seed=drawn, given_seed=given, provenance=self._provenance
@@ -124,8 +120,25 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._observe(), reward, success, truncated, {"is_success": success}
 
     def render(self) -> NDArray[np.uint8]:
-        """Returns the front camera's latest image (H, W, 3)."""
+        """Returns the front camera's image (H, W, 3) of this moment; black before the first episode.
+
+        Unless images are observed, it is taken only now. Where there is no Vulkan device, it is a shaded picture of
+        shapes without their colours, and a warning says so.
+        """
+        size = self.options.image_size
+        if self._image is None:
+            self._image = np.zeros((size, size, 3), np.uint8) if self._monitor is None else self._picture()
         return self._image.copy()
+
+    def _picture(self) -> NDArray[np.uint8]:
+        sim = self._running()
+        if self._renders:
+            try:
+                return sim.views.image()
+            except SimulatorError as error:
+                self._renders = False
+                _logger.warning("Videos show shapes without colours: %s", str(error).split("\n")[0])
+        return sim.views.shaded_image()
 
     def close(self) -> None:
         """Ends the simulator."""
@@ -159,16 +172,17 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Returns the object's joint positions as they stand now [rad or m]: what a camera sees of an open door."""
         return self._running().joint_positions()
 
+    def joints(self) -> NDArray[np.float32]:
+        """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records."""
+        return self._running().joints()
+
     def fingerprint(self) -> dict[str, str]:
-        """Returns what decides how an episode comes out: hashes of the code, versions and the renderer.
+        """Returns what decides how an episode comes out: hashes of the code, versions and what makes observations.
 
-        Keys: those of `code_fingerprint`, ``versions``, ``renderer``.
+        Keys: those of `code_fingerprint`, ``versions``, ``renderer``. Starts no simulator.
         """
-        require_simulator()
-        from lerobot_env_adamanip.sim.rendering import renderer_name
-
         installed = " ".join(f"{name}={version}" for name, version in versions().items())
-        return {**code_fingerprint(), "versions": installed, "renderer": renderer_name()}
+        return {**code_fingerprint(), "versions": installed, "renderer": sensors_name(self.options)}
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden state: privileged; for the static expert and records only."""
@@ -180,7 +194,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
-        return self._running().camera_parameters().to_json()
+        return self._running().views.camera_parameters().to_json()
 
     # Inside -----------------------------------------------------------------------------------------------------
 
@@ -194,6 +208,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
                 mechanism_preset=self.options.mechanism_preset,
                 image_size=self.options.image_size,
                 hidden_overrides=dict(self.options.hidden_overrides),
+                cloud_source=self.options.cloud_source,
+                workspace=self.options.workspace,
                 render_backend=self.options.render_backend,
             )
         return self._sim
@@ -223,15 +239,15 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._sim
 
     def _observe(self) -> Observation:
-        seen = self._running().observe()
+        seen = self._running().observe(image=self.options.observe_images)
         self._image = seen.image
         observation: Observation = {
             "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
             "effort": seen.effort.astype(np.float32),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
-        if self.options.observe_images:
-            observation["pixels"] = {"front": self._image}
+        if seen.image is not None:
+            observation["pixels"] = {"front": seen.image}
         return observation
 
 
@@ -260,34 +276,4 @@ def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
     return gym.spaces.Dict(spaces)
 
 
-def require_simulator() -> None:
-    """Imports the simulator; raises `SimulatorError` if it is not installed."""
-    try:
-        import mani_skill.envs  # noqa: F401  (ManiSkill's own tasks, and its registry)
-
-        import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
-    except ImportError as error:
-        raise SimulatorError(
-            "The simulator is not installed.",
-            got=error,
-            allowed="mani-skill 3.0.1 and sapien 3.0.3",
-            hint="pip install 'lerobot_env_adamanip[sim]'",
-        ) from error
-
-
-def make_task(category: str, **options: Any) -> AdaManipTask:
-    """Builds the ManiSkill task of a category, without observations of its own.
-
-    Raises:
-        SimulatorError: the simulator is not installed, or finds nothing to render with.
-    """
-    require_simulator()
-    try:
-        made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
-    except RuntimeError as error:
-        if isinstance(error, AdaManipError) or not any(
-            word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")
-        ):
-            raise
-        raise no_vulkan_device(error) from error
-    return cast("AdaManipTask", made)
+__all__ = ["KeyframeEnv", "make_task", "require_simulator"]

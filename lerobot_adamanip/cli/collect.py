@@ -62,6 +62,12 @@ class Collect:
     image_size: int = schema.IMAGE_SIZE
     """Side of the front image [px]."""
 
+    images: bool = True
+    """Whether pictures are recorded; without, no Vulkan device is needed, and `adamanip render` adds them later."""
+
+    cloud_source: Literal["raycast", "render"] = "raycast"
+    """raycast: clouds by ray casting. render: by the renderer, ten times slower. They are the same."""
+
     poses: Literal["randomized", "fixed"] = "randomized"
     """randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream's code has them."""
 
@@ -138,6 +144,8 @@ class Collect:
             assets=None if self.assets is None else str(self.assets.resolve()),
             num_points=self.num_points,
             image_size=self.image_size,
+            observe_images=self.images,
+            cloud_source=self.cloud_source,
             poses=self.poses,
             mechanism_preset=self.mechanism_preset,
         )

@@ -119,10 +119,12 @@ def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str
     av.logging.set_libav_level(av.logging.ERROR)
     datasets.disable_progress_bars()
     environment = manifest.spec.environment
-    features = schema.dataset_features(environment.num_points, environment.image_size)
+    images = environment.observe_images
+    features = schema.dataset_features(environment.num_points, environment.image_size, images=images)
     camera = first.record["camera"]
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base"}
-    features[schema.FRONT_IMAGE]["info"] = {"intrinsics": camera.get("intrinsics"), "cameras": "meta/cameras.json"}
+    if images:
+        features[schema.FRONT_IMAGE]["info"] = {"intrinsics": camera.get("intrinsics"), "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
         repo_id=repo_id,
         fps=schema.FPS,

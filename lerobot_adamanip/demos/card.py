@@ -27,6 +27,7 @@ COLUMNS = {
     schema.TRIED: "joint that this row's action tried to move: 0 the one that opens, 1 and up the others, -1 none",
     schema.FAILED: "whether that try failed: the joint covered less than half of the way it was sent",
     schema.PROGRESS: "how far that joint moved, in the direction it was sent [rad or m]",
+    schema.JOINTS: "positions of all joints, from which `adamanip render` makes pictures: never a policy's input",
     schema.SUCCESS: "whether the task is done after this row's action",
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
 }
@@ -129,6 +130,7 @@ def command(spec: CollectionSpec, folder: str) -> str:
         "expert_preset": spec.expert_preset,
         "episodes_per_object": spec.episodes_per_object,
         "num_points": environment.num_points,
+        "cloud_source": environment.cloud_source,
         "poses": environment.poses,
         "mechanism_preset": environment.mechanism_preset,
         "trials": spec.trials,
@@ -138,4 +140,5 @@ def command(spec: CollectionSpec, folder: str) -> str:
     }
     flags = "".join(f" --{name.replace('_', '-')} {value}" for name, value in options.items())
     external = " --assets DIR" if environment.assets is not None else ""
-    return f"adamanip collect{flags}{external}{' --keep-failed' if spec.keep_failed else ''}"
+    images = "" if environment.observe_images else " --no-images"
+    return f"adamanip collect{flags}{external}{images}{' --keep-failed' if spec.keep_failed else ''}"

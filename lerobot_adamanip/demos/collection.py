@@ -106,9 +106,7 @@ class CollectionSpec:
     def environment_of(self, category: str) -> EnvironmentOptions:
         """Returns the options of the environment for a category's objects; raises `ConfigurationError`."""
         mine = ",".join(name for name in self.objects if category_of(name) == category)
-        return self.environment.changed(
-            category=category, objects=mine, observe_images=True, split=SPLIT, seed_offset=0
-        )
+        return self.environment.changed(category=category, objects=mine, split=SPLIT, seed_offset=0)
 
     def items(self) -> list[EpisodeSpec]:
         """Returns the episodes in dataset order: the first of every object, then the second: any prefix is balanced."""
@@ -186,12 +184,12 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
 
 
 DECIDING = (
-    "num_points", "image_size", "poses", "mechanism_preset", "max_key_frames", "hidden_overrides", "workspace",
+    "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_preset", "max_key_frames",
+    "hidden_overrides", "workspace",
 )  # fmt: skip
 """Options of an environment that a manifest holds."""
 NOT_DECIDING = (
-    "category", "objects", "assets", "observe_images", "split", "seed_offset", "render_backend", "episode_log",
-    "run_id", "run_label",
+    "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
 )  # fmt: skip
-"""Options that it does not: category and objects stand beside them, images and split are the same for every
-collection, a path is of one machine, a run is of an evaluation, and the fingerprint tells the renderer."""
+"""Options that it does not: category and objects stand beside them, the split is the same for every collection, a path
+is of one machine, a run is of an evaluation, and the fingerprint tells the renderer."""

@@ -35,7 +35,7 @@ from lerobot_adamanip.demos.collection import LIMITS, MAX_EPISODES, MAX_OBJECTS,
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError, DatasetError
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
-from lerobot_adamanip.options import IMAGE_SIZES, KEY_FRAMES, POSES, EnvironmentOptions
+from lerobot_adamanip.options import CLOUD_SOURCES, IMAGE_SIZES, KEY_FRAMES, POSES, EnvironmentOptions
 from lerobot_adamanip.pointcloud import Workspace
 
 FORMAT = 2
@@ -196,6 +196,8 @@ _CORNER = listing(number(-_FARTHEST, _FARTHEST), 3, 3)
 _ENVIRONMENT: Mapping[str, Check] = {
     "num_points": integer(1, MAX_POINTS),
     "image_size": integer(*IMAGE_SIZES),
+    "observe_images": flag,
+    "cloud_source": choice(CLOUD_SOURCES),
     "poses": choice(POSES),
     "mechanism_preset": choice(MECHANISM_PRESETS),
     "max_key_frames": integer(*KEY_FRAMES),

@@ -44,9 +44,8 @@ class EpisodeRecorder:
         self.tries += labels.tried >= 0
         self.failed_tries += labels.failed
         self._last = key_frame
-        self.rows.append(
-            self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
-        )
+        row = self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
+        self.rows.append({**row, schema.JOINTS: key_frame.joints})
 
     def columns(self) -> Row:
         """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal."""
@@ -56,6 +55,7 @@ class EpisodeRecorder:
         stay = Goal(last.feedback.tcp_in_base, last.goal.gripper, last.goal.phase)
         labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
         end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
+        end[schema.JOINTS] = last.following_joints
         return {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
 
     def _row(

@@ -23,6 +23,7 @@ from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.observation import observation_columns
 from lerobot_adamanip.rollout import KeyframeEnvironment
 
+Picture = NDArray[np.uint8]
 _COMPARED = (schema.STATE, schema.POINT_CLOUD, schema.EFFORT)
 _LONGEST = 10_000
 Progress = Callable[[int, int], None]
@@ -88,7 +89,8 @@ def replay(
         episode: index.
         make_env: builds the environment; nothing in the dataset does.
         assets: folder of external assets, if the dataset used any.
-        video: where to write recording (left) and replay (right) side by side, if anywhere.
+        video: where to write recording (left) and replay (right) side by side, if anywhere; the replay alone if no
+            pictures were recorded.
         progress: told of key frames done, and all.
 
     Raises:
@@ -103,11 +105,11 @@ def replay(
     env = make_env(manifest.spec.environment_of(category_of(recording.object_id)))
     try:
         changed = differing_parts(manifest.fingerprint, env.fingerprint())
-        seen, success = _run(env, recording, progress)
+        seen, pictures, success = _run(env, recording, progress, look=video is not None)
     finally:
         env.close()
     if video is not None:
-        _write_side_by_side(video, recording, seen)
+        _write_side_by_side(video, recording, pictures)
     return _compared(episode, recording, seen, success, changed)
 
 
@@ -135,10 +137,11 @@ def _differences(recording: _Recording, seen: list[dict[str, NDArray[Any]]]) -> 
     }
 
 
-def _write_side_by_side(video: str | Path, recording: _Recording, seen: list[dict[str, NDArray[Any]]]) -> None:
-    recorded = recording.columns[schema.FRONT_IMAGE]
-    pairs = [np.concatenate([recorded[t], frame[schema.FRONT_IMAGE]], axis=1) for t, frame in enumerate(seen)]
-    write_video(video, pairs, schema.FPS)
+def _write_side_by_side(video: str | Path, recording: _Recording, pictures: list[Picture]) -> None:
+    recorded = recording.columns.get(schema.FRONT_IMAGE)
+    if recorded is not None:
+        pictures = [np.concatenate([recorded[t], picture], axis=1) for t, picture in enumerate(pictures)]
+    write_video(video, pictures, schema.FPS)
 
 
 def _require_content(manifest: Manifest, object_id: str, assets: str | Path) -> None:
@@ -173,8 +176,9 @@ def _read(root: Path, episode: int, manifest: Manifest) -> _Recording:
         ) from error
     frames = [dataset[index] for index in range(first, end)]
     columns = {key: np.stack([frame[key].numpy() for frame in frames]) for key in (*_COMPARED, schema.ACTION)}
-    images = np.stack([frame[schema.FRONT_IMAGE].numpy() for frame in frames]).transpose(0, 2, 3, 1)
-    columns[schema.FRONT_IMAGE] = np.round(images * 255.0).astype(np.uint8)
+    if schema.FRONT_IMAGE in frames[0]:
+        images = np.stack([frame[schema.FRONT_IMAGE].numpy() for frame in frames]).transpose(0, 2, 3, 1)
+        columns[schema.FRONT_IMAGE] = np.round(images * 255.0).astype(np.uint8)
     return _Recording(columns, **facts)
 
 
@@ -196,20 +200,25 @@ def _parsed(row: dict[str, Any], name: str) -> Any:
 
 
 def _run(
-    env: KeyframeEnvironment, recording: _Recording, progress: Progress
-) -> tuple[list[dict[str, NDArray[Any]]], bool]:
-    """Returns what was seen before each action and after the last, until the replayed episode ends, and success."""
+    env: KeyframeEnvironment, recording: _Recording, progress: Progress, *, look: bool
+) -> tuple[list[dict[str, NDArray[Any]]], list[Picture], bool]:
+    """Returns what was seen before each action and after the last, until the replayed episode ends, and success.
+
+    Pictures (H, W, 3) only if someone wants to ``look``.
+    """
     overrides = {} if recording.overrides is None else {"hidden_overrides": recording.overrides}
     observation, _ = env.reset(seed=recording.seed, options={"object_id": recording.object_id, **overrides})
     for action in recording.prefix:
         observation, *_ = env.step(action)
     actions = recording.columns[schema.ACTION][:-1]  # the terminal row's was never sent
     seen, success = [observation_columns(observation)], False
+    pictures = [env.render()] if look else []
     for number, action in enumerate(actions):
         observation, _, _, truncated, info = env.step(action)
         seen.append(observation_columns(observation))
+        pictures += [env.render()] if look else []
         success = success or bool(info["is_success"])
         progress(number + 1, len(actions))
         if truncated:
             break
-    return seen, success
+    return seen, pictures, success

@@ -41,9 +41,10 @@ class RecordedEpisode:
 def write_shard(path: Path, episode: RecordedEpisode) -> None:
     """Writes an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
     tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
-    images = [_png(image) for image in tensors.pop(schema.FRONT_IMAGE)]
-    tensors[_PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
-    tensors[_PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
+    if schema.FRONT_IMAGE in tensors:
+        images = [_png(image) for image in tensors.pop(schema.FRONT_IMAGE)]
+        tensors[_PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
+        tensors[_PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
     header = {_RECORD: json.dumps(episode.record, sort_keys=True)}
     content = save(tensors, metadata=header)
     files.write_atomically(path, content, crash_points=("shard written", "shard in place"))
@@ -55,9 +56,11 @@ def read_shard(path: Path) -> RecordedEpisode:
         with safe_open(path, framework="numpy") as file:
             columns = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
             record = json.loads(file.metadata()[_RECORD])
-        ends = columns.pop(_PNG_ENDS).tolist()
-        png = columns.pop(_PNG).tobytes()
-        images = [_unpng(png[start:end]) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
+        if _PNG_ENDS in columns:
+            ends = columns.pop(_PNG_ENDS).tolist()
+            png = columns.pop(_PNG).tobytes()
+            images = [_unpng(png[start:end]) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
+            columns[schema.FRONT_IMAGE] = np.stack(images)
     except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
         raise DatasetError(
             "Cannot read a recorded episode.",
@@ -65,7 +68,7 @@ def read_shard(path: Path) -> RecordedEpisode:
             allowed="an intact episode file",
             hint="delete this file and run the same `adamanip collect` command again",
         ) from error
-    return RecordedEpisode({**columns, schema.FRONT_IMAGE: np.stack(images)}, record)
+    return RecordedEpisode(columns, record)
 
 
 def read_record(path: Path) -> dict[str, Any] | None:

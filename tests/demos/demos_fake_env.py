@@ -77,6 +77,14 @@ class FakeEnv:
     def part_positions(self) -> dict[str, float]:
         return {"lid": self.lid}
 
+    def joints(self) -> np.ndarray:
+        moved = np.zeros(len(schema.JOINT_NAMES), np.float32)
+        moved[9] = self.lid
+        return moved
+
+    def render(self) -> np.ndarray:
+        return self._image
+
     def hidden_state(self) -> dict[str, Any]:
         return {"locked": self.drawn}
 
@@ -94,9 +102,9 @@ class FakeEnv:
         state = self.generator.normal(size=schema.STATE_DIM).astype(np.float32)
         state[:3] = self.pose[:3, 3]
         corner = self.generator.integers(0, 256, 3, dtype=np.uint8)
-        image = np.full((self.image_size, self.image_size, 3), corner, dtype=np.uint8)
+        self._image = image = np.full((self.image_size, self.image_size, 3), corner, dtype=np.uint8)
         return {
-            "pixels": {"front": image},
+            **({"pixels": {"front": image}} if self.options.observe_images else {}),
             "agent_pos": state,
             "effort": self.generator.normal(size=schema.NUM_JOINTS).astype(np.float32),
             "point_cloud": self.generator.normal(size=(self.num_points, 3)).astype(np.float32),

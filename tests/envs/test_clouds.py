@@ -41,7 +41,7 @@ def test_the_cloud_does_not_depend_on_the_images_size() -> None:
             task.reset(seed=3)
             seen.append(task.observe())
             assert seen[-1].image.shape == (size, size, 3)
-            parameters = task.camera_parameters()
+            parameters = task.views.camera_parameters()
             assert (parameters.width, parameters.height) == (size, size)
             assert parameters.intrinsics[0, 2] == pytest.approx(size / 2)
         finally:

@@ -38,8 +38,8 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
         made.set_name(link.name)
         made.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         for shape in link.shapes:
-            if shape.visible:
-                _add_visual(made, shape)
+            if shape.visible and scene.can_render():
+                add_visual(made, shape)
             if shape.collides:
                 _add_collision(made, shape, material)
         made.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))
@@ -103,7 +103,8 @@ def _render_material(material: Material) -> sapien.render.RenderMaterial:
     return made
 
 
-def _add_visual(link: Any, shape: Shape) -> None:
+def add_visual(link: Any, shape: Shape) -> None:
+    """Lets a builder's link or actor look like ``shape``; fails where nothing can render."""
     pose, material = sapien_pose(shape.pose_in_link), _render_material(shape.material)
     if shape.kind == "box":
         link.add_box_visual(pose, list(shape.size), material)

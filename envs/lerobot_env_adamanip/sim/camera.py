@@ -6,16 +6,19 @@ from typing import Any
 
 import numpy as np
 from mani_skill.envs.scene import ManiSkillScene
-from mani_skill.sensors.camera import Camera
+from mani_skill.sensors.camera import Camera, CameraConfig
 from numpy.typing import NDArray
 from PIL import Image
 
 from lerobot_adamanip.pointcloud import Cloud
 from lerobot_env_adamanip.sim.observation import CameraParameters
+from lerobot_env_adamanip.sim.raycast import PinholeCamera
 
 RENDER_SIZE = 320
 """Side of what is rendered for an observation [px], whatever the image's size: each of its pixels is a point."""
 OPENCV_FROM_GL = np.diag([1.0, -1.0, -1.0, 1.0])
+GL_FROM_BODY = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""SAPIEN poses a camera as a body that looks along x, with z up."""
 
 
 def capture(scene: ManiSkillScene, camera: Camera) -> tuple[NDArray[np.uint8], Cloud]:
@@ -28,9 +31,15 @@ def capture(scene: ManiSkillScene, camera: Camera) -> tuple[NDArray[np.uint8], C
     data = camera.get_obs(rgb=True, depth=False, position=True, segmentation=False)
     image: NDArray[np.uint8] = data["rgb"][0].cpu().numpy()
     millimetres = data["position"][0].cpu().numpy().reshape(-1, 3)
-    seen = millimetres[millimetres[:, 2] < -1].astype(np.float32) * 1e-3
+    seen = millimetres[millimetres[:, 2] < -1].astype(np.float32) * np.float32(1e-3)
     camera_in_world = camera.get_params()["cam2world_gl"][0].cpu().numpy()
-    return image, seen @ camera_in_world[:3, :3].T + camera_in_world[:3, 3]
+    return image, points_in_world(seen, camera_in_world)
+
+
+def points_in_world(points: Cloud, camera_in_world: NDArray[Any]) -> Cloud:
+    """(M, 3) in a camera's frame -> in the world's, by the camera's pose (4, 4); one way to round for all sensors."""
+    rotation, position = camera_in_world[:3, :3].astype(np.float32), camera_in_world[:3, 3].astype(np.float32)
+    return points @ rotation.T + position
 
 
 def take_image(camera: Camera) -> NDArray[np.uint8]:
@@ -48,9 +57,14 @@ def resized(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     return np.asarray(Image.fromarray(image).resize((size, size), Image.Resampling.BOX))
 
 
-def camera_parameters(camera: Camera, size: int) -> CameraParameters:
+def pinhole(config: CameraConfig) -> PinholeCamera:
+    """Returns the camera that ManiSkill makes of a configuration. No renderer is asked."""
+    pose = config.pose.sp.to_transformation_matrix().astype(np.float64) @ GL_FROM_BODY
+    return PinholeCamera(pose, config.width, 0.5 * config.width / np.tan(0.5 * config.fov))
+
+
+def camera_parameters(camera: PinholeCamera, size: int) -> CameraParameters:
     """Returns a camera's parameters for an image of ``size`` [px]; the robot's base is the world's origin."""
-    parameters: dict[str, Any] = camera.get_params()
-    pose = parameters["cam2world_gl"][0].cpu().numpy() @ OPENCV_FROM_GL
-    scale = np.diag([size / camera.config.width, size / camera.config.height, 1.0])
-    return CameraParameters(scale @ parameters["intrinsic_cv"][0].cpu().numpy(), pose, width=size, height=size)
+    focal, middle = camera.focal * size / camera.size, 0.5 * size
+    intrinsics = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
+    return CameraParameters(intrinsics, camera.pose @ OPENCV_FROM_GL, width=size, height=size)

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS
 
+CONTACT_OFFSET = 0.002
+"""Two bodies nearer than twice this are a contact to be reckoned with [m]. The fastest hand goes 2.3 mm in a physics
+step. ManiSkill's 20 mm make contacts of all that is in a hand's neighbourhood, at up to three times the cost."""
 FREE_ITERATIONS = 4
 """Solver iterations of an arm that touches nothing. How many there are decides how hard a contact is, and each costs as
 much as the next: where there is no contact, they buy nothing."""

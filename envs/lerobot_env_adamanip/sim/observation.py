@@ -17,15 +17,15 @@ class SimObservation:
     """One moment of the simulator.
 
     Attributes:
-        image: (H, W, 3) of the front camera.
-        points_in_base: (M, 3) [m] all that the camera sees, robot base frame, in scan order.
+        image: (H, W, 3) of the front camera; None if none was asked for.
+        points_in_base: (M, 3) [m] what the camera sees, robot base frame, in scan order: at least all in the workspace.
         qpos: (7,) arm joint positions [rad].
         qvel: (7,) arm joint velocities [rad/s].
         effort: (7,) external joint torque of the arm [N m].
         feedback: what was felt at the latest key frame.
     """
 
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8] | None
     points_in_base: Cloud
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from mani_skill.utils.building.ground import build_ground
 from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
-from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_env_adamanip.sim.building import NO_SELF_COLLISION, build_object, sapien_pose
+from lerobot_adamanip.objects import ArticulatedObject, Material, Shape
+from lerobot_env_adamanip.sim.building import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
 
 CAMERA, IMAGE_CAMERA = "front", "front_image"
 """What observes, and what takes its image where that is larger than what is rendered for the cloud."""
@@ -24,6 +25,15 @@ CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
 FIELD_OF_VIEW = float(np.deg2rad(52))
 PERSON_VIEW = 512
 """Side of the picture that ManiSkill renders for people [px]."""
+_PLINTH, _COLUMN = Material((0.45, 0.36, 0.27), 0.8), Material((0.25, 0.26, 0.28), 0.7)
+
+
+@dataclass(frozen=True)
+class Visible:
+    """Something rigid to be seen: the SAPIEN entity that knows where it is, and its shapes."""
+
+    entity: Any
+    shapes: tuple[Shape, ...]
 
 
 class ObjectScene:
@@ -42,22 +52,27 @@ class ObjectScene:
     ) -> None:
         self.obj = obj
         self.floor_z = floor_z
+        self.ground_z = ground_z
         build_ground(scene, altitude=ground_z)
-        if ground_z < 0.0:
-            _build_column(scene, -ground_z)
-        self._plinth = self._build_plinth(scene, plinth_least) if floor_z > ground_z else None
+        column = (_build_column(scene, -ground_z),) if ground_z < 0.0 else ()
+        plinth = (self._build_plinth(scene, plinth_least),) if floor_z > ground_z else ()
+        self._plinth = plinth[0].entity if plinth else None
         self.articulation: Articulation = build_object(scene, obj, np.eye(4))
+        entities = {made.entity.name: made.entity for made in self.articulation._objs[0].links}
+        links = [Visible(entities[link.name], link.shapes) for link in obj.links]
+        self.visible: tuple[Visible, ...] = (*column, *plinth, *links)
+        """All that can be seen but the arm and the ground."""
 
-    def _build_plinth(self, scene: ManiSkillScene, least: float) -> Any:
-        builder = scene.create_actor_builder()
+    def _build_plinth(self, scene: ManiSkillScene, least: float) -> Visible:
         depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
-        half = [max(depth, least), max(width, least), self.floor_z / 2]
-        material = sapien.render.RenderMaterial(base_color=[0.45, 0.36, 0.27, 1.0], roughness=0.8)
-        builder.add_box_visual(half_size=half, material=material)
-        builder.add_box_collision(half_size=half)
+        shape = Shape("box", (max(depth, least), max(width, least), self.floor_z / 2), np.eye(4), _PLINTH)
+        builder = scene.create_actor_builder()
+        if scene.can_render():
+            add_visual(builder, shape)
+        builder.add_box_collision(half_size=list(shape.size))
         builder.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         builder.initial_pose = sapien.Pose([2.0, 0, self.floor_z / 2])
-        return builder.build_kinematic(name="plinth")
+        return Visible(builder.build_kinematic(name="plinth")._objs[0], (shape,))
 
     def place(self, object_in_base: NDArray[np.float64]) -> None:
         """Puts the object's root at (4, 4) with its joints at zero, and the plinth under it."""
@@ -71,13 +86,14 @@ class ObjectScene:
         self._plinth.set_pose(sapien_pose(plinth))
 
 
-def _build_column(scene: ManiSkillScene, height: float) -> None:
+def _build_column(scene: ManiSkillScene, height: float) -> Visible:
     """What the robot's base stands on, above lower ground: to be seen; nothing comes near it."""
+    shape = Shape("box", (0.10, 0.10, height / 2), np.eye(4), _COLUMN, collides=False)
     builder = scene.create_actor_builder()
-    material = sapien.render.RenderMaterial(base_color=[0.25, 0.26, 0.28, 1.0], roughness=0.7)
-    builder.add_box_visual(half_size=[0.10, 0.10, height / 2], material=material)
+    if scene.can_render():
+        add_visual(builder, shape)
     builder.initial_pose = sapien.Pose([-0.05, 0, -height / 2])
-    builder.build_static(name="column")
+    return Visible(builder.build_static(name="column")._objs[0], (shape,))
 
 
 def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:

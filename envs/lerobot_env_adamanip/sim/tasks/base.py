@@ -14,30 +14,29 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import get_object, select_objects
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.keyframes import Feedback
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_env_adamanip.sim.camera import RENDER_SIZE, camera_parameters, capture, resized, take_image
-from lerobot_env_adamanip.sim.control_tick import ControlTick
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
+from lerobot_env_adamanip.sim.backends import device_for, require_one_on_cpu
+from lerobot_env_adamanip.sim.camera import RENDER_SIZE
+from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
 from lerobot_env_adamanip.sim.garbage import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
-from lerobot_env_adamanip.sim.observation import CameraParameters, SimObservation
+from lerobot_env_adamanip.sim.observation import SimObservation
 from lerobot_env_adamanip.sim.placement import Placement, draw_placement, randomization
-from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
 from lerobot_env_adamanip.sim.rendering import keep_shaders
-from lerobot_env_adamanip.sim.robot import AdaManipPanda
+from lerobot_env_adamanip.sim.robot import AdaManipPanda, joint_snapshot
 from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
+from lerobot_env_adamanip.sim.sensors import RenderedSensor
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 from lerobot_env_adamanip.sim.touch import HandTouch
+from lerobot_env_adamanip.sim.views import Views
 
-CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
-"""Names under which ManiSkill knows CPU physics."""
-CONTACT_OFFSET = 0.002
-"""Two bodies nearer than twice this are a contact to be reckoned with [m]. The fastest hand goes 2.3 mm in a physics
-step. ManiSkill's 20 mm make contacts of all that is in a hand's neighbourhood, at up to three times the cost."""
 _PLACEMENT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
@@ -55,7 +54,7 @@ class AdaManipTask(BaseEnv):
     anything hidden is in it. ``info`` tells the object's joints, which `KeyframeEnv` does not pass on. Plain control
     knows no key frames: from its first step on the object is not held (see `MechanismDriver`).
 
-    `KeyframeEnv` uses `execute`, `observe`, `feedback`, `placement` and what follows them.
+    `KeyframeEnv` uses `execute`, `observe`, `views`, `feedback`, `placement` and what follows them.
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
@@ -69,6 +68,8 @@ class AdaManipTask(BaseEnv):
     """Whether joints are held until they are tried; read at reset. Off, observations tell what is hidden."""
     mechanism_driver: MechanismDriver
     """This episode's mechanism, on its object."""
+    views: Views
+    """What is seen of this episode."""
 
     def __init__(
         self,
@@ -80,20 +81,24 @@ class AdaManipTask(BaseEnv):
         image_size: int = 256,
         shader: str = "default",
         render_backend: str = "auto",
+        cloud_source: str = "raycast",
+        workspace: Workspace = DEFAULT_WORKSPACE,
         hidden_overrides: Mapping[str, Any] | None = None,
         robot_uids: str = "adamanip_panda",
         num_envs: int = 1,
         sim_backend: str = "auto",
         **kwargs: Any,
     ) -> None:
-        _require_one_on_cpu(sim_backend, num_envs)
+        require_one_on_cpu(sim_backend, num_envs)
         self.object_ids, self._assets = select_objects(self.category, objects, assets), assets
         self.randomization = randomization(poses)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._shader = image_size, shader
+        self._cloud_source, self._workspace = resolve_cloud_source(cloud_source), workspace
+        self._renderer = render_backend
         kwargs.setdefault("reconfiguration_freq", 1)
-        device = MANISKILL_NAMES[resolve_render_backend(render_backend)]
+        device = device_for(self._cloud_source, render_backend, kwargs)
         super().__init__(
             *args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", render_backend=device, **kwargs
         )
@@ -109,13 +114,11 @@ class AdaManipTask(BaseEnv):
         """Runs one key frame, a (10,) action of the contract; see `KeyframeDriver.execute`."""
         return self._arm.execute(action)
 
-    def observe(self) -> SimObservation:
-        """Renders, and returns what is seen and felt at this moment."""
-        image, points = capture(self.scene, self._sensors[CAMERA])
-        own = self._sensors.get(IMAGE_CAMERA)
-        image = resized(image, self._image_size) if own is None else take_image(own)
-        arm = self.arm_state()
-        return SimObservation(image, points, arm.qpos, arm.qvel, self.effort, self.feedback)
+    def observe(self, *, image: bool = True) -> SimObservation:
+        """Returns what is seen and felt at this moment; an image only if it is asked for."""
+        points, arm = self.views.points(), self.arm_state()
+        seen = self.views.image() if image else None
+        return SimObservation(seen, points, arm.qpos, arm.qvel, self.effort, self.feedback)
 
     @property
     def obj(self) -> ArticulatedObject:
@@ -148,6 +151,10 @@ class AdaManipTask(BaseEnv):
         qpos, qvel = np.asarray(raw.get_qpos(), np.float64), np.asarray(raw.get_qvel(), np.float64)
         return ArmState(qpos[:NUM_ARM_JOINTS], qvel[:NUM_ARM_JOINTS], qpos[NUM_ARM_JOINTS:])
 
+    def joints(self) -> NDArray[np.float32]:
+        """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`."""
+        return joint_snapshot(self.agent.robot._objs[0], self._objects.articulation._objs[0])
+
     def joint_positions(self) -> dict[str, float]:
         """Returns the object's joint positions [rad or m]: privileged, for mechanism, success and records."""
         return self.mechanism_driver.joint_positions()
@@ -160,10 +167,6 @@ class AdaManipTask(BaseEnv):
         """Returns whether the success conditions hold."""
         return self.mechanism_driver.succeeded()
 
-    def camera_parameters(self) -> CameraParameters:
-        """Returns the front camera's parameters in this episode."""
-        return camera_parameters(self._sensors[CAMERA], self._image_size)
-
     # ManiSkill's life cycle -------------------------------------------------------------------------------------
 
     @property
@@ -174,8 +177,15 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
+        return self._cameras(self._camera_sizes)
+
+    def _camera(self, size: int) -> CameraConfig:
+        """The front camera of this episode, for pictures of ``size`` [px]."""
+        return self._cameras({CAMERA: size})[0]
+
+    def _cameras(self, sizes: Mapping[str, int]) -> list[CameraConfig]:
         rng, shift = self._stream(_CAMERA_STREAM), self.randomization.camera_position
-        return front_cameras(rng, shift, sizes=self._camera_sizes, shader=self._shader)
+        return front_cameras(rng, shift, sizes=sizes, shader=self._shader)
 
     @property
     def _camera_sizes(self) -> dict[str, int]:
@@ -248,6 +258,16 @@ class AdaManipTask(BaseEnv):
             limits=self.definition.motion,
         )
         self.mechanism_driver.apply()
+        self.views = self._make_views()
+
+    def _make_views(self) -> Views:
+        rendered = None
+        if self._cloud_source == "render":
+            own = self._sensors.get(IMAGE_CAMERA)
+            rendered = RenderedSensor(self.scene, self._sensors[CAMERA], own, self._image_size)
+        return Views(
+            self._objects, self.agent, self._camera, self._image_size, self._workspace, self._renderer, rendered
+        )
 
     def _stream(self, stream: int) -> np.random.Generator:
         """A generator of its own for each kind of draw: the hidden draw leaves every other as it is."""
@@ -280,20 +300,3 @@ class AdaManipTask(BaseEnv):
         """1 while the success conditions hold."""
         reward: torch.Tensor = info["success"].float()
         return reward
-
-
-def _require_one_on_cpu(sim_backend: str, num_envs: int) -> None:
-    if sim_backend not in CPU_BACKENDS:
-        raise ConfigurationError(
-            "AdaManip tasks need CPU physics: their joint limits change while they run.",
-            got=f"sim_backend={sim_backend!r}",
-            allowed=", ".join(CPU_BACKENDS),
-            hint="leave sim_backend out",
-        )
-    if num_envs != 1:
-        raise ConfigurationError(
-            "AdaManip tasks run one environment per process.",
-            got=f"num_envs={num_envs}",
-            allowed="1",
-            hint="gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
-        )

@@ -1,0 +1,103 @@
+"""What can be seen, as triangles: of our shapes and of the robot's visual meshes. No renderer is asked.
+
+Round shapes are cut as SAPIEN's renderer cuts them, so that a ray meets the very facets that are drawn.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.assets.urdf import Geometry, read_urdf
+from lerobot_adamanip.errors import SimulatorError
+from lerobot_adamanip.objects import Shape
+
+Triangles = NDArray[np.float32]
+"""(N, 3, 3) corners [m]."""
+_AROUND, _ALONG = 32, 8
+"""Facets of SAPIEN's round shapes around their axis, and of a capsule's end from its edge to its tip."""
+_NONE: Triangles = np.zeros((0, 3, 3), np.float32)
+
+
+def shapes_triangles(shapes: Iterable[Shape]) -> Triangles:
+    """Returns what can be seen of a link's shapes, (N, 3, 3) [m] in its frame."""
+    return _joined(_placed(shape_triangles(shape), shape.pose_in_link) for shape in shapes if shape.visible)
+
+
+def shape_triangles(shape: Shape) -> Triangles:
+    """Returns a shape's surface, (N, 3, 3) [m] in its own frame; round ones have their axis along x."""
+    if shape.kind == "box":
+        return box_triangles(shape.size)
+    if shape.kind == "cylinder":
+        radius, half = shape.size
+        return _revolved([(half, 0.0), (half, radius), (-half, radius), (-half, 0.0)])
+    if shape.kind == "capsule":
+        radius, half = shape.size
+        angles = np.linspace(0.0, np.pi / 2, _ALONG + 1)
+        end = [(half + radius * np.cos(angle), radius * np.sin(angle)) for angle in angles]
+        return _revolved([*end, *((-x, r) for x, r in reversed(end))])
+    assert shape.vertices is not None
+    assert shape.faces is not None
+    return np.asarray(shape.vertices[shape.faces], np.float32)
+
+
+def box_triangles(half_size: Iterable[float]) -> Triangles:
+    """Returns the twelve triangles of a box of these half extents [m], (12, 3, 3)."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    sides = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
+    quads = (corners * np.asarray(tuple(half_size), np.float32))[sides]
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def _revolved(profile: Iterable[tuple[float, float]]) -> Triangles:
+    """Turns points (x, radius) about x, facet by facet; facets without area are left out."""
+    outline = np.array(tuple(profile))
+    angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    along = np.broadcast_to(outline[:, None, :1], (len(outline), _AROUND, 1))
+    rings = np.concatenate([along, outline[:, None, 1:] * around], axis=2).astype(np.float32)
+    a, b = rings[:-1], rings[1:]
+    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
+    made = np.concatenate([np.stack(three, axis=2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))])
+    area = np.linalg.norm(np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0]), axis=1)
+    faceted: Triangles = made[area > 1e-12]
+    return faceted
+
+
+@functools.cache
+def robot_triangles(urdf: Path) -> Mapping[str, Triangles]:
+    """Returns link name -> (N, 3, 3) [m] in that link's frame, of the visual meshes of a robot's description.
+
+    Raises:
+        SimulatorError: a visual is neither a mesh nor a box.
+    """
+    links = read_urdf(urdf).links.values()
+    found = {link.name: _joined(_visual(urdf, each) for each in link.visuals) for link in links}
+    return {name: triangles for name, triangles in found.items() if len(triangles)}
+
+
+def _visual(urdf: Path, geometry: Geometry) -> Triangles:
+    if geometry.kind == "box":
+        return _placed(box_triangles(size / 2 for size in geometry.size), geometry.pose)
+    if geometry.kind != "mesh":
+        raise SimulatorError(
+            "A robot's visual cannot be cast rays at.", got=f"{geometry.kind} in {urdf}", allowed="mesh, box"
+        )
+    import trimesh
+
+    whole = trimesh.load_scene(urdf.parent / geometry.mesh, process=False).to_mesh()
+    corners = np.asarray(whole.triangles, np.float64) * np.asarray(geometry.size)
+    return _placed(corners.astype(np.float32), geometry.pose)
+
+
+def _placed(triangles: Triangles, pose: NDArray[np.float64]) -> Triangles:
+    moved: Triangles = (triangles @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
+    return moved
+
+
+def _joined(parts: Iterable[Triangles]) -> Triangles:
+    return np.concatenate([_NONE, *parts])

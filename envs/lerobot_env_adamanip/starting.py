@@ -1,0 +1,61 @@
+"""Starting the simulator, and saying what will make observations without starting it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+from typing import TYPE_CHECKING, Any, cast
+
+import gymnasium as gym
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import AdaManipError, SimulatorError, no_vulkan_device
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
+
+if TYPE_CHECKING:
+    from lerobot_env_adamanip.sim.tasks import AdaManipTask
+
+
+def sensors_name(options: EnvironmentOptions) -> str:
+    """Returns what makes observations: embreex and its version, the renderer's devices, or both."""
+    if importlib.util.find_spec("sapien") is None or importlib.util.find_spec("mani_skill") is None:
+        require_simulator()
+    source = resolve_cloud_source(options.cloud_source)
+    cast = f"embreex {importlib.metadata.version('embreex')}" if source == "raycast" else ""
+    if cast and not options.observe_images:
+        return cast
+    from lerobot_env_adamanip.sim.rendering import renderer_name
+
+    return "; ".join(filter(None, (cast, renderer_name())))
+
+
+def require_simulator() -> None:
+    """Imports the simulator; raises `SimulatorError` if it is not installed."""
+    try:
+        import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
+    except ImportError as error:
+        raise SimulatorError(
+            "The simulator is not installed.",
+            got=error,
+            allowed="mani-skill 3.0.1 and sapien 3.0.3",
+            hint="pip install 'lerobot_env_adamanip[sim]'",
+        ) from error
+
+
+def make_task(category: str, **options: Any) -> AdaManipTask:
+    """Builds the ManiSkill task of a category, without observations of its own.
+
+    Raises:
+        SimulatorError: the simulator is not installed, or finds nothing to render with.
+    """
+    require_simulator()
+    try:
+        made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
+    except RuntimeError as error:
+        if isinstance(error, AdaManipError) or not any(
+            word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")
+        ):
+            raise
+        raise no_vulkan_device(error) from error
+    return cast("AdaManipTask", made)
