@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip.dp3_adaptive import anchors
 from lerobot_policy_adamanip.dp3_adaptive.anchors import LEAST_SPREAD, demonstrated_motions, fit_anchors
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
@@ -367,3 +368,18 @@ def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> No
     model.anchors[:3, 6] = 1.0
     model.spread[[0, 3], 2] = 0.03
     assert model.aims(torch.arange(6)).tolist() == [True, False, False, False, False, False]
+
+
+def test_rows_that_do_not_aim_count_for_nothing_where_all_are_looked_at(
+    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As on a GPU, which is not asked how many aim.
+    policy, before, _, dataset = make_anchors()
+    batch = batch_of(dataset, before, 0, 5, 8, 20)
+    policy.model.spread[:] = torch.tensor(LEAST_SPREAD)
+    monkeypatch.setattr(anchors, "_rows_to_refine", lambda aims: torch.arange(len(aims)))
+    loss, told = policy.forward(batch)
+    loss.backward()
+    assert told["refinement_loss"] == 0.0
+    refiner = policy.model.refiner
+    assert all(weight.grad is not None and not weight.grad.any() for weight in refiner.parameters())
