@@ -1,4 +1,7 @@
-"""Recording the episodes of a collection: in a worker that owns a simulator, each one written durably."""
+"""Recording the episodes of a collection, in a worker that owns a simulator; what is to be written comes as bytes.
+
+So a worker needs no folder of the collection: one on this machine writes itself, for one elsewhere the driver does.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, E
 from lerobot_adamanip.demos.late_starts import draw_start, start_column, start_late
 from lerobot_adamanip.demos.manifest import differing_parts
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
-from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes, write_shard_bytes
 from lerobot_adamanip.errors import DatasetError, UnreachableError
 from lerobot_adamanip.fingerprint import combined, versions
 from lerobot_adamanip.jobs import Beat
@@ -86,31 +89,44 @@ class ItemReport:
 
 
 @dataclass(frozen=True)
+class ItemOutcome:
+    """A report, and what is to be written with it.
+
+    Attributes:
+        report: what became of the item.
+        failed: attempt -> file content of failed episodes that are to be kept.
+        episode: file content of the episode to keep; None if the item was given up.
+    """
+
+    report: ItemReport
+    failed: Mapping[int, bytes] = field(default_factory=dict)
+    episode: bytes | None = None
+
+
+@dataclass(frozen=True)
 class RecordingJob:
     """What a worker needs to record episodes of a collection.
 
     Attributes:
         spec: of the collection.
         factories: of environments and experts.
-        paths: where files go.
         max_attempts: seeds to try per episode until the expert succeeds.
         fingerprint: that every environment has to have.
     """
 
     spec: CollectionSpec
     factories: Factories
-    paths: CollectionPaths
     max_attempts: int
     fingerprint: Mapping[str, str]
 
 
 @contextlib.contextmanager
-def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemOutcome]]:
     """What a worker holds from item to item: one simulator, built with the first item of a category."""
     env: KeyframeEnvironment | None = None
     category = ""
 
-    def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+    def work(item: EpisodeSpec, beat: Beat) -> ItemOutcome:
         nonlocal env, category
         if env is None or category != category_of(item.object_id):
             if env is not None:
@@ -127,6 +143,19 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat
             env.close()
 
 
+@contextlib.contextmanager
+def writing_session(job: RecordingJob, paths: CollectionPaths) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+    """As `recording_session`, for a worker on the machine of the collection: it writes what it has recorded itself."""
+    with recording_session(job) as record:
+
+        def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+            outcome = record(item, beat)
+            write_outcome(paths, item, outcome)
+            return outcome.report
+
+        yield work
+
+
 def _require_fingerprint(env: KeyframeEnvironment, job: RecordingJob) -> None:
     found = env.fingerprint()
     if parts := differing_parts(found, job.fingerprint):
@@ -138,12 +167,13 @@ def _require_fingerprint(env: KeyframeEnvironment, job: RecordingJob) -> None:
         )
 
 
-def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemReport:
-    """Tries seeds until the expert succeeds, and writes that episode.
+def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemOutcome:
+    """Tries seeds until the expert succeeds.
 
     Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
     """
     attempts: list[Attempt] = []
+    failed: dict[int, bytes] = {}
     hidden: Hidden | None = None
     category = category_of(item.object_id)
     for number in range(job.max_attempts):
@@ -160,14 +190,23 @@ def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, 
         if attempt.success:
             failures = [vars(each) for each in attempts[:-1]]
             record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
-            write_shard(job.paths.episodes / item.file_name, RecordedEpisode(episode.columns, record))
-            return ItemReport(tuple(attempts))
+            content = shard_bytes(RecordedEpisode(episode.columns, record))
+            return ItemOutcome(ItemReport(tuple(attempts)), failed, content)
         if job.spec.keep_failed and episode.columns:
             record |= {"attempts": 1, "failures": [], "late": attempt.late}
-            path = job.paths.failed_episodes / item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
-            write_shard(path, RecordedEpisode(episode.columns, record))
-    write_given_up(job.paths, item, attempts)
-    return ItemReport(tuple(attempts))
+            failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
+    return ItemOutcome(ItemReport(tuple(attempts)), failed)
+
+
+def write_outcome(paths: CollectionPaths, item: EpisodeSpec, outcome: ItemOutcome) -> None:
+    """Writes what came of an item, durably; what makes it count as done comes last."""
+    for number, content in sorted(outcome.failed.items()):
+        name = item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
+        write_shard_bytes(paths.failed_episodes / name, content)
+    if outcome.episode is not None:
+        write_shard_bytes(paths.episodes / item.file_name, outcome.episode)
+    else:
+        write_given_up(paths, item, list(outcome.report.attempts))
 
 
 def write_given_up(paths: CollectionPaths, item: EpisodeSpec, attempts: list[Attempt]) -> None:

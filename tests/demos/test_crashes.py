@@ -17,7 +17,7 @@ from demos_fake_env import make_env, make_expert
 from demos_helpers import make_spec, same_bytes
 
 from lerobot_adamanip import files
-from lerobot_adamanip.demos import collect as collecting
+from lerobot_adamanip.demos import crew as crews
 from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import CollectionPaths
 from lerobot_adamanip.demos.loading import load_check
@@ -54,7 +54,7 @@ class InThisProcess:
 
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(collecting, "WorkerPool", InThisProcess)
+    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
 
 
 def run(root: Path) -> None:
@@ -83,7 +83,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a collection that was never interrupted, and nothing else."""
     root = tmp_path_factory.mktemp("whole") / "dataset"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collecting, "WorkerPool", InThisProcess)
+        patch.setattr(crews, "WorkerPool", InThisProcess)
         run(root)
     assert sorted(path.name for path in root.parent.iterdir()) == ["dataset", "dataset-failed"]
     return root
