@@ -114,8 +114,8 @@ def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
         yield _cpus()
         return
     if address == LOCAL:
-        quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
-        ray.init(LOCAL, num_cpus=workers or os.cpu_count(), **quiet)
+        cpus = workers or os.cpu_count()
+        ray.init(LOCAL, num_cpus=cpus, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
     else:
         _connect(address, insecure=insecure)
     try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -18,17 +17,11 @@ from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, E
 from lerobot_adamanip.demos.crew import Crews, open_crews
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.manifest import Manifest, read_manifest, require_same, write_manifest
-from lerobot_adamanip.demos.record import (
-    Attempt,
-    Factories,
-    ItemOutcome,
-    ItemReport,
-    RecordingJob,
-    write_given_up,
-    write_outcome,
-)
+from lerobot_adamanip.demos.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
+from lerobot_adamanip.demos.parts import Part, adopt, given_up
+from lerobot_adamanip.demos.record import Factories, RecordingJob
 from lerobot_adamanip.demos.shards import read_record
-from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize
+from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize, summarize_part
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT, JobResult
 
@@ -49,6 +42,8 @@ class CollectOptions:
         repo_id: written into the dataset card; ``local/<folder name>`` by default.
         cluster: Ray cluster that records: ``HOST:PORT``, ``auto`` or ``local``; None for processes of this machine.
         insecure_cluster: whether that may do without a token.
+        part: of the episodes that alone is recorded, without making a dataset; None for all.
+        adopt: roots of parts whose episodes are taken over first.
     """
 
     workers: int = 1
@@ -58,6 +53,8 @@ class CollectOptions:
     repo_id: str | None = None
     cluster: str | None = None
     insecure_cluster: bool = False
+    part: Part | None = None
+    adopt: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
         if self.workers < (self.cluster is None) or self.max_attempts < 1 or not self.worker_timeout > 0:
@@ -101,10 +98,14 @@ def collect(
     job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
     with _prepared(paths, manifest):
         with _crews(options) as crews:
-            results = _record(job, paths, crews, listener)
+            adopt(paths, manifest, options.adopt)
+            results = _record(job, paths, options, crews, listener)
             recording = time.monotonic() - begin
             failures = _require_all(results, options)
             files.crash_point("all recorded")
+            if options.part is not None:
+                mine = options.part.of(spec.items())
+                return summarize_part(paths, mine, results, begin=begin, recording=recording, failures=failures)
             _publish(paths, manifest, options, crews, lambda done, total: listener("assemble", done, total))
         summary = summarize(paths.root, spec, results, begin=begin, recording=recording, failures=failures)
         paths.clean()
@@ -141,16 +142,8 @@ def _prepared(paths: CollectionPaths, manifest: Manifest) -> Iterator[None]:
     """Makes the partial folder, or checks the one there, and keeps other collections out of it meanwhile."""
     for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
         folder.mkdir(parents=True, exist_ok=True)
-    with open(paths.partial / "lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DatasetError(
-                "Another collection is at work here.",
-                got=paths.partial,
-                allowed="one at a time",
-                hint="--workers 2 for more speed, or another --root",
-            ) from error
+    busy = "Another collection is at work here."
+    with files.locked(paths.partial, busy, "--workers 2 for more speed, or another --root"):
         if any(paths.episodes.glob("*.safetensors")) and paths.partial_manifest.exists():
             assets = manifest.spec.environment.assets
             require_same(read_manifest(paths.partial_manifest, assets), manifest, paths.partial)
@@ -170,16 +163,20 @@ def _crews(options: CollectOptions) -> contextlib.AbstractContextManager[Crews]:
     )
 
 
-def _record(job: RecordingJob, paths: CollectionPaths, crews: Crews, listener: Listener) -> list[ItemResult]:
-    items = job.spec.items()
+def _record(
+    job: RecordingJob, paths: CollectionPaths, options: CollectOptions, crews: Crews, listener: Listener
+) -> list[ItemResult]:
+    items = job.spec.items() if options.part is None else options.part.of(job.spec.items())
     missing = [item for item in items if not _is_recorded(paths, item)]
+    # What a part has given up would fail again: every attempt follows from its seed.
+    results = given_up(paths, missing, options.max_attempts) if options.adopt else []
+    missing = [item for item in missing if item not in {result.item for result in results}]
     # Category by category, because changing it costs a worker seconds. The dataset's order is another one.
     missing.sort(key=lambda item: job.spec.categories.index(category_of(item.object_id)))
     totals = Counter(category_of(item.object_id) for item in items)
     done = totals - Counter(category_of(item.object_id) for item in missing)
     for category, total in totals.items():
         listener(f"record {category}", done[category], total)
-    results = []
     with crews.recording(job, paths, len(missing)) as crew:
         for outcome in crew.run(missing):
             results.append(_result(paths, outcome))

@@ -92,7 +92,7 @@ def _content(item: EpisodeFile) -> bytes:
 
 @contextlib.contextmanager
 def open_crews(workers: int, timeout: float, *, cluster: str | None = None, insecure: bool = False) -> Iterator[Crews]:
-    """Yields who does the work, connected to ``cluster`` meanwhile if there is one; ``workers`` 0: one per CPU of it."""
+    """Yields who does the work, connected to ``cluster`` meanwhile, if given; ``workers`` 0: one per CPU of it."""
     if cluster is None:
         yield ProcessCrews(workers, timeout)
         return

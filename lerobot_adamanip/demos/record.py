@@ -6,21 +6,20 @@ So a worker needs no folder of the collection: one on this machine writes itself
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.demos.late_starts import draw_start, start_column, start_late
 from lerobot_adamanip.demos.manifest import differing_parts
+from lerobot_adamanip.demos.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
-from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes, write_shard_bytes
+from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes
 from lerobot_adamanip.errors import DatasetError, UnreachableError
 from lerobot_adamanip.fingerprint import combined, versions
 from lerobot_adamanip.jobs import Beat
@@ -35,7 +34,6 @@ EnvFactory = Callable[[EnvironmentOptions], KeyframeEnvironment]
 """Builds an environment. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
 ExpertFactory = Callable[..., KeyFrames]
 """Takes the arguments of `lerobot_adamanip.experts.make_expert`. A function of a module, likewise."""
-Hidden = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -53,54 +51,6 @@ class EpisodeRequest:
     object_id: str
     seed: int
     overrides: Hidden | None = None
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One episode that was tried.
-
-    Attributes:
-        seed: of the episode.
-        hidden_state: its draw; None if there was no layout to draw it for.
-        success: whether the expert succeeded.
-        reason: ``success``, or why not.
-        key_frames: it took.
-        late: whether it started late.
-    """
-
-    seed: int
-    hidden_state: Hidden | None
-    success: bool
-    reason: str
-    key_frames: int
-    late: bool
-
-
-@dataclass(frozen=True)
-class ItemReport:
-    """What became of an item: kept if its last attempt succeeded, else given up."""
-
-    attempts: tuple[Attempt, ...] = field(default=())
-
-    @property
-    def kept(self) -> bool:
-        """Whether an episode file was written."""
-        return bool(self.attempts) and self.attempts[-1].success
-
-
-@dataclass(frozen=True)
-class ItemOutcome:
-    """A report, and what is to be written with it.
-
-    Attributes:
-        report: what became of the item.
-        failed: attempt -> file content of failed episodes that are to be kept.
-        episode: file content of the episode to keep; None if the item was given up.
-    """
-
-    report: ItemReport
-    failed: Mapping[int, bytes] = field(default_factory=dict)
-    episode: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -196,23 +146,6 @@ def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, 
             record |= {"attempts": 1, "failures": [], "late": attempt.late}
             failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
     return ItemOutcome(ItemReport(tuple(attempts)), failed)
-
-
-def write_outcome(paths: CollectionPaths, item: EpisodeSpec, outcome: ItemOutcome) -> None:
-    """Writes what came of an item, durably; what makes it count as done comes last."""
-    for number, content in sorted(outcome.failed.items()):
-        name = item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
-        write_shard_bytes(paths.failed_episodes / name, content)
-    if outcome.episode is not None:
-        write_shard_bytes(paths.episodes / item.file_name, outcome.episode)
-    else:
-        write_given_up(paths, item, list(outcome.report.attempts))
-
-
-def write_given_up(paths: CollectionPaths, item: EpisodeSpec, attempts: list[Attempt]) -> None:
-    """Keeps account of an item at which all attempts failed."""
-    content = json.dumps([vars(attempt) for attempt in attempts], sort_keys=True)
-    files.write_atomically(paths.attempts / item.file_name.replace(".safetensors", ".json"), content.encode())
 
 
 def attempt_episode(
