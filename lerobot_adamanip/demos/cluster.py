@@ -40,7 +40,11 @@ else:
 
 def require_ray() -> None:
     """Raises `ConfigurationError` that names the extra if Ray is not installed."""
-    if importlib.util.find_spec("ray") is None:
+    try:
+        absent = importlib.util.find_spec("ray") is None
+    except ImportError:
+        absent = True
+    if absent:
         raise ConfigurationError(
             "Ray is not installed.",
             got="--cluster",
@@ -92,6 +96,14 @@ def require_token(environment: Mapping[str, str]) -> None:
     )
 
 
+def require_usable(address: str, *, insecure: bool) -> None:
+    """Raises `ConfigurationError` for what can be told without asking the cluster. See `connected`."""
+    require_ray()
+    require_address(address)
+    if not insecure and (address == AUTO or (address != LOCAL and not is_loopback(address))):
+        require_token(os.environ)
+
+
 @contextlib.contextmanager
 def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
     """Connects this process to a cluster, and yields how many CPUs that has.
@@ -105,8 +117,7 @@ def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
     Raises:
         ConfigurationError: there is no Ray or no such cluster, it is open, or it refuses the token.
     """
-    require_ray()
-    require_address(address)
+    require_usable(address, insecure=insecure)
     _set_environment(address)
     import ray
 
@@ -144,8 +155,6 @@ def _set_environment(address: str) -> None:
 def _connect(address: str, *, insecure: bool) -> None:
     import ray
 
-    if not insecure and (address == AUTO or not is_loopback(address)):
-        require_token(os.environ)
     found = _address_of_this_machine() if address == AUTO else address
     match _answer(found, os.environ):
         case "refused":

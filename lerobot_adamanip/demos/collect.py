@@ -13,6 +13,7 @@ from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.assemble import Contents, assemble
 from lerobot_adamanip.demos.attempts import all_attempts, count
+from lerobot_adamanip.demos.cluster import require_usable
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
 from lerobot_adamanip.demos.crew import Crews, open_crews
 from lerobot_adamanip.demos.loading import read_back
@@ -90,6 +91,8 @@ def collect(
         WorkerError: if a worker failed for good.
     """
     begin = time.monotonic()
+    if options.cluster is not None:
+        require_usable(options.cluster, insecure=options.insecure_cluster)
     paths = CollectionPaths(root.absolute())
     manifest = Manifest.of(spec, _fingerprint(spec, factories))
     if _is_complete(paths, manifest):
