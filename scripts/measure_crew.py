@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import statistics
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -63,7 +64,8 @@ def main() -> None:
             crew = RayCrew[int](session, asked.workers, timeout=600.0)
             found["ray"].append(seconds_per_item(crew, asked.items, Path(folder)))
     pool, ray = (statistics.median(found[name]) for name in ("pool", "ray"))
-    print(json.dumps({"pool_s": pool, "ray_s": ray, "overhead_percent": 100 * (ray / pool - 1), **found}))
+    summary = {"pool_s": pool, "ray_s": ray, "overhead_percent": 100 * (ray / pool - 1)}
+    sys.stdout.write(json.dumps({**summary, **found}) + "\n")
 
 
 if __name__ == "__main__":

@@ -66,7 +66,7 @@ def is_loopback(address: str) -> bool:
 
 def require_address(address: str) -> None:
     """Raises `ConfigurationError` unless this is ``local``, ``auto`` or ``HOST:PORT``."""
-    if address not in (LOCAL, AUTO) and not re.fullmatch(r"[\w.\-\[\]:]+:\d{1,5}", address):
+    if address not in (LOCAL, AUTO) and not re.fullmatch(r"[\w\[][\w.\-\[\]:]*:\d{1,5}", address):
         raise ConfigurationError(
             "No such cluster.", got=repr(address), allowed="local, auto, or HOST:PORT", hint="--cluster 10.0.0.5:6379"
         )
