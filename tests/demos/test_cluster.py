@@ -61,8 +61,8 @@ def test_what_is_no_address_is_refused(address: str) -> None:
 
 def test_a_cluster_that_can_be_reached_demands_a_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
-    for environment in ({}, {"RAY_AUTH_MODE": "token"}, {"RAY_AUTH_TOKEN": "x"}, {"RAY_AUTH_MODE": "disabled"},
-                        {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(tmp_path / "none")}):  # fmt: skip
+    absent = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(tmp_path / "none")}
+    for environment in ({}, {"RAY_AUTH_MODE": "token"}, {"RAY_AUTH_TOKEN": "x"}, {"RAY_AUTH_MODE": "disabled"}, absent):
         with pytest.raises(ConfigurationError, match="no token is set") as caught:
             require_token(environment)
         assert "ray get-auth-token --generate" in str(caught.value)
