@@ -167,9 +167,9 @@ def test_interpolation_starts_and_ends_where_it_should_and_is_straight(
 ) -> None:
     whole = rotations.angle_between(start[:3, :3], goal[:3, :3])
     assume(whole < np.pi - 1e-3)
-    np.testing.assert_allclose(rotations.interpolate(start, goal, 0.0), start, atol=1e-9)
-    np.testing.assert_allclose(rotations.interpolate(start, goal, 1.0), goal, atol=1e-9)
-    between = rotations.interpolate(start, goal, fraction)
+    first, between, last = rotations.straight_path(start, goal, np.array([0.0, fraction, 1.0]))
+    np.testing.assert_allclose(first, start, atol=1e-9)
+    np.testing.assert_allclose(last, goal, atol=1e-9)
     assert_rotation(between[:3, :3])
     np.testing.assert_allclose(between[:3, 3], (1 - fraction) * start[:3, 3] + fraction * goal[:3, 3], atol=1e-9)
     assert rotations.angle_between(start[:3, :3], between[:3, :3]) == pytest.approx(fraction * whole, abs=1e-5)
@@ -180,7 +180,7 @@ def test_interpolation_starts_and_ends_where_it_should_and_is_straight(
 @given(poses, poses)
 def test_nothing_changes_its_arguments(start: np.ndarray, goal: np.ndarray) -> None:
     before = start.copy(), goal.copy()
-    rotations.interpolate(start, goal, 0.3)
+    rotations.straight_path(start, goal, np.array([0.3]))
     rotations.rotated_about_line(start, goal[:3, 3], (0, 0, 1.0), 0.4)
     rotations.matrix_from_rotation_6d(rotations.pose_vector(start, 0.5)[3:9])
     rotations.transform(start[:3, 3], start[:3, :3])[:] = 0

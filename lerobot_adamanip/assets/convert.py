@@ -138,7 +138,6 @@ class _Assembly:
             tuple(self._part(role, links, lower, upper) for role in roles),
             (width, depth, height),
             f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
-            self_collides=False,
             weightless=True,
         )
 

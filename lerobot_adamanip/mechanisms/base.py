@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -12,6 +14,7 @@ import torch
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.mechanisms.arrays import doubles, filled
 
 Reading = Mapping[str, Tensor]
 """Joint name -> position (B,) [rad or m]."""
@@ -32,7 +35,8 @@ Overrides = Mapping[str, bool | int | float]
 class Mechanism[StateT](ABC):
     """Rules of one object. Pure: no simulator, no random numbers in `step`, inputs are never changed.
 
-    A state is a frozen dataclass of (B,) tensors: the episode's hidden draw, and what the mechanism remembers.
+    A state is a frozen dataclass of (B,) tensors: the episode's hidden draw, and what the mechanism remembers. `step`
+    and `succeeded` take NumPy arrays likewise, see `mechanisms.arrays`.
     """
 
     joints: tuple[str, ...]
@@ -62,8 +66,7 @@ class Mechanism[StateT](ABC):
 
     def succeeded(self, reading: Reading) -> Tensor:
         """Returns (B,) bool: whether a joint is beyond its goal."""
-        beyond = [reading[joint].abs() > goal for joint, goal in self.goals.items()]
-        return torch.stack(beyond).any(dim=0)
+        return functools.reduce(operator.or_, (abs(reading[joint]) > goal for joint, goal in self.goals.items()))
 
 
 def uniform(batch_size: int, generator: torch.Generator) -> Tensor:
@@ -90,8 +93,8 @@ def overridden(drawn: Tensor, overrides: Overrides | None, name: str, choices: C
 def opening(is_free: Tensor, upper: float) -> JointLimits:
     """Returns float64 limits [0, upper] where ``is_free`` (B,), [0, 0] elsewhere."""
     # Not torch.where: of two Python numbers it makes float32, which rounds the limit.
-    limits = is_free.to(torch.float64) * upper
-    return JointLimits(torch.zeros_like(limits), limits)
+    limits = doubles(is_free) * upper
+    return JointLimits(filled(limits, 0.0), limits)
 
 
 def check_names(overrides: Overrides | None, names: Collection[str]) -> None:

@@ -55,5 +55,5 @@ class Lock:
 
     def step(self, state: LockState, key: Tensor, key_range: Tensor) -> tuple[LockState, JointLimits]:
         """Releases by the key alone, however the final part is pulled. ``key``, ``key_range``: (B,)."""
-        released = state.released | (key.abs() >= self.release_fraction * key_range)
+        released = state.released | (abs(key) >= self.release_fraction * key_range)
         return LockState(state.locked, released), opening(released, self.final_upper)

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from lerobot_adamanip.mechanisms.arrays import filled
 from lerobot_adamanip.mechanisms.base import (
     Command,
     JointLimits,
@@ -63,9 +64,9 @@ class MicrowaveMechanism(Mechanism[LockState]):
 
     def step(self, state: LockState, reading: Reading) -> tuple[LockState, Command]:
         """The button alone releases the door; it moves whether the door is locked or not."""
-        travel = torch.full_like(reading["button"], self._travel, dtype=torch.float64)
+        travel = filled(reading["button"], self._travel)
         following, door = self._lock.step_with(state, reading["button"], travel, reading["door"])
-        return following, {"door": door, "button": JointLimits(torch.zeros_like(travel), travel)}
+        return following, {"door": door, "button": JointLimits(filled(travel, 0.0), travel)}
 
     def hidden(self, state: LockState, index: int) -> dict[str, Any]:
         """Returns ``locked`` of one environment, as drawn."""

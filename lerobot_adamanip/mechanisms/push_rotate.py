@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from lerobot_adamanip.mechanisms.arrays import filled, where
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
 
 PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE = 0, 1, 2
@@ -43,8 +44,8 @@ class PushOrRotate:
 
     def limits(self, state: PushRotateState) -> tuple[JointLimits, JointLimits]:
         """Returns the limits of push [m] and turn [rad]."""
-        zero = torch.zeros_like(state.mode, dtype=torch.float64)
-        push = torch.where(state.mode == PUSH, self.push_upper, zero)
-        upper = torch.where(state.mode == ROTATE_POSITIVE, self.turn_upper, zero)
-        lower = torch.where(state.mode == ROTATE_NEGATIVE, -self.turn_upper, zero)
+        zero = filled(state.mode, 0.0)
+        push = where(state.mode == PUSH, self.push_upper, zero)
+        upper = where(state.mode == ROTATE_POSITIVE, self.turn_upper, zero)
+        lower = where(state.mode == ROTATE_NEGATIVE, -self.turn_upper, zero)
         return JointLimits(zero, push), JointLimits(lower, upper)

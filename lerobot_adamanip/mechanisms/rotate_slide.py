@@ -50,7 +50,7 @@ class RotateThenSlide:
         self, state: RotateSlideState, turn: Tensor, slide: Tensor
     ) -> tuple[RotateSlideState, JointLimits, JointLimits]:
         """Returns the next state and the limits of turn and slide. ``turn`` (B,) [rad], ``slide`` (B,) [m]."""
-        turned = turn.abs() >= self.release_fraction * state.rotation.turn_range
+        turned = abs(turn) >= self.release_fraction * state.rotation.turn_range
         # A part half way out cannot be pushed back in by turning it, so what has slid stays free.
         kept = state.free if self.latched else state.free & (slide > 1e-3)
         free = turned | kept

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.mechanisms.arrays import filled, where
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
 from lerobot_adamanip.mechanisms.lock import check_fraction
 
@@ -58,5 +59,5 @@ class RandomRotationDirection:
     def limits(self, state: RotationState) -> JointLimits:
         """Returns the joint's limits, the same all episode long."""
         positive, turn_range = state.direction > 0, state.turn_range
-        zero = torch.zeros_like(turn_range)
-        return JointLimits(torch.where(positive, zero, -turn_range), torch.where(positive, turn_range, zero))
+        zero = filled(turn_range, 0.0)
+        return JointLimits(where(positive, zero, -turn_range), where(positive, turn_range, zero))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
+from lerobot_adamanip.mechanisms.arrays import where
 from lerobot_adamanip.mechanisms.base import JointLimits, opening
 from lerobot_adamanip.mechanisms.lock import Lock, LockState, check_fraction
 
@@ -38,7 +38,7 @@ class SwitchContact(Lock):
         """As `Lock.step`; ``final`` (B,) is the final joint's position, which keeps an open door from being locked."""
         if not self.lock_on_turn:
             return self.step(state, key, key_range)
-        spoiled = ~state.locked & (~state.released | ((key.abs() > self.lock_fraction * key_range) & (final < AJAR)))
-        opened = state.released | (key.abs() >= self.release_fraction * key_range)
-        released = torch.where(state.locked, opened, ~spoiled)
+        spoiled = ~state.locked & (~state.released | ((abs(key) > self.lock_fraction * key_range) & (final < AJAR)))
+        opened = state.released | (abs(key) >= self.release_fraction * key_range)
+        released = where(state.locked, opened, ~spoiled)
         return LockState(state.locked, released), opening(released, self.final_upper)

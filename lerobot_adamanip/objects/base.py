@@ -198,8 +198,6 @@ class ArticulatedObject:
         parts: annotations in the object frame, joints at zero.
         size: (width, depth, height) of the bounding box [m].
         description: the drawn parameters, for labels and cards.
-        self_collides: whether its links stop each other. Those of a generated object never meet; an external
-            asset's meshes often overlap a little, and must not jam.
         weightless: whether gravity leaves its links alone, as upstream has it: external assets state no springs.
     """
 
@@ -209,7 +207,6 @@ class ArticulatedObject:
     parts: tuple[PartAnnotation, ...]
     size: tuple[float, float, float]
     description: str = ""
-    self_collides: bool = True
     weightless: bool = False
 
     def part(self, name: str) -> PartAnnotation:

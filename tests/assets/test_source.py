@@ -108,7 +108,6 @@ def test_every_collision_shape_is_convex_and_unseen_and_near_what_is_seen(tmp_pa
         load_object(adamanip_safe(tmp_path / "sa1"), "safe"),
         load_object(annotated_partnet_safe(tmp_path / "101564"), "safe"),
     ):
-        assert not obj.self_collides
         shapes = [shape for link in obj.links for shape in link.shapes]
         assert {shape.visible for shape in shapes if shape.collides} == {False}
         assert {shape.visible for shape in shapes if not shape.collides} == {True}

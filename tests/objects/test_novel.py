@@ -49,7 +49,7 @@ def digest(obj: ArticulatedObject) -> str:
                 # Off the round numbers that people write: there a last bit would tip the scale.
                 made.update(np.floor(1e5 * np.asarray(value, np.float64) + 0.2371).astype(np.int64).tobytes())
 
-    add(obj.object_id, obj.category, obj.size, obj.description, obj.self_collides)
+    add(obj.object_id, obj.category, obj.size, obj.description, True)
     for link in obj.links:
         add(link.name, link.mass, link.parent)
         if link.joint is not None:

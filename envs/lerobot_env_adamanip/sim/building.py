@@ -15,8 +15,11 @@ from lerobot_env_adamanip.sim.mesh_files import mesh_file
 
 FRICTION = 1.2
 """Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
-_NO_SELF_COLLISION = 1 << 27
-"""Shapes that share a bit of SAPIEN's third collision group pass through each other."""
+NO_SELF_COLLISION = 1 << 27
+"""Shapes that share a bit of SAPIEN's third collision group pass through each other: an object's links, and the plinth.
+
+Those of a generated object never meet, only near each other, which costs contacts that carry nothing; an external
+asset's meshes often overlap a little, and must not jam."""
 
 
 def sapien_pose(matrix: NDArray[Any]) -> sapien.Pose:
@@ -33,8 +36,7 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
     for link in obj.links:
         made = builder.create_link_builder(links.get(link.parent) if link.parent else None)
         made.set_name(link.name)
-        if not obj.self_collides:
-            made.collision_groups = [1, 1, _NO_SELF_COLLISION, 0]
+        made.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         for shape in link.shapes:
             if shape.visible and scene.can_render():
                 add_visual(made, shape)

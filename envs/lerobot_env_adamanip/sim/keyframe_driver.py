@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, MotionLimits, Outcome
-from lerobot_adamanip.rotations import angle_between, interpolate, pose_from_vector
+from lerobot_adamanip.rotations import angle_between, pose_from_vector, straight_path
 from lerobot_adamanip.schema import ACTION_DIM
-from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, joint_path, pose_error
+from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, joint_path
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,9 @@ MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
 
 FOLDED = 1.5
 """A posture with a joint this far from rest folds the arm against itself, and no straight line leads back [rad]."""
+PATH_TOLERANCE, LAST_TOLERANCE = 5e-4, 1e-4
+"""Up to which inverse kinematics goes on, on the way and at its end [m and rad]: what one tick leaves,
+the next makes good."""
 LEANING_SPEED = 0.5
 """An arm that has stalled and whose joints are slower than this leans against something [rad/s]."""
 
@@ -142,9 +146,10 @@ class KeyframeDriver:
             _quintic_seconds(angle, limits.angular_speed, limits.angular_acceleration),
         )
         ticks = max(1, int(np.ceil(seconds / self._dt)))
-        for k in range(1, ticks + 1):
-            waypoint = interpolate(start, goal, _quintic(k / ticks))
-            solution = self.kinematics.solve(waypoint, self._target, iterations=15)
+        shares = [_quintic(k / ticks) for k in range(1, ticks + 1)]
+        for number, waypoint in enumerate(straight_path(start, goal, np.array(shares)), 1):
+            tolerance = LAST_TOLERANCE if number == ticks else PATH_TOLERANCE
+            solution = self.kinematics.solve(waypoint, self._target, iterations=15, tolerance=tolerance)
             if not solution.within(5e-3, 0.03):
                 solution = self.kinematics.solve(waypoint, self._target, iterations=80)
                 if not solution.within(0.01, 0.06):
@@ -190,11 +195,18 @@ class KeyframeDriver:
         velocity = (target - self._target) / self._dt
         self._target = target
         self._tick(target, velocity)
-        lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), self.kinematics.tcp_in_base(target))
-        limits = self.limits
-        strained = np.linalg.norm(lag[:3]) > limits.stall_position or np.linalg.norm(lag[3:]) > limits.stall_rotation
-        self._strained = self._strained + 1 if strained else 0
+        self._strained = self._strained + 1 if self._lags(target) else 0
         return self._strained >= self.limits.stall_ticks
+
+    def _lags(self, target: Array) -> bool:
+        """Whether the tool is farther behind ``target`` than a moving arm's own inertia explains."""
+        wanted, actual = self.kinematics.tcp_in_base(target), self.kinematics.tcp_in_base(self._read().qpos)
+        x, y, z = (wanted[:3, 3] - actual[:3, 3]).tolist()
+        if x * x + y * y + z * z > self.limits.stall_position**2:
+            return True
+        # Two rotations apart by an angle: the trace of one's inverse times the other is 1 + 2 cos(angle).
+        alike = float(np.vdot(wanted[:3, :3], actual[:3, :3]))
+        return alike < 1.0 + 2.0 * math.cos(self.limits.stall_rotation)
 
     def _relax(self) -> None:
         """Gives up what could not be reached: a key frame starts from where the arm is, without strain."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from lerobot_adamanip.rotations import rotation_vector_from_matrix
 
@@ -32,6 +34,10 @@ HIGH_REST = np.array([0.0, -0.219, 0.0, -1.341, 0.0, 1.122, 0.0])
 cap held from above turns by +-2.35 rad, for grasps yawed by up to +-0.5 from there, at x 0.36-0.52, z 0.55-0.70 m."""
 LIMIT_MARGIN = 0.02
 """Kept from every joint limit [rad]."""
+DAMPING = 1e-4
+"""Of the least squares: what a step gives up where the arm is stretched."""
+LARGEST_STEP, LARGEST_PULL = 0.2, 0.02
+"""Of one iteration, towards the goal and towards rest [rad]."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +74,18 @@ class ArmKinematics:
         self._tcp = next(i for i, name in enumerate(names) if name.endswith(tcp_link))
         limits = np.asarray(articulation.get_qlimits(), dtype=np.float64)[:NUM_ARM_JOINTS]
         self.lower, self.upper = limits[:, 0] + LIMIT_MARGIN, limits[:, 1] - LIMIT_MARGIN
-        self._fingers = np.zeros(articulation.dof - NUM_ARM_JOINTS)
+        self._qpos = np.zeros(articulation.dof)  # the fingers stay at 0: they do not move the tool
 
     def tcp_in_base(self, qpos: Array) -> Array:
         """Returns the (4, 4) pose of the tool centre point for arm joints (7,) [rad]."""
-        self._model.compute_forward_kinematics(np.concatenate([qpos, self._fingers]))
+        self._qpos[:NUM_ARM_JOINTS] = qpos
+        self._model.compute_forward_kinematics(self._qpos)
         return np.asarray(self._model.get_link_pose(self._tcp).to_transformation_matrix(), dtype=np.float64)
 
     def body_jacobian(self, qpos: Array) -> Array:
         """Returns the (6, 7) Jacobian, tool frame: linear rows first."""
-        full = self._model.compute_single_link_local_jacobian(np.concatenate([qpos, self._fingers]), self._tcp)
+        self._qpos[:NUM_ARM_JOINTS] = qpos
+        full = self._model.compute_single_link_local_jacobian(self._qpos, self._tcp)
         return np.asarray(full, dtype=np.float64)[:, :NUM_ARM_JOINTS]
 
     def canonical(self, goal: Array) -> IKResult:
@@ -97,20 +105,40 @@ class ArmKinematics:
                 motion smooth; as many as there are iterations finds the canonical posture of a pose.
             tolerance: position [m] and rotation [rad] error at which to stop.
         """
-        qpos = np.clip(start, self.lower, self.upper)
+        qpos = self._inside(start)
         for number in range(iterations):
             error = pose_error(self.tcp_in_base(qpos), goal)
-            if number >= posture_steps and np.abs(error).max() < tolerance:
+            if number >= posture_steps and max(map(abs, error.tolist())) < tolerance:
                 break
-            jacobian = self.body_jacobian(qpos)
-            inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + 1e-4 * np.eye(6))
-            step = np.clip(inverse @ error, -0.2, 0.2)
-            if number < posture_steps:
-                spare = 0.1 * (self.rest - qpos)
-                step += np.clip(spare - inverse @ (jacobian @ spare), -0.02, 0.02)
-            qpos = np.clip(qpos + step, self.lower, self.upper)
-        error = pose_error(self.tcp_in_base(qpos), goal)
-        return IKResult(qpos, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
+            qpos = self._inside(qpos + self._step(qpos, error, pulled=number < posture_steps))
+        else:
+            error = pose_error(self.tcp_in_base(qpos), goal)
+        position, rotation = error[:3].tolist(), error[3:].tolist()
+        return IKResult(qpos, math.hypot(*position), math.hypot(*rotation))
+
+    def _step(self, qpos: Array, error: Array, *, pulled: bool) -> Array:
+        """Returns the damped step (7,) that takes the tool by a twist (6,); ``pulled`` towards rest on top of it.
+
+        A control tick takes a few of these, and a reset hundreds: each call of NumPy counts.
+        """
+        jacobian = self.body_jacobian(qpos)
+        square = jacobian @ jacobian.T
+        square.flat[::7] += DAMPING
+        if not pulled:
+            return _bounded(jacobian.T @ dposv(square, error)[1], LARGEST_STEP)
+        spare = 0.1 * (self.rest - qpos)
+        wanted = np.empty((6, 2), order="F")
+        wanted[:, 0], wanted[:, 1] = error, jacobian @ spare
+        step, taken = (jacobian.T @ dposv(square, wanted)[1]).T
+        return _bounded(step, LARGEST_STEP) + _bounded(spare - taken, LARGEST_PULL)
+
+    def _inside(self, qpos: Array) -> Array:
+        return np.asarray(np.minimum(np.maximum(qpos, self.lower), self.upper))
+
+
+def _bounded(vector: Array, largest: float) -> Array:
+    """``np.clip`` without its overhead, which is five times the work."""
+    return np.asarray(np.minimum(np.maximum(vector, -largest), largest))
 
 
 def joint_path(start: Array, end: Array, largest_step: float) -> Array:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from lerobot_adamanip.mechanisms import Mechanism
+from lerobot_adamanip.mechanisms.arrays import as_arrays
+from lerobot_adamanip.mechanisms.base import Reading
 
 Limits = tuple[float, float]
 
@@ -55,9 +58,10 @@ class MechanismDriver:
     def __init__(
         self, mechanism: Mechanism[Any], state: Any, articulation: LimitedArticulation, *, hold: bool = True
     ) -> None:
-        self.mechanism, self.state = mechanism, state
+        self.mechanism, self.state = mechanism, as_arrays(state)
         self.detent = False
         self._articulation = articulation
+        self._joints = {joint_name(joint): joint for joint in articulation.active_joints}
         self._untried = set(mechanism.joints) if hold else set()
         self._applied: dict[str, Limits] = {}
         self._held: dict[str, float] = {}
@@ -69,8 +73,7 @@ class MechanismDriver:
 
     def joint_positions(self) -> dict[str, float]:
         """Returns the object's joint positions [rad or m]."""
-        raw = self._articulation
-        return {joint_name(joint): float(q) for joint, q in zip(raw.active_joints, raw.get_qpos(), strict=True)}
+        return dict(zip(self._joints, self._articulation.get_qpos().tolist(), strict=True))
 
     def update(self, *, detent: bool, tried: Collection[str] = ()) -> None:
         """Releases what is tried and sets the detent, at once; writes nothing if neither changes anything."""
@@ -81,12 +84,14 @@ class MechanismDriver:
 
     def apply(self) -> None:
         """Steps the mechanism, and writes its limits but for the joints that are held."""
-        positions = self.joint_positions()
         held = self.mechanism.joints if self.detent else self._untried
+        if self._held.keys() == self._joints.keys() == set(held):
+            return  # nothing has moved since, and nothing may
+        positions = self.joint_positions()
         self._held = {name: self._held.get(name, positions[name]) for name in held}
-        self.state, command = self.mechanism.step(self.state, reading(positions))
-        for joint in self._articulation.active_joints:
-            name = joint_name(joint)
+        arrays = {name: np.array([position]) for name, position in positions.items()}
+        self.state, command = self.mechanism.step(self.state, cast(Reading, arrays))
+        for name, joint in self._joints.items():
             limits = (float(command[name].lower[0]), float(command[name].upper[0]))
             if name in self._held:
                 limits = (self._held[name], self._held[name])

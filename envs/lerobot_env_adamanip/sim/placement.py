@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.errors import UnreachableError, require_choice
 from lerobot_adamanip.keyframes import PRE_GRASP
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
-from lerobot_adamanip.rotations import interpolate, rotation_about, transform
+from lerobot_adamanip.rotations import rotation_about, straight_path, transform
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
 
 Array = NDArray[np.float64]
@@ -154,8 +154,7 @@ def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
     """
     qpos, here = start, kinematics.tcp_in_base(start)
     for goal in (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp):
-        for share in np.arange(1, APPROACH_STEPS + 1) / APPROACH_STEPS:
-            waypoint = interpolate(here, goal, float(share))
+        for waypoint in straight_path(here, goal, np.arange(1, APPROACH_STEPS + 1) / APPROACH_STEPS):
             solution = kinematics.solve(waypoint, qpos, iterations=80, posture_steps=POSTURE_STEPS)
             if not solution.within(5e-3, 0.03):
                 return False

@@ -16,7 +16,7 @@ from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject, Material, Shape
-from lerobot_env_adamanip.sim.building import add_visual, build_object, sapien_pose
+from lerobot_env_adamanip.sim.building import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
 
 CAMERA, IMAGE_CAMERA = "front", "front_image"
 """What observes, and what takes its image where that is larger than what is rendered for the cloud."""
@@ -70,6 +70,7 @@ class ObjectScene:
         if scene.can_render():
             add_visual(builder, shape)
         builder.add_box_collision(half_size=list(shape.size))
+        builder.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         builder.initial_pose = sapien.Pose([2.0, 0, self.floor_z / 2])
         return Visible(builder.build_kinematic(name="plinth")._objs[0], (shape,))
 

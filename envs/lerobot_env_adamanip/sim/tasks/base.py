@@ -22,6 +22,8 @@ from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim.backends import device_for, require_one_on_cpu
 from lerobot_env_adamanip.sim.camera import RENDER_SIZE
+from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
+from lerobot_env_adamanip.sim.garbage import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
@@ -165,7 +167,8 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sim_config(self) -> SimConfig:
-        scene = SceneConfig(solver_position_iterations=self.definition.solver_iterations)
+        iterations = self.definition.solver_iterations
+        scene = SceneConfig(solver_position_iterations=iterations, contact_offset=CONTACT_OFFSET)
         return SimConfig(sim_freq=200, control_freq=50, scene_config=scene)
 
     @property
@@ -191,6 +194,10 @@ class AdaManipTask(BaseEnv):
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
         return person_camera()
+
+    def _clear(self) -> None:
+        leave_out_what_is_loaded()
+        super()._clear()
 
     def _setup_scene(self) -> None:
         super()._setup_scene()
@@ -235,7 +242,9 @@ class AdaManipTask(BaseEnv):
         state = self._rules.draw(1, generator, overrides or None)
         arm, target = self.agent.robot._objs[0], self._objects.articulation._objs[0]
         self.mechanism_driver = MechanismDriver(self._rules, state, target, hold=self.holds_the_untried)
-        self._touch = HandTouch(self.scene.sub_scenes[0].physx_system, arm, target)
+        system = self.scene.sub_scenes[0].physx_system
+        self._touch = HandTouch(system, arm, target)
+        self._control_tick = ControlTick(system, arm, steps=self._sim_steps_per_control)
         self._arm = KeyframeDriver(
             self._kinematics,
             self.arm_state,
@@ -273,13 +282,8 @@ class AdaManipTask(BaseEnv):
         driver = self.mechanism_driver
         trying = self._arm.moving_closed and driver.untried
         driver.update(detent=self._arm.closing, tried=self._touch.joints() if trying else ())
-        joints = self.agent.robot._objs[0].active_joints
-        for joint, position, speed in zip(joints, target, velocity, strict=False):
-            joint.set_drive_target(position)
-            joint.set_drive_velocity_target(speed)
-        for joint in joints[NUM_ARM_JOINTS:]:
-            joint.set_drive_target(finger)
-        self._step_action(None)
+        self._control_tick.run(target, velocity, finger)
+        driver.apply()
 
     # Outcome ----------------------------------------------------------------------------------------------------
 
