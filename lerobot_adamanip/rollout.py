@@ -52,6 +52,9 @@ class KeyframeEnvironment(Protocol):
     def render(self) -> NDArray[np.uint8]:
         """Picture (H, W, 3) of this moment."""
 
+    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say, at rest."""
+
     def fingerprint(self) -> dict[str, str]:
         """Part -> hash or name of what decides how an episode comes out; see `lerobot_adamanip.fingerprint`."""
 

@@ -174,7 +174,16 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def joints(self) -> NDArray[np.float32]:
         """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records."""
-        return self._running().joints()
+        return self._running().views.joints()
+
+    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Returns the image (H, W, 3) with everything where ``joints`` (13,) say, at rest; raises `SimulatorError`.
+
+        The episode cannot be gone on with after that.
+        """
+        views = self._running().views
+        views.set_joints(joints)
+        return views.image()
 
     def fingerprint(self) -> dict[str, str]:
         """Returns what decides how an episode comes out: hashes of the code, versions and what makes observations.

@@ -30,6 +30,7 @@ COMMANDS = {
     ),
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
+    "render": Entry("lerobot_adamanip.cli.render:Render", "add pictures to a dataset that was collected without them"),
     "objects": Entry(
         "lerobot_adamanip.cli.objects.command:Objects", "draw a contact sheet of the objects of a category"
     ),

@@ -79,11 +79,15 @@ class FakeEnv:
 
     def joints(self) -> np.ndarray:
         moved = np.zeros(len(schema.JOINT_NAMES), np.float32)
-        moved[9] = self.lid
+        moved[0], moved[9] = self.pose[0, 3], self.lid
         return moved
 
     def render(self) -> np.ndarray:
-        return self._image
+        return self.picture_at(self.joints())
+
+    def picture_at(self, joints: np.ndarray) -> np.ndarray:
+        corner = np.array((100 * joints[0], 100 * joints[9], (self.seed or 0) % 251), np.uint8)
+        return np.full((self.image_size, self.image_size, 3), corner, dtype=np.uint8)
 
     def hidden_state(self) -> dict[str, Any]:
         return {"locked": self.drawn}
@@ -101,10 +105,8 @@ class FakeEnv:
     def _observation(self) -> dict[str, Any]:
         state = self.generator.normal(size=schema.STATE_DIM).astype(np.float32)
         state[:3] = self.pose[:3, 3]
-        corner = self.generator.integers(0, 256, 3, dtype=np.uint8)
-        self._image = image = np.full((self.image_size, self.image_size, 3), corner, dtype=np.uint8)
         return {
-            **({"pixels": {"front": image}} if self.options.observe_images else {}),
+            **({"pixels": {"front": self.render()}} if self.options.observe_images else {}),
             "agent_pos": state,
             "effort": self.generator.normal(size=schema.NUM_JOINTS).astype(np.float32),
             "point_cloud": self.generator.normal(size=(self.num_points, 3)).astype(np.float32),

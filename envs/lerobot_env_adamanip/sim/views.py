@@ -15,6 +15,7 @@ from lerobot_adamanip.pointcloud import Cloud, Workspace
 from lerobot_env_adamanip.sim.camera import RENDER_SIZE, camera_parameters, pinhole
 from lerobot_env_adamanip.sim.observation import CameraParameters
 from lerobot_env_adamanip.sim.pictures import PictureScene
+from lerobot_env_adamanip.sim.robot import joint_snapshot, set_joints
 from lerobot_env_adamanip.sim.scene import ObjectScene
 from lerobot_env_adamanip.sim.sensors import Body, RaycastSensor, RenderedSensor, Sensor, visible_bodies
 from lerobot_env_adamanip.sim.shaded import shaded_picture
@@ -79,6 +80,14 @@ class Views:
     def bodies(self) -> list[Body]:
         """Returns what rays can meet."""
         return visible_bodies(self.objects.visible, self._robot, self._urdf)
+
+    def joints(self) -> NDArray[np.float32]:
+        """Returns the positions of everything that moves, (13,), see `lerobot_adamanip.schema.JOINT_NAMES`."""
+        return joint_snapshot(self._robot, self.objects.articulation._objs[0])
+
+    def set_joints(self, joints: NDArray[np.float32]) -> None:
+        """Puts everything where `joints` (13,) had it, at rest, to be looked at. No physics is stepped."""
+        set_joints(self._robot, self.objects.articulation._objs[0], joints)
 
     def camera_parameters(self) -> CameraParameters:
         """Returns the camera's parameters for the image."""

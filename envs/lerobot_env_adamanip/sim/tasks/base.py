@@ -30,7 +30,7 @@ from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
 from lerobot_env_adamanip.sim.observation import SimObservation
 from lerobot_env_adamanip.sim.placement import Placement, draw_placement, randomization
 from lerobot_env_adamanip.sim.rendering import keep_shaders
-from lerobot_env_adamanip.sim.robot import AdaManipPanda, joint_snapshot
+from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
 from lerobot_env_adamanip.sim.sensors import RenderedSensor
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
@@ -150,10 +150,6 @@ class AdaManipTask(BaseEnv):
         raw = self.agent.robot._objs[0]
         qpos, qvel = np.asarray(raw.get_qpos(), np.float64), np.asarray(raw.get_qvel(), np.float64)
         return ArmState(qpos[:NUM_ARM_JOINTS], qvel[:NUM_ARM_JOINTS], qpos[NUM_ARM_JOINTS:])
-
-    def joints(self) -> NDArray[np.float32]:
-        """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`."""
-        return joint_snapshot(self.agent.robot._objs[0], self._objects.articulation._objs[0])
 
     def joint_positions(self) -> dict[str, float]:
         """Returns the object's joint positions [rad or m]: privileged, for mechanism, success and records."""

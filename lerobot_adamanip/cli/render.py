@@ -1,0 +1,48 @@
+"""`adamanip render`: add pictures to a dataset that was collected without."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.demos.pictures import add_pictures
+
+
+@dataclass
+class Render:
+    """Writes a copy of a dataset, with the images that `adamanip collect --no-images` left out.
+
+    Scenes are set up from their seeds and joints put where they were recorded; no physics is run. Needs a Vulkan
+    device. After an interruption the same command goes on.
+    """
+
+    root: tyro.conf.Positional[Path]
+    """Folder of a dataset without images."""
+
+    out: Path | None = None
+    """Folder of the new dataset; ROOT-images by default."""
+
+    assets: Path | None = None
+    """Folder of external assets, if the dataset was recorded with any."""
+
+    repo_id: str | None = None
+    """Name of the new dataset, in its card. local/<folder name> by default."""
+
+    def run(self) -> int:
+        """Renders; 0 when the dataset is complete."""
+        from lerobot_env_adamanip.factory import make_keyframe_env
+
+        root = self.root.absolute()
+        out = self.out or root.with_name(root.name + "-images")
+        stages = {"render": "rendered", "assemble": "writing the dataset"}
+        with show_progress(stages) as progress, contextlib.redirect_stdout(sys.stderr):
+            episodes = add_pictures(
+                root, out, make_keyframe_env, assets=self.assets, repo_id=self.repo_id, progress=progress
+            )
+        print(f"{episodes} episodes with images in {out}")
+        return 0
