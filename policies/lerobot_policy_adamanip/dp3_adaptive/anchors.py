@@ -201,10 +201,18 @@ class AnchorHead:
         motion = torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1)
         pose = pose_after(motion, tool)
         if model.refiner is not None:
-            cloud = window.observations[POINT_CLOUD][:, -1]
-            refined = model.refiner.refined(cloud, pose, tool, index, self.config.num_refinements)
-            pose = torch.where(model.aims(index)[:, None], refined, pose)
+            pose = self._refined(model, model.refiner, window, pose, index)
         return pose[:, None]
+
+    def _refined(self, model: AnchorNetwork, refiner: Refiner, window: Window, pose: Tensor, index: Tensor) -> Tensor:
+        """Returns poses (B, 10), corrected where their anchors aim: on a CPU most actions are spared the work."""
+        aims = model.aims(index)
+        if aims.device.type == "cpu" and not aims.any():
+            return pose
+        rows = _rows_to_refine(aims)
+        cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
+        refined = refiner.refined(cloud, pose[rows], tool.float(), index[rows], self.config.num_refinements)
+        return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
 
 
 def _rows_to_refine(aims: Tensor) -> Tensor:
