@@ -21,7 +21,7 @@ from lerobot_adamanip.demos.outcome import Attempt, Hidden, ItemOutcome, ItemRep
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
 from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes
 from lerobot_adamanip.errors import DatasetError, UnreachableError
-from lerobot_adamanip.fingerprint import combined, versions
+from lerobot_adamanip.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.jobs import Beat
 from lerobot_adamanip.keyframes import KeyFrames
 from lerobot_adamanip.options import EnvironmentOptions
@@ -182,7 +182,7 @@ def attempt_episode(
         "camera": camera,
         "task": env.task_description,
         "episode_record": env.episode_record(),
-        "versions": dict(versions()),
+        "versions": {**versions(), "cpu": cpu_model()},
         "fingerprint": combined(env.fingerprint()),
     }
     attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
