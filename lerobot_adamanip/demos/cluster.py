@@ -174,7 +174,7 @@ def _connect(address: str, *, insecure: bool) -> None:
                 hint="ray status",
             )
     if not insecure and not is_loopback(found):
-        _require_closed(found)
+        require_closed(found)
     try:
         ray.init(found, log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, RuntimeError) as error:  # another Python or another Ray, which Ray says itself
@@ -186,7 +186,7 @@ def _connect(address: str, *, insecure: bool) -> None:
         ) from error
 
 
-def _require_closed(address: str) -> None:
+def require_closed(address: str) -> None:
     """Raises `ConfigurationError` if the cluster answers whoever asks, whatever token we have."""
     bare = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH")}
     if _answer(address, {**bare, "RAY_AUTH_MODE": "disabled"}) == "open":

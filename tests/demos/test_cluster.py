@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.cluster import connected, is_loopback, require_address, require_token
+from lerobot_adamanip.demos.cluster import connected, is_loopback, require_address, require_closed, require_token
 from lerobot_adamanip.demos.collect import CollectOptions
 from lerobot_adamanip.demos.node import EQUAL, NodeFacts, node_facts, require_equal_versions
 from lerobot_adamanip.errors import ConfigurationError
@@ -77,6 +77,7 @@ def test_the_token_is_asked_for_before_anything_is_sent(tmp_path: Path, monkeypa
     for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("lerobot_adamanip.demos.cluster._answer", lambda *_: pytest.fail("asked"))
+    monkeypatch.setattr("lerobot_adamanip.demos.cluster.require_ray", lambda: None)
     for address in ("192.0.2.1:6379", "auto"):
         with pytest.raises(ConfigurationError, match="no token"), connected(address, workers=1, insecure=False):
             pass
@@ -92,8 +93,8 @@ def test_an_open_cluster_is_refused_whatever_token_we_have(monkeypatch: pytest.M
         return "open"
 
     monkeypatch.setattr("lerobot_adamanip.demos.cluster._answer", answer)
-    with pytest.raises(ConfigurationError, match="open"), connected("192.0.2.1:6379", workers=1, insecure=False):
-        pass
+    with pytest.raises(ConfigurationError, match="open"):
+        require_closed("192.0.2.1:6379")
     assert asked[-1] == {"RAY_AUTH_MODE": "disabled"}
 
 
