@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup test nightly check format bench demo clean
+.PHONY: help setup pictures test nightly check format bench demo clean
 export NO_SYSTEM
 
 BIN := .venv/bin
@@ -15,14 +15,20 @@ PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/make \1\t\2/' | expand -t 16
 
-setup: .venv/.renders  ## create .venv, install everything, see to a Vulkan device
+setup: .venv/.simulates  ## create .venv and install everything
 
-# Two stamps: a machine that only lacks Vulkan does not install Python packages again.
+pictures: .venv/.renders  ## see to a Vulkan device, for pictures; clouds do without
+
+# Several stamps: a machine that only lacks Vulkan does not install Python packages again.
 .venv/.installed: pyproject.toml constraints.txt scripts/setup_python.sh
 	bash scripts/setup_python.sh
 	@touch $@
 
-.venv/.renders: .venv/.installed scripts/setup_vulkan.sh
+.venv/.simulates: .venv/.installed scripts/setup_vulkan.sh
+	bash scripts/setup_vulkan.sh libraries
+	@touch $@
+
+.venv/.renders: .venv/.simulates
 	bash scripts/setup_vulkan.sh
 	@touch $@
 
@@ -30,7 +36,7 @@ setup: .venv/.renders  ## create .venv, install everything, see to a Vulkan devi
 .venv/.browser: .venv/.installed scripts/setup_browser.sh
 	bash scripts/setup_browser.sh
 
-test: setup .venv/.browser  ## all tests but the nightly ones: first those without a simulator, then those with it
+test: pictures .venv/.browser  ## all tests but the nightly ones: first those without a simulator, then those with it
 	@status=0; \
 	echo "== 1/2  tests without the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
 	$(PYTEST) -m "not sim and not nightly" || status=$$?; \
@@ -38,7 +44,7 @@ test: setup .venv/.browser  ## all tests but the nightly ones: first those witho
 	$(PYTEST) -m "sim and not nightly" || status=$$?; \
 	exit $$status
 
-nightly: setup  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
+nightly: pictures  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
 	bash scripts/nightly.sh
 
 check: .venv/.installed  ## format, lint, types, layers
@@ -52,7 +58,7 @@ format: .venv/.installed  ## rewrite the files as `make check` wants them
 	$(BIN)/ruff check --fix .
 
 # The policy of `make demo`, if it has been trained, is what the evaluation is timed with.
-bench: setup  ## measure: each lever against the plain path, then this code against an older revision of it, in one run
+bench: pictures  ## measure: each lever against the plain path, then this code against an older revision of it, in one run
 	$(BIN)/adamanip bench
 	policy=outputs/demo/train/checkpoints/last/pretrained_model; \
 	$(BIN)/python scripts/bench_against.py --out outputs/bench_against.json $$([ -d $$policy ] && echo --checkpoint $$policy)

@@ -29,7 +29,7 @@ def workspace_cloud(points_in_base: Cloud, workspace: Workspace, num_points: int
     Where the workspace has fewer points they are repeated from the start, which `RepeatedPointsWarning` tells: a view
     that something blocks must not end an episode.
     """
-    inside = points_in_base[workspace.contains(points_in_base)]
+    inside = points_in_base.take(np.flatnonzero(workspace.contains(points_in_base)), axis=0)
     if len(inside) < num_points:
         # The same words each time, so that Python's filter tells it once and not at every key frame.
         text = f"The camera sees fewer than num_points={num_points} points in the workspace; the cloud repeats them."

@@ -46,15 +46,6 @@ class KeyframeEnvironment(Protocol):
     def part_positions(self) -> dict[str, float]:
         """Joint positions of the object as they stand now [rad or m]: what a camera sees of an open door."""
 
-    def joints(self) -> NDArray[np.float32]:
-        """Positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
-
-    def render(self) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of this moment."""
-
-    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say, at rest."""
-
     def fingerprint(self) -> dict[str, str]:
         """Part -> hash or name of what decides how an episode comes out; see `lerobot_adamanip.fingerprint`."""
 
@@ -71,6 +62,19 @@ class KeyframeEnvironment(Protocol):
         """Releases the simulator."""
 
 
+class SimulatedEnvironment(KeyframeEnvironment, Protocol):
+    """One that knows where everything is, and can be looked at: what demonstrations are recorded in."""
+
+    def joints(self) -> NDArray[np.float32]:
+        """Positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
+
+    def render(self) -> NDArray[np.uint8]:
+        """Picture (H, W, 3) of this moment."""
+
+    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say, at rest."""
+
+
 @dataclass(frozen=True)
 class KeyFrame:
     """One key frame of a rollout, as an observer hears of it.
@@ -82,8 +86,6 @@ class KeyFrame:
         following: the observation after it.
         success: whether the task is done by now.
         labels: what it tried, and what came of that.
-        joints: (13,) before the action, see `schema.JOINT_NAMES`.
-        following_joints: after it.
     """
 
     observation: Observation
@@ -92,8 +94,6 @@ class KeyFrame:
     following: Observation
     success: bool
     labels: KeyFrameLabels
-    joints: NDArray[np.float32]
-    following_joints: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -125,15 +125,13 @@ def rollout(
     """
     success, reason, key_frames = False, "the expert ended without success", 0
     try:
-        goal, joints = next(expert, None), env.joints()
+        goal = next(expert, None)
         while goal is not None and key_frames < env.max_key_frames:
             following, _, terminated, truncated, info = env.step(goal.action())
             key_frames += 1
             success = success or bool(info["is_success"])
-            before, joints = joints, env.joints()
             if on_key_frame is not None:
-                told = (observation, goal, env.feedback, following, success, env.labels, before, joints)
-                on_key_frame(KeyFrame(*told))
+                on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels))
             if truncated or (terminated and not past_success):
                 break
             observation = following

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Sees to a Vulkan device SAPIEN can render with: a GPU's, else Mesa's lavapipe (on the CPU; Mesa >= 24.3).
-# Does nothing where rendering works. Installs packages on Debian and Ubuntu as root, after saying which; with NO_SYSTEM=1,
+# With the argument "libraries", only to what SAPIEN and OpenCV need to be imported: clouds take no Vulkan device.
+# Does nothing where that works. Installs packages on Debian and Ubuntu as root, after saying which; with NO_SYSTEM=1,
 # and elsewhere, it says what to install.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -14,6 +15,8 @@ source scripts/setup_common.sh
 
 # In a process of its own: a broken driver may segfault instead of raising.
 renders() { timeout 180 .venv/bin/python -m lerobot_env_adamanip.sim.render_probe; }
+
+imports() { .venv/bin/python -c "import sapien, cv2" 2>/dev/null; }
 
 # What is there already stays at its version: this machine's other programs are not ours to upgrade.
 install_libraries() { install --no-upgrade "${LIBRARIES[@]}"; }
@@ -88,6 +91,18 @@ done_if_found() {
         exit 0
     fi
 }
+
+if [[ "${1:-}" == libraries ]]; then
+    if ! imports; then
+        can_install || advise
+        announce "${LIBRARIES[*]}"
+        update
+        install_libraries
+        imports || advise
+    fi
+    say "the simulator can be imported; for pictures: make pictures"
+    exit 0
+fi
 
 found=$(renders 2>/dev/null) || found=""
 if has nvidia-smi && nvidia-smi >/dev/null 2>&1 && [[ "$found" != *cuda* ]]; then

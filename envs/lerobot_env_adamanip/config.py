@@ -28,6 +28,7 @@ from lerobot_adamanip.schema import (
     STATE,
     STATE_DIM,
 )
+from lerobot_env_adamanip.caller import images_wanted
 from lerobot_env_adamanip.split import AUTO, resolve_split
 
 if TYPE_CHECKING:
@@ -65,8 +66,8 @@ class AdaManipEnvConfig(EnvConfig):
     num_points: int = DEFAULT_NUM_POINTS
     # Side of the front image [px].
     image_size: int = IMAGE_SIZE
-    # Whether observations hold the front image; policies that look at clouds alone do not need it.
-    observe_images: bool = True
+    # Whether observations hold the front image. Left out: unless lerobot-eval runs a policy that takes no image.
+    observe_images: bool | None = None
     # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
     poses: str = "randomized"
     # Mechanisms as in the paper's text (paper), as in its released code (upstream), or ours (hard); docs/categories.md.
@@ -113,7 +114,7 @@ class AdaManipEnvConfig(EnvConfig):
             "point_cloud": (FeatureType.ENV, (self.num_points, 3), POINT_CLOUD),
             "pixels/front": (FeatureType.VISUAL, (size, size, 3), FRONT_IMAGE),
         }
-        if not self.observe_images:
+        if self.observe_images is False:
             del table["pixels/front"]
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
@@ -140,7 +141,7 @@ class AdaManipEnvConfig(EnvConfig):
             assets=self.assets,
             num_points=self.num_points,
             image_size=self.image_size,
-            observe_images=self.observe_images,
+            observe_images=images_wanted(self) if self.observe_images is None else self.observe_images,
             poses=self.poses,
             mechanism_preset=self.mechanism_preset,
             max_key_frames=self.episode_length,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.rollout import KeyframeEnvironment
+from lerobot_adamanip.rollout import SimulatedEnvironment
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 
-def make_keyframe_env(options: EnvironmentOptions) -> KeyframeEnvironment:
+def make_keyframe_env(options: EnvironmentOptions) -> SimulatedEnvironment:
     """Returns a `KeyframeEnv` of options. A function of a module, so that spawned workers can be given it."""
     return KeyframeEnv(options=options)

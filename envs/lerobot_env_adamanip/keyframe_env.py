@@ -44,7 +44,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``; who steps on gets
         observations, no reward, and leaves the episode's record as it was.
 
-    Implements `lerobot_adamanip.rollout.KeyframeEnvironment`.
+    Implements `lerobot_adamanip.rollout.SimulatedEnvironment`.
 
     Args:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`; ``safe`` if nothing names one.

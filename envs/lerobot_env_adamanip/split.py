@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from types import FrameType
-
 from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.seeds import SPLITS
+from lerobot_env_adamanip.caller import TRAINING, held_by_callers
 
 AUTO = "auto"
-_TRAINING = ("lerobot.configs.train", "TrainPipelineConfig")
-"""Module and class of the configuration that whoever trains with LeRobot holds."""
 
 
 def resolve_split(split: str, config: object) -> str:
@@ -31,17 +27,4 @@ def resolve_split(split: str, config: object) -> str:
     require_choice("split of scenes", split, (AUTO, *SPLITS), hint="--env.split=auto")
     if split != AUTO:
         return split
-    return "validation" if _inside_training(sys._getframe(1), config) else "test"
-
-
-def _inside_training(frame: FrameType | None, config: object) -> bool:
-    """Whether a function that called this one, or one further up, holds the training whose environment this is."""
-    training = getattr(sys.modules.get(_TRAINING[0]), _TRAINING[1], None)
-    if training is None:
-        return False
-    while frame is not None:
-        for value in list(frame.f_locals.values()):
-            if isinstance(value, training) and getattr(value, "env", None) is config:
-                return True
-        frame = frame.f_back
-    return False
+    return "validation" if any(True for _ in held_by_callers(config, TRAINING)) else "test"

@@ -24,7 +24,7 @@ from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.fingerprint import combined
-from lerobot_adamanip.rollout import KeyframeEnvironment
+from lerobot_adamanip.rollout import SimulatedEnvironment
 
 Progress = Callable[[str, int, int], None]
 TOLERANCE = 1e-5
@@ -94,9 +94,9 @@ class _Environments:
     def __init__(self, make_env: EnvFactory, manifest: Manifest) -> None:
         self._make, self._spec = make_env, manifest.spec
         self._category = ""
-        self._env: KeyframeEnvironment | None = None
+        self._env: SimulatedEnvironment | None = None
 
-    def of(self, category: str) -> KeyframeEnvironment:
+    def of(self, category: str) -> SimulatedEnvironment:
         if self._env is None or category != self._category:
             self.__exit__()
             self._category, self._env = category, self._make(self._spec.environment_of(category))
@@ -167,7 +167,7 @@ def _pictured(stored: _Stored, make_env: EnvFactory) -> Manifest:
     return replace(stored.manifest, spec=spec, fingerprint=found)
 
 
-def _with_images(env: KeyframeEnvironment, stored: _Stored, row: dict[str, Any], fingerprint: str) -> RecordedEpisode:
+def _with_images(env: SimulatedEnvironment, stored: _Stored, row: dict[str, Any], fingerprint: str) -> RecordedEpisode:
     """Returns an episode with the pictures of its rows."""
     try:
         task, columns = _columns(stored, row)
@@ -211,7 +211,7 @@ def _columns(stored: _Stored, row: dict[str, Any]) -> tuple[str, dict[str, NDArr
     }
 
 
-def _require_same_scene(env: KeyframeEnvironment, record: Mapping[str, Any], first: NDArray[np.float32]) -> None:
+def _require_same_scene(env: SimulatedEnvironment, record: Mapping[str, Any], first: NDArray[np.float32]) -> None:
     camera = env.camera_parameters() == record["camera"]
     # An episode that starts late starts elsewhere than its scene does.
     joints = record["late"] or bool(np.abs(env.joints() - first).max() <= TOLERANCE)

@@ -25,12 +25,12 @@ from lerobot_adamanip.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.jobs import Beat
 from lerobot_adamanip.keyframes import KeyFrames
 from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.rollout import KeyframeEnvironment, rollout
+from lerobot_adamanip.rollout import SimulatedEnvironment, rollout
 
 _EXPERT_STREAM = 1
 """Tells the expert's random stream from any other that starts from the episode's seed."""
 
-EnvFactory = Callable[[EnvironmentOptions], KeyframeEnvironment]
+EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
 """Builds an environment. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
 ExpertFactory = Callable[..., KeyFrames]
 """Takes the arguments of `lerobot_adamanip.experts.make_expert`. A function of a module, likewise."""
@@ -73,7 +73,7 @@ class RecordingJob:
 @contextlib.contextmanager
 def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemOutcome]]:
     """What a worker holds from item to item: one simulator, built with the first item of a category."""
-    env: KeyframeEnvironment | None = None
+    env: SimulatedEnvironment | None = None
     category = ""
 
     def work(item: EpisodeSpec, beat: Beat) -> ItemOutcome:
@@ -106,7 +106,7 @@ def writing_session(job: RecordingJob, paths: CollectionPaths) -> Iterator[Calla
         yield work
 
 
-def _require_fingerprint(env: KeyframeEnvironment, job: RecordingJob) -> None:
+def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
     found = env.fingerprint()
     if parts := differing_parts(found, job.fingerprint):
         raise DatasetError(
@@ -117,7 +117,7 @@ def _require_fingerprint(env: KeyframeEnvironment, job: RecordingJob) -> None:
         )
 
 
-def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemOutcome:
+def record_item(env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemOutcome:
     """Tries seeds until the expert succeeds.
 
     Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
@@ -149,7 +149,7 @@ def record_item(env: KeyframeEnvironment, job: RecordingJob, item: EpisodeSpec, 
 
 
 def attempt_episode(
-    env: KeyframeEnvironment,
+    env: SimulatedEnvironment,
     spec: CollectionSpec,
     make_expert: ExpertFactory,
     request: EpisodeRequest,
@@ -161,7 +161,7 @@ def attempt_episode(
     hidden, camera = env.hidden_state(), env.camera_parameters()
     late = bool(len(actions))
     expert = _expert(env, spec, make_expert, request, late=late)
-    recorder = EpisodeRecorder(_failed_tries(env) if late else 0)
+    recorder = EpisodeRecorder(env.joints, _failed_tries(env) if late else 0)
 
     def observe(key_frame: Any) -> None:
         recorder.record(key_frame)
@@ -190,7 +190,7 @@ def attempt_episode(
 
 
 def _expert(
-    env: KeyframeEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest, *, late: bool
+    env: SimulatedEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest, *, late: bool
 ) -> KeyFrames:
     """Returns the expert of an episode; one that starts late sees where the parts stand and what the hand feels."""
     return make_expert(
@@ -207,12 +207,12 @@ def _expert(
     )
 
 
-def _failed_tries(env: KeyframeEnvironment) -> int:
+def _failed_tries(env: SimulatedEnvironment) -> int:
     return env.labels.trial + env.labels.failed
 
 
 def _started(
-    env: KeyframeEnvironment,
+    env: SimulatedEnvironment,
     spec: CollectionSpec,
     make_expert: ExpertFactory,
     request: EpisodeRequest,

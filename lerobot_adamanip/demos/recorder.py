@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,17 +24,23 @@ class EpisodeRecorder:
     The last row is terminal: the final observation, with an action that stays where the tool is, which was not sent.
 
     Attributes:
+        joints: returns where everything that moves stands now, (13,), see `schema.JOINT_NAMES`.
         failed_before: failed tries before the recording began, which its rows do not count.
         rows: so far, column -> array, without the terminal one.
         tries: at a joint so far.
         failed_tries: of those.
     """
 
+    joints: Callable[[], NDArray[np.float32]]
     failed_before: int = 0
     rows: list[Row] = field(default_factory=list)
     tries: int = 0
     failed_tries: int = 0
     _last: KeyFrame | None = None
+    _before: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._before = self.joints()
 
     def record(self, key_frame: KeyFrame) -> None:
         """Adds one key frame."""
@@ -45,7 +52,8 @@ class EpisodeRecorder:
         self.failed_tries += labels.failed
         self._last = key_frame
         row = self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
-        self.rows.append({**row, schema.JOINTS: key_frame.joints})
+        self.rows.append({**row, schema.JOINTS: self._before})
+        self._before = self.joints()
 
     def columns(self) -> Row:
         """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal."""
@@ -55,7 +63,7 @@ class EpisodeRecorder:
         stay = Goal(last.feedback.tcp_in_base, last.goal.gripper, last.goal.phase)
         labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
         end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
-        end[schema.JOINTS] = last.following_joints
+        end[schema.JOINTS] = self._before
         return {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
 
     def _row(

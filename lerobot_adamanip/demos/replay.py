@@ -21,7 +21,7 @@ from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.demos.video import write_video
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.observation import observation_columns
-from lerobot_adamanip.rollout import KeyframeEnvironment
+from lerobot_adamanip.rollout import SimulatedEnvironment
 
 Picture = NDArray[np.uint8]
 _COMPARED = (schema.STATE, schema.POINT_CLOUD, schema.EFFORT)
@@ -200,7 +200,7 @@ def _parsed(row: dict[str, Any], name: str) -> Any:
 
 
 def _run(
-    env: KeyframeEnvironment, recording: _Recording, progress: Progress, *, look: bool
+    env: SimulatedEnvironment, recording: _Recording, progress: Progress, *, look: bool
 ) -> tuple[list[dict[str, NDArray[Any]]], list[Picture], bool]:
     """Returns what was seen before each action and after the last, until the replayed episode ends, and success.
 

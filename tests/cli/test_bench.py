@@ -15,7 +15,8 @@ from lerobot_adamanip.cli.bench.timing import Stopwatch, judge, median_ms, per_s
 RESULTS: dict[str, Any] = {
     "machine": {"cores": 2},
     "collection": {"episodes_per_minute": 9.5, "episodes_per_minute_steady": None},
-    "observation_ms": {"total": 41.0},
+    "simulator": {"rendered_by_cast": 9.0},
+    "observation_ms": {"raycast": {"total": 11.0}, "render": {"total": 99.0}},
     "action_ms": {"fast": {"batch_1": 130.0, "batch_10": 150.0}},
 }
 
@@ -50,6 +51,7 @@ def test_the_report_is_json_and_judged() -> None:
     assert {name: verdict["ok"] for name, verdict in report["limits"].items()} == {
         "episodes_per_minute": True,
         "observation_ms": True,
+        "rendered_by_cast": True,
         "action_ms": False,
     }
 

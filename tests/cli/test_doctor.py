@@ -36,11 +36,13 @@ def test_a_machine_that_was_set_up_passes() -> None:
     assert (status, ok) == (0, True)
 
 
-def test_without_a_vulkan_driver_it_fails_and_advises() -> None:
+def test_without_a_vulkan_driver_clouds_are_possible_and_pictures_are_not() -> None:
     status, rows, ok = doctor_json(NO_VULKAN)
-    assert (status, ok) == (1, False)
+    assert (status, ok) == (0, True)
+    assert rows["Ray-cast clouds"]["ok"]
     rendering = rows["SAPIEN renders"]
     assert not rendering["ok"]
+    assert "collect --no-images" in str(rendering["advice"])
     assert "mesa-vulkan-drivers" in str(rendering["advice"])
     assert "VK_ICD_FILENAMES=/nonexistent.json" in str(rendering["advice"])
 

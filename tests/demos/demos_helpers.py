@@ -24,15 +24,9 @@ ATTEMPTS = 25
 OBJECTS = ("safe_000", "safe_001")
 LATE = 0.5
 _ENVIRONMENT = (
-    "num_points",
-    "image_size",
-    "observe_images",
-    "poses",
-    "mechanism_preset",
-    "max_key_frames",
-    "hidden_overrides",
-    "assets",
-)
+    "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_preset", "max_key_frames",
+    "hidden_overrides", "assets",
+)  # fmt: skip
 
 
 def make_spec(**changes: Any) -> CollectionSpec:

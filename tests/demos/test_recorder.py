@@ -39,7 +39,7 @@ def play(*goals: Goal) -> Iterator[Goal]:
 
 def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
     env, first = ready(locked=True)
-    recorder = EpisodeRecorder()
+    recorder = EpisodeRecorder(env.joints)
     result = rollout(env, first, play(PULL, UNLOCK, PULL), recorder.record)
     columns = recorder.columns()
     assert result.success
@@ -56,6 +56,9 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
     assert columns[schema.TRIAL][:, 0].tolist() == [0, 1, 1, 1]
     np.testing.assert_allclose(columns[schema.PROGRESS][:, 0], [0.0, 0.0, 0.3, 0.0], atol=1e-6)
     assert columns[schema.SUCCESS][:, 0].tolist() == [False, False, True, True]
+    # Where everything stood when the row was seen: it stalled at 0.3, came back to it, and opened to 0.6.
+    np.testing.assert_allclose(columns[schema.JOINTS][:, 0], [0.3, 0.3, 0.3, 0.6], atol=1e-6)
+    np.testing.assert_allclose(columns[schema.JOINTS][:, 9], [0.0, 0.0, 0.0, 0.6], atol=1e-6)
     # The state after an action is the next row's: the pull stalled where it began, the unlocking arrived.
     assert columns[schema.STATE][1, 0] == columns[schema.STATE][0, 0]
     np.testing.assert_allclose(columns[schema.STATE][2, :3], UNLOCK.action()[:3])
@@ -63,7 +66,7 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
 
 def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:
     env, first = ready(locked=False)
-    recorder, last = EpisodeRecorder(), []
+    recorder, last = EpisodeRecorder(env.joints), []
     rollout(env, first, play(PULL, FARTHER), lambda key_frame: (recorder.record(key_frame), last.append(key_frame)))
     columns = recorder.columns()
     assert columns[schema.DONE][:, 0].tolist() == [False] * (len(last)) + [True]
@@ -75,7 +78,7 @@ def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:
 def test_a_demonstration_goes_on_past_success_until_its_expert_ends() -> None:
     for past, key_frames in ((False, 1), (True, 3)):
         env, first = ready(locked=False)
-        recorder = EpisodeRecorder()
+        recorder = EpisodeRecorder(env.joints)
         result = rollout(env, first, play(PULL, FARTHER, FARTHER), recorder.record, past_success=past)
         assert (result.success, result.key_frames, result.reason) == (True, key_frames, "success")
         assert len(recorder.columns()[schema.ACTION]) == key_frames + 1
@@ -90,14 +93,14 @@ def test_going_on_ends_with_time() -> None:
 def test_failed_tries_from_before_the_recording_do_not_count() -> None:
     env, first = ready(locked=True)
     env.step(PULL.action())
-    recorder = EpisodeRecorder(failed_before=1)
+    recorder = EpisodeRecorder(env.joints, failed_before=1)
     rollout(env, first, play(PULL, UNLOCK, PULL), recorder.record)
     assert recorder.columns()[schema.TRIAL][:, 0].tolist() == [0, 1, 1, 1]
 
 
 def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
     env, first = ready(locked=False)
-    recorder = EpisodeRecorder()
+    recorder = EpisodeRecorder(env.joints)
     rollout(env, first, play(UNLOCK, PULL), recorder.record)
     columns = recorder.columns()
     features = schema.dataset_features(8, 64)
@@ -109,8 +112,9 @@ def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
 
 def test_recording_does_not_change_the_episode() -> None:
     results = []
-    for recorder in (None, EpisodeRecorder()):
+    for recorded in (False, True):
         env, first = ready(locked=True)
+        recorder = EpisodeRecorder(env.joints) if recorded else None
         results.append(rollout(env, first, play(PULL, UNLOCK, PULL), None if recorder is None else recorder.record))
     assert results[0] == results[1]
 
@@ -155,4 +159,4 @@ def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_bu
 def test_feedback_from_before_the_first_key_frame_is_no_outcome() -> None:
     env, observation = ready(locked=False)
     with pytest.raises(ValueError, match="outcome"):
-        EpisodeRecorder().record(KeyFrame(observation, PULL, env.feedback, observation, False, env.labels))
+        EpisodeRecorder(env.joints).record(KeyFrame(observation, PULL, env.feedback, observation, False, env.labels))

@@ -15,9 +15,9 @@ from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import CollectionSpec
 from lerobot_adamanip.observation import workspace_cloud
-from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.options import CLOUD_SOURCES, EnvironmentOptions
 from lerobot_adamanip.pointcloud import Workspace
-from lerobot_adamanip.rollout import rollout
+from lerobot_adamanip.rollout import next_goal, rollout
 from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
 
 STEPS_PER_REPEAT = 20
@@ -54,18 +54,27 @@ def collection(root: Path, *, category: str, objects: int, per_object: int, work
     }
 
 
-def simulation(*, category: str, repeats: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Returns rates of the simulator [1/s], and times of an observation by stage [ms], of one environment."""
+def simulation(*, category: str, repeats: int) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Returns rates of the simulator [1/s], and times of an observation by source of the cloud and stage [ms].
+
+    ``rendered_by_cast``: how many times longer the whole observation takes rendered, in this run.
+    """
     from lerobot_env_adamanip.keyframe_env import make_task
 
     name = object_id(category, 0)
     key_frame = _key_frame_ms(category, name)
-    task = make_task(category, objects=name)
-    try:
-        task.reset(seed=SEED)
-        return _rates(task, key_frame, repeats), _observation(task, repeats)
-    finally:
-        task.close()
+    sources: dict[str, dict[str, float]] = {}
+    rates: dict[str, float] = {}
+    for source in CLOUD_SOURCES:
+        task = make_task(category, objects=name, cloud_source=source)
+        try:
+            task.reset(seed=SEED)
+            sources[source] = _observation(task, repeats)
+            rates = rates or _rates(task, key_frame, repeats)
+        finally:
+            task.close()
+    rates["rendered_by_cast"] = ratio(sources["render"]["total"], sources["raycast"]["total"])
+    return rates, sources
 
 
 def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
@@ -78,7 +87,7 @@ def _rates(task: Any, key_frame_ms: float, repeats: int) -> dict[str, float]:
 
     def step_and_look() -> None:
         task.step(still)
-        workspace_cloud(task.observe().points_in_base, workspace, DEFAULT_NUM_POINTS)
+        workspace_cloud(task.observe(image=False).points_in_base, workspace, DEFAULT_NUM_POINTS)
 
     plain = per_second(repeat_ms(step, repeats) / STEPS_PER_REPEAT)
     seen = per_second(repeat_ms(step_and_look, repeats))
@@ -107,13 +116,23 @@ def _key_frame_ms(category: str, name: str) -> float:
 
 
 def _observation(task: Any, repeats: int) -> dict[str, float]:
+    """Times what is observed after each key frame of an expert: medians over at least ``repeats`` of them [ms]."""
     watch, workspace = Stopwatch(), Workspace()
-    for _ in range(1 + repeats):
-        with watch.stage("total"):
-            with watch.stage("render"):
-                points = task.observe().points_in_base
-            with watch.stage(f"crop_fps_{DEFAULT_NUM_POINTS}"):
-                workspace_cloud(points, workspace, DEFAULT_NUM_POINTS)
-        with watch.stage(f"crop_fps_{PAPER_NUM_POINTS}"):
-            workspace_cloud(points, workspace, PAPER_NUM_POINTS)
+    seen = 0
+    while seen <= repeats:
+        task.reset(seed=SEED)
+        generator = np.random.default_rng(SEED)
+        expert = factories().expert(task.category, "adaptive", task.placement.annotations, generator=generator)
+        goal = next(expert, None)
+        while goal is not None:
+            felt = task.execute(goal.action())
+            seen += 1
+            with watch.stage("total"):
+                with watch.stage("points"):
+                    points = task.observe(image=False).points_in_base
+                with watch.stage(f"crop_fps_{DEFAULT_NUM_POINTS}"):
+                    workspace_cloud(points, workspace, DEFAULT_NUM_POINTS)
+            with watch.stage(f"crop_fps_{PAPER_NUM_POINTS}"):
+                workspace_cloud(points, workspace, PAPER_NUM_POINTS)
+            goal = next_goal(expert, felt)
     return watch.medians_ms()

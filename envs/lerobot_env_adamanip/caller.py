@@ -1,0 +1,35 @@
+"""Who asks for environments: LeRobot's commands tell an environment's configuration nothing of themselves."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+TRAINING = ("lerobot.configs.train", "TrainPipelineConfig")
+EVALUATION = ("lerobot.configs.eval", "EvalPipelineConfig")
+"""Module and class of the configuration that whoever trains or evaluates with LeRobot holds."""
+
+
+def held_by_callers(config: object, *kinds: tuple[str, str]) -> Iterator[Any]:
+    """Yields the pipelines of ``kinds`` whose environment ``config`` is, held by the functions that called.
+
+    Looks at callers however far up, so that it does not matter how LeRobot was started (command, ``accelerate``, a
+    script).
+    """
+    classes = tuple(found for module, name in kinds if (found := getattr(sys.modules.get(module), name, None)))
+    frame = sys._getframe(1) if classes else None
+    while frame is not None:
+        for value in list(frame.f_locals.values()):
+            if isinstance(value, classes) and getattr(value, "env", None) is config:
+                yield value
+        frame = frame.f_back
+
+
+def images_wanted(config: object) -> bool:
+    """Returns whether whoever asks may look at images: everybody but the evaluation of a policy that takes none."""
+    for pipeline in held_by_callers(config, EVALUATION):
+        features = getattr(getattr(pipeline, "policy", None), "input_features", None)
+        if features:
+            return any(feature.type.name == "VISUAL" for feature in features.values())
+    return True
