@@ -34,7 +34,7 @@ else
     "$bin/lerobot-train" --policy.type=dp3_adaptive --policy.device=cpu --policy.push_to_hub=false \
         --env.type=adamanip_safe --env.objects="$safes" --env_eval_freq=0 \
         --dataset.repo_id=local/adamanip-safe-demo --dataset.root="$out/demos" \
-        --batch_size=64 --steps="$steps" --save_freq=800 --log_freq=100 --num_workers=1 --output_dir="$out/train"
+        --batch_size=64 --steps="$steps" --save_freq=800 --log_freq=100 --num_workers=0 --output_dir="$out/train"
 fi
 
 say "4/5  Evaluating on scenes it has not seen, with lerobot-eval"
