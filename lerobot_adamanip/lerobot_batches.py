@@ -7,6 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 import torch
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from numpy.typing import NDArray
 from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
@@ -118,6 +119,18 @@ def _collate(items: Sequence[Item], **_: Any) -> Any:
     return items.columns if isinstance(items, CollatedItems) else default_collate([dict(item) for item in items])
 
 
+def _get_items(dataset: Any, indices: Sequence[int]) -> Sequence[dict[str, Any]]:
+    """What torch's DataLoader asks a dataset for, if it can: many items at once."""
+    reader = dataset.reader
+    loaded = hasattr(reader, "get_batch") and reader.hf_dataset is not None and dataset.writer is None
+    batch = reader.get_batch(indices) if loaded else None
+    return [dataset[index] for index in indices] if batch is None else CollatedItems(batch, len(indices))
+
+
 def register() -> None:
-    """Lets torch's `default_collate` know batches of this project; the way torch documents for types of one's own."""
+    """Lets DataLoaders ask LeRobot's datasets for batches, and torch's `default_collate` know those of this project.
+
+    The latter in the way that torch documents for types of one's own.
+    """
     default_collate_fn_map[Item] = _collate
+    LeRobotDataset.__getitems__ = _get_items

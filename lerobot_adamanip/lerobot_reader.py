@@ -14,7 +14,7 @@ import torch
 from lerobot.datasets.dataset_reader import DatasetReader
 
 from lerobot_adamanip.columns import ColumnStore
-from lerobot_adamanip.lerobot_batches import Batch, Windows
+from lerobot_adamanip.lerobot_batches import Batch, Windows, register
 from lerobot_adamanip.schema import LATEST_ONLY, SKIP_VIDEOS
 
 _DEPTH_UNITS = "_image_depth_units"
@@ -55,6 +55,11 @@ class FastDatasetReader(DatasetReader):
     def __getstate__(self) -> dict[str, Any]:
         """Without the views: they are rebuilt from the memory-mapped files in each data-loading process."""
         return {key: value for key, value in self.__dict__.items() if key != "_adamanip_tables"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """In a data-loading process, which may be a new one: batches are read at once there, too."""
+        self.__dict__.update(state)
+        register()
 
     def _tables(self) -> _Tables:
         tables: _Tables | None = self.__dict__.get("_adamanip_tables")
