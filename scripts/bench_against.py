@@ -46,9 +46,12 @@ class Version:
         self.tree = tree
         paths = os.pathsep.join(str(path) for path in (tree, tree / "envs", tree / "policies"))
         self.environment = {
-            **os.environ, "PYTHONPATH": paths, "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1",
+            **os.environ,
+            "PYTHONPATH": paths,
+            "HF_HUB_OFFLINE": "1",
+            "OMP_NUM_THREADS": "1",
             "TOKENIZERS_PARALLELISM": "false",
-        }  # fmt: skip
+        }
 
     @contextmanager
     def worker(self, *, detail: bool = False) -> Iterator[Any]:
@@ -144,8 +147,10 @@ def breakdown(new: Version, categories: tuple[str, ...]) -> Numbers:
             ask(do="open", category=category)
             answer = ask(do="measure", seeds=[100, 101, 102])
             seconds, ticks = answer["seconds"], answer["calls"]["_tick"]
-            parts = {name: round(1e6 * seconds[name] / ticks, 1) for name in
-                     ("physics", "inverse kinematics", "mechanism", "lag")}  # fmt: skip
+            parts = {
+                name: round(1e6 * seconds[name] / ticks, 1)
+                for name in ("physics", "inverse kinematics", "mechanism", "lag")
+            }
             whole = 1e6 * seconds["execute"] / ticks
             found[category] = {**parts, "rest": round(whole - sum(parts.values()), 1), "whole": round(whole, 1)}
     return found
@@ -159,10 +164,25 @@ def collection(old: Version, new: Version, repeats: int) -> Numbers:
         for name, (version, more) in kinds.items():
             with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
                 _, printed = version.run(
-                    sys.executable, "-m", "lerobot_adamanip.cli.main", "collect", "--root", f"{folder}/demos",
-                    "--category", "safe", "--objects", "0:4", "--episodes-per-object", "8", "--workers", "2",
-                    "--seed", str(repeat), "--json", *more,
-                )  # fmt: skip
+                    sys.executable,
+                    "-m",
+                    "lerobot_adamanip.cli.main",
+                    "collect",
+                    "--root",
+                    f"{folder}/demos",
+                    "--category",
+                    "safe",
+                    "--objects",
+                    "0:4",
+                    "--episodes-per-object",
+                    "8",
+                    "--workers",
+                    "2",
+                    "--seed",
+                    str(repeat),
+                    "--json",
+                    *more,
+                )
             rates[name].append(json.loads(printed.splitlines()[-1])["episodes_per_minute"])
         say("collection: " + ", ".join(f"{name} {values[-1]:.0f}/min" for name, values in rates.items()))
     before = rates["pictures"]
@@ -179,11 +199,20 @@ def evaluation(old: Version, new: Version, checkpoint: Path, repeats: int, episo
         for name, version in (("before", old), ("after", new)):
             with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
                 version.run(
-                    sys.executable, "-m", "lerobot.scripts.lerobot_eval", f"--policy.path={checkpoint}",
-                    "--policy.device=cpu", "--env.type=adamanip_safe", "--env.objects=0:4", "--env.split=validation",
-                    f"--eval.n_episodes={episodes}", "--eval.batch_size=2", f"--seed={1000 + repeat}",
-                    f"--output_dir={folder}/eval", threads=True,
-                )  # fmt: skip
+                    sys.executable,
+                    "-m",
+                    "lerobot.scripts.lerobot_eval",
+                    f"--policy.path={checkpoint}",
+                    "--policy.device=cpu",
+                    "--env.type=adamanip_safe",
+                    "--env.objects=0:4",
+                    "--env.split=validation",
+                    f"--eval.n_episodes={episodes}",
+                    "--eval.batch_size=2",
+                    f"--seed={1000 + repeat}",
+                    f"--output_dir={folder}/eval",
+                    threads=True,
+                )
                 told = json.loads((Path(folder) / "eval" / "eval_info.json").read_text(encoding="utf-8"))
             rates[name].append(60.0 / _per_episode(told))
         say("evaluation: " + ", ".join(f"{name} {values[-1]:.1f}/min" for name, values in rates.items()))
@@ -201,9 +230,21 @@ def start(old: Version, new: Version, repeats: int) -> Numbers:
         for name, version, more in (("before", old, ()), ("after", new, ("--no-images",))):
             with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
                 took, _ = version.run(
-                    sys.executable, "-m", "lerobot_adamanip.cli.main", "collect", "--root", f"{folder}/demos",
-                    "--category", "safe", "--objects", "0:1", "--episodes-per-object", "1", "--json", *more,
-                )  # fmt: skip
+                    sys.executable,
+                    "-m",
+                    "lerobot_adamanip.cli.main",
+                    "collect",
+                    "--root",
+                    f"{folder}/demos",
+                    "--category",
+                    "safe",
+                    "--objects",
+                    "0:1",
+                    "--episodes-per-object",
+                    "1",
+                    "--json",
+                    *more,
+                )
             seconds[name].append(took)
     return {"one_episode_s": pair(seconds["before"], seconds["after"])}
 

@@ -59,12 +59,7 @@ class Contents:
     repo_id: str
 
 
-def assemble(
-    root: Path,
-    contents: Contents,
-    progress: Callable[[int, int], None],
-    crews: Crews | None = None,
-) -> Path:
+def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None], crews: Crews | None = None) -> Path:
     """Writes a dataset, syncs it and reads it back. Starts over if it was interrupted.
 
     Neither who prepares the episodes, nor whether LeRobot's writer does it, changes a byte.

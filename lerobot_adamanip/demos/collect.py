@@ -100,19 +100,32 @@ def collect(
         return summarize(paths.root, spec, [], begin=begin)
     job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
     with _prepared(paths, manifest):
-        with _crews(options) as crews:
-            adopt(paths, manifest, options.adopt)
-            results = _record(job, paths, options, crews, listener)
-            recording = time.monotonic() - begin
-            failures = _require_all(results, options)
-            files.crash_point("all recorded")
-            if options.part is not None:
-                mine = options.part.of(spec.items())
-                return summarize_part(paths, mine, results, begin=begin, recording=recording, failures=failures)
-            _publish(paths, manifest, options, crews, lambda done, total: listener("assemble", done, total))
-        summary = summarize(paths.root, spec, results, begin=begin, recording=recording, failures=failures)
-        paths.clean()
+        summary = _collected(job, paths, manifest, options, listener, begin)
+        if options.part is None:
+            paths.clean()
     return summary
+
+
+def _collected(
+    job: RecordingJob,
+    paths: CollectionPaths,
+    manifest: Manifest,
+    options: CollectOptions,
+    listener: Listener,
+    begin: float,
+) -> CollectSummary:
+    """Records what is missing; publishes the dataset, unless this is a part of it."""
+    with _crews(options) as crews:
+        adopt(paths, manifest, options.adopt)
+        results = _record(job, paths, options, crews, listener)
+        recording = time.monotonic() - begin
+        failures = _require_all(results, options)
+        files.crash_point("all recorded")
+        if options.part is not None:
+            mine = options.part.of(job.spec.items())
+            return summarize_part(paths, mine, results, begin=begin, recording=recording, failures=failures)
+        _publish(paths, manifest, options, crews, lambda done, total: listener("assemble", done, total))
+    return summarize(paths.root, job.spec, results, begin=begin, recording=recording, failures=failures)
 
 
 def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:

@@ -72,6 +72,18 @@ def add_pictures(
     stored = _read(root, assets)
     manifest = _pictured(stored, make_env)
     _prepare(paths, manifest)
+    shards = _rendered(paths, stored, manifest, make_env, progress)
+    contents = Contents(manifest, shards, _attempts(root), repo_id or f"local/{paths.root.name}")
+    built = assemble(paths.root, contents, lambda done, total: progress("assemble", done, total))
+    files.move_durably(built, paths.root)
+    paths.clean()
+    return len(shards)
+
+
+def _rendered(
+    paths: CollectionPaths, stored: _Stored, manifest: Manifest, make_env: EnvFactory, progress: Progress
+) -> list[Path]:
+    """Renders the episodes that are not there yet; returns all their files, in order."""
     shards = []
     with _Environments(make_env, manifest) as environments:
         for number, row in enumerate(stored.episodes):
@@ -81,11 +93,7 @@ def add_pictures(
                 write_shard(path, _with_images(env, stored, row, combined(manifest.fingerprint)))
             shards.append(path)
             progress("render", number + 1, len(stored.episodes))
-    contents = Contents(manifest, shards, _attempts(root), repo_id or f"local/{paths.root.name}")
-    built = assemble(paths.root, contents, lambda done, total: progress("assemble", done, total))
-    files.move_durably(built, paths.root)
-    paths.clean()
-    return len(shards)
+    return shards
 
 
 class _Environments:

@@ -1,0 +1,89 @@
+"""Writes docs/speed.md from results/bench/against.json: ``python scripts/speed_page.py [--check]``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE, REPORT = ROOT / "docs" / "speed.md", ROOT / "results" / "bench" / "against.json"
+NAMES = {
+    "tick_us": "control tick, µs of processor time",
+    "reset_ms": "reset, ms of processor time",
+    "key_frames_per_core_second": "key frames with cloud per second and core",
+    "with_pictures_per_minute": "`adamanip collect`, two workers, clouds and pictures: episodes a minute",
+    "clouds_only_per_minute": "the same, clouds alone",
+    "episodes_per_minute": "`lerobot-eval` of `dp3_adaptive`, two environments: episodes a minute",
+    "one_episode_s": "`adamanip collect` of one episode, from command to dataset, s",
+}
+
+
+def page(report: dict[str, Any]) -> str:
+    """Returns the document of a report of `bench_against.py`."""
+    lines = [
+        "# Speed",
+        "",
+        f"Made by `scripts/speed_page.py` from a run of `scripts/bench_against.py` (part of `make bench`): commit "
+        f"`{(report['commit'] or 'unknown')[:7]}` against `{report['against'][:7]}`, the last one before the code was "
+        f"made fast, turn by turn on one machine of two cores, medians of {report['repeats']} repeats. Ratios hold "
+        "elsewhere, times do not.",
+        "",
+    ]
+    lines += _against(report)
+    if "simulator" in report:
+        lines += _categories(report)
+    return "\n".join(lines) + "\n"
+
+
+def _row(*cells: object) -> str:
+    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+
+
+def _against(report: dict[str, Any]) -> list[str]:
+    found = {**report.get("means", {})}
+    for part in ("collection", "evaluation", "start"):
+        found.update(report.get(part, {}))
+    rows = [_row(NAMES[name], row["before"], row["after"], f"{row['ratio']} ×") for name, row in found.items()]
+    return [_row("", "before", "after", ""), "|---|---|---|---|", *rows, ""]
+
+
+def _categories(report: dict[str, Any]) -> list[str]:
+    names = list(next(iter(report["simulator"].values())))
+    lines = ["## By category", "", "The first three rows above are means of these.", ""]
+    lines += [_row("category", *(NAMES[name] for name in names)), "|---" * (len(names) + 1) + "|"]
+    for category, row in report["simulator"].items():
+        cells = (f"{row[name]['before']} → {row[name]['after']} ({row[name]['ratio']} ×)" for name in names)
+        lines.append(_row(category, *cells))
+    parts = list(next(iter(report["tick_us"].values())))
+    lines += [
+        "",
+        "## Where a control tick goes",
+        "",
+        "µs of processor time, the timers' own included. Physics alone is the limit; the rest is ours.",
+        "",
+        _row("category", *parts),
+        "|---" * (len(parts) + 1) + "|",
+    ]
+    lines += [_row(category, *row.values()) for category, row in report["tick_us"].items()]
+    return lines
+
+
+def main() -> int:
+    """Writes the page, or says that it is not what it would be."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if the page would change")
+    check = parser.parse_args().check
+    wanted = page(json.loads(REPORT.read_text(encoding="utf-8")))
+    if PAGE.exists() and PAGE.read_text(encoding="utf-8") == wanted:
+        return 0
+    if not check:
+        PAGE.write_text(wanted, encoding="utf-8")
+    sys.stdout.write(f"{'stale' if check else 'written'}: {PAGE.relative_to(ROOT)}\n")
+    return int(check)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
