@@ -12,7 +12,7 @@ import torch
 from lerobot.datasets import lerobot_dataset
 from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from readers import FPS, assert_same, opened
+from readers import FPS, assert_same, given_and_collated, opened
 
 from lerobot_adamanip import columns, lerobot_compat, schema
 from lerobot_adamanip.lerobot_batches import CollatedItems
@@ -99,16 +99,12 @@ def test_batches_equal_collated_items(
         assert_same(one, other)
 
 
-def _given(items: Any) -> tuple[type, dict[str, Any]]:
-    return type(items), torch.utils.data.default_collate(items)
-
-
 def test_data_loading_processes_give_the_same_batches(numeric_root: Path) -> None:
     dataset = opened(numeric_root, lerobot_compat.apply, deltas=WINDOWS)
     lerobot_compat.skip_videos(dataset.meta)
     # New processes, as lerobot-train starts them: nothing is applied there but by what they are sent.
-    given = batches(dataset, collate_fn=_given, num_workers=1, multiprocessing_context="spawn")
-    for one, (kind, other) in zip(batches(dataset), given, strict=True):
+    found = batches(dataset, collate_fn=given_and_collated, num_workers=1, multiprocessing_context="spawn")
+    for one, (kind, other) in zip(batches(dataset), found, strict=True):
         assert kind is CollatedItems
         assert_same(one, other)
 

@@ -29,3 +29,8 @@ def assert_same(one: dict[str, Any], other: dict[str, Any], without: tuple[str, 
             assert torch.equal(value, one[key]), key
         else:
             assert value == one[key], key
+
+
+def given_and_collated(items: Any) -> tuple[type, dict[str, Any]]:
+    """What a DataLoader's ``collate_fn`` was given, and what torch makes of it; a new process can import this."""
+    return type(items), torch.utils.data.default_collate(items)
