@@ -100,7 +100,7 @@ def collect(
         return summarize(paths.root, spec, [], begin=begin)
     job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
     with _prepared(paths, manifest):
-        summary = _collected(job, paths, manifest, options, listener, begin)
+        summary = _collected(job, paths, manifest, options, listener=listener, begin=begin)
         if options.part is None:
             paths.clean()
     return summary
@@ -111,6 +111,7 @@ def _collected(
     paths: CollectionPaths,
     manifest: Manifest,
     options: CollectOptions,
+    *,
     listener: Listener,
     begin: float,
 ) -> CollectSummary:
