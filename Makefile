@@ -36,7 +36,7 @@ pictures: .venv/.renders  ## see to a Vulkan device, for pictures; clouds do wit
 .venv/.browser: .venv/.installed scripts/setup_browser.sh
 	bash scripts/setup_browser.sh
 
-test: pictures .venv/.browser  ## all tests but the nightly ones: first those without a simulator, then those with it
+test: pictures  ## all tests but the nightly ones: first those without a simulator, then those with it
 	@status=0; \
 	echo "== 1/2  tests without the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
 	$(PYTEST) -m "not sim and not nightly" || status=$$?; \
@@ -44,7 +44,7 @@ test: pictures .venv/.browser  ## all tests but the nightly ones: first those wi
 	$(PYTEST) -m "sim and not nightly" || status=$$?; \
 	exit $$status
 
-nightly: pictures  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
+nightly: pictures .venv/.browser  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
 	bash scripts/nightly.sh
 
 check: .venv/.installed  ## format, lint, types, layers

@@ -140,6 +140,7 @@ def test_an_error_that_is_the_works_own_ends_everything(tmp_path: Path, two: Two
         run(two, tmp_path, [item])
 
 
+@pytest.mark.nightly
 def test_a_power_cut_and_a_killed_driver_cost_the_episodes_in_flight(
     tmp_path: Path, finished: Path, two: TwoNodes
 ) -> None:

@@ -39,7 +39,7 @@ def test_without_a_vulkan_device_the_doctor_is_recommended() -> None:
     assert "adamanip doctor" in said[0]
 
 
-@pytest.mark.parametrize("name", ["sapien", "mani_skill"])
+@pytest.mark.parametrize("name", ["sapien", pytest.param("mani_skill", marks=pytest.mark.nightly)])
 def test_without_the_simulator_the_extra_is_named(name: str) -> None:
     said = in_fresh_process(BLOCK.format(name=name) + TRY)
     assert len(said) == 2
