@@ -57,8 +57,11 @@ format: .venv/.installed  ## rewrite the files as `make check` wants them
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: pictures  ## measure: collection, simulator, observation, training, action; prints JSON
+# The policy of `make demo`, if it has been trained, is what the evaluation is timed with.
+bench: pictures  ## measure: each lever against the plain path, then this code against an older revision of it, in one run
 	$(BIN)/adamanip bench
+	policy=outputs/demo/train/checkpoints/last/pretrained_model; \
+	$(BIN)/python scripts/bench_against.py --out outputs/bench_against.json $$([ -d $$policy ] && echo --checkpoint $$policy)
 
 demo: setup  ## collect, train and evaluate on a few safes
 	bash scripts/demo.sh

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from lerobot_adamanip.errors import DatasetError
 
 CRASH_POINTS = (
     "collection prepared", "shard written", "shard in place", "all recorded", "assembly begun", "episode assembled",
@@ -47,6 +51,17 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
     sync(path.parent)
     if crash_points is not None:
         crash_point(crash_points[1])
+
+
+@contextlib.contextmanager
+def locked(folder: Path, busy: str, hint: str) -> Iterator[None]:
+    """Keeps other processes out of a folder; raises `DatasetError` that says ``busy`` if one is in it."""
+    with open(folder / "lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise DatasetError(busy, got=folder, allowed="one at a time", hint=hint) from error
+        yield
 
 
 def sync(path: Path) -> None:

@@ -55,6 +55,17 @@ def versions() -> Mapping[str, str]:
     return found
 
 
+@functools.cache
+def cpu_model() -> str:
+    """Returns this machine's kind of processor: renderers and arithmetic libraries choose their code by it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, "") or platform.processor() or platform.machine()
+
+
 def combined(parts: Mapping[str, str]) -> str:
     """Returns one short hash of a fingerprint's parts: two episodes of one hash came from the same code."""
     text = "\n".join(f"{name}={parts[name]}" for name in sorted(parts))

@@ -19,6 +19,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from typing import Protocol, Self
 
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 
@@ -60,6 +61,18 @@ class JobResult[Item]:
     seconds: float = 0.0
 
 
+class Crew[Item](Protocol):
+    """Whoever does a job's items: the processes of a `WorkerPool`, or actors of a cluster."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, items: Iterable[Item]) -> Iterator[JobResult[Item]]:
+        """Yields what became of each item, in the order they finish; raises `WorkerError`."""
+        ...
+
+
 @dataclass
 class _Worker[Item]:
     process: SpawnProcess
@@ -89,7 +102,7 @@ class WorkerPool[Item]:
         self._deaths: dict[Item, int] = {}
         self._deaths_in_a_row = 0
 
-    def __enter__(self) -> WorkerPool[Item]:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

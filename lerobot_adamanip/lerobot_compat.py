@@ -13,7 +13,7 @@ import hashlib
 import inspect
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,7 @@ def apply() -> bool:
         return False
     from lerobot.datasets import lerobot_dataset
 
+    from lerobot_adamanip import lerobot_batches
     from lerobot_adamanip.lerobot_reader import FastDatasetReader
 
     stock = lerobot_dataset.DatasetReader
@@ -73,6 +74,8 @@ def apply() -> bool:
 
     _stock = stock
     lerobot_dataset.DatasetReader = make_reader
+    lerobot_batches.register()
+    lerobot_dataset.LeRobotDataset.__getitems__ = _get_items
     return True
 
 
@@ -83,6 +86,19 @@ def restore() -> None:
         from lerobot.datasets import lerobot_dataset
 
         lerobot_dataset.DatasetReader, _stock = _stock, None
+        if "__getitems__" in vars(lerobot_dataset.LeRobotDataset):
+            del lerobot_dataset.LeRobotDataset.__getitems__
+
+
+def _get_items(dataset: Any, indices: Sequence[int]) -> Sequence[dict[str, Any]]:
+    """What torch's DataLoader asks a dataset for, if it can: many items at once."""
+    from lerobot_adamanip.lerobot_batches import CollatedItems
+    from lerobot_adamanip.lerobot_reader import FastDatasetReader
+
+    reader = dataset.reader
+    loaded = isinstance(reader, FastDatasetReader) and reader.hf_dataset is not None and dataset.writer is None
+    batch = reader.get_batch(indices) if loaded else None
+    return [dataset[index] for index in indices] if batch is None else CollatedItems(batch, len(indices))
 
 
 def _warn_once() -> None:

@@ -10,77 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 import torch
 from lerobot.datasets.dataset_reader import DatasetReader
-from numpy.typing import NDArray
 
+from lerobot_adamanip.columns import ColumnStore
+from lerobot_adamanip.lerobot_batches import Batch, Windows
 from lerobot_adamanip.schema import LATEST_ONLY, SKIP_VIDEOS
 
 _DEPTH_UNITS = "_image_depth_units"
-
-
-class ColumnStore:
-    """Numeric columns of a Hugging Face dataset as numpy views of its Arrow memory: a row is copied when asked for.
-
-    Args:
-        hf_dataset: as LeRobot loads it.
-    """
-
-    def __init__(self, hf_dataset: Any) -> None:
-        table, chosen = hf_dataset.data, hf_dataset._indices
-        self._chosen = None if chosen is None else chosen.column(0).to_numpy()
-        self._views: dict[str, list[NDArray[Any]]] = {}
-        self._starts: dict[str, NDArray[np.int64]] = {}
-        for name in hf_dataset.column_names:
-            views = [_view(chunk) for chunk in table.column(name).chunks if len(chunk)]
-            kept = [view for view in views if view is not None]
-            if kept and len(kept) == len(views):
-                self._views[name] = kept
-                self._starts[name] = np.cumsum([0] + [len(view) for view in kept])
-
-    def __contains__(self, key: str) -> bool:
-        """Whether a column is numeric, and so can be read from here."""
-        return key in self._views
-
-    def rows(self, key: str, indices: Sequence[int]) -> torch.Tensor:
-        """Returns (len(indices), ...) of a column, in the dtypes of LeRobot's own reader: float32, int64 or bool."""
-        wanted = np.asarray(indices, dtype=np.int64)
-        if self._chosen is not None:
-            wanted = self._chosen[wanted]
-        starts, views = self._starts[key], self._views[key]
-        chunk = np.searchsorted(starts, wanted, side="right") - 1
-        picked = np.stack([views[c][row - starts[c]] for c, row in zip(chunk, wanted, strict=True)])
-        if picked.dtype == np.bool_:
-            return torch.from_numpy(picked)
-        return torch.from_numpy(picked.astype(np.float32 if picked.dtype.kind == "f" else np.int64, copy=False))
-
-
-def _is_list(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
-
-
-def _view(chunk: pa.Array) -> NDArray[Any] | None:
-    """An Arrow chunk as (rows, ...) numpy; None for text, nulls and ragged lists."""
-    shape = [len(chunk)]
-    while True:
-        if isinstance(chunk, pa.ExtensionArray):
-            chunk = chunk.storage
-        if chunk.null_count:
-            return None
-        if not _is_list(chunk.type):
-            break
-        lengths = pc.unique(pc.list_value_length(chunk))
-        if len(lengths) != 1:
-            return None
-        shape.append(lengths[0].as_py())
-        chunk = chunk.flatten()
-    kind = chunk.type
-    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
-        return None
-    return np.asarray(chunk.to_numpy(zero_copy_only=False)).reshape(shape)
 
 
 class _Tables:
@@ -94,6 +31,13 @@ class _Tables:
             episodes["episode_index"], episodes["dataset_from_index"], episodes["dataset_to_index"], strict=True
         )
         self.bounds = {int(episode): (int(start), int(end)) for episode, start, end in bounds}
+        self._asked: dict[str, list[int]] | None = None
+
+    def windows(self, asked: dict[str, list[int]], relative: dict[int, int] | None) -> Windows:
+        """What reads batches of windows of these steps; made anew only when other steps are asked for."""
+        if asked != self._asked:
+            self._asked, self._windows = asked, Windows(self.store, self.names, asked, self.bounds, relative)
+        return self._windows
 
     def single(self, key: str) -> Any:
         """The dataset with just this column: for text and images, which LeRobot's own code converts."""
@@ -170,6 +114,21 @@ class FastDatasetReader(DatasetReader):
         self._convert_images(item)
         item["task"] = self._meta.tasks.iloc[int(item["task_index"])].name
         return item
+
+    def get_batch(self, indices: Sequence[int]) -> Batch | None:
+        """Returns what `get_item` gives for each of ``indices``, stacked; None where that has to be done one by one.
+
+        Which is where text, images or videos are to be read.
+        """
+        tables = self._tables()
+        sees = self._meta.video_keys and not getattr(self._meta, SKIP_VIDEOS, False)
+        if sees or any(name not in tables.store for name in tables.names):
+            return None
+        latest, deltas = getattr(self._meta, LATEST_ONLY, ()), self.delta_indices or {}
+        asked = {key: steps[-1:] if key in latest else steps for key, steps in deltas.items()}
+        batch = tables.windows(asked, self._absolute_to_relative_idx).batch(indices)
+        batch["task"] = [self._meta.tasks.iloc[task].name for task in batch["task_index"].tolist()]
+        return batch
 
     def _convert_images(self, item: dict[str, Any]) -> None:
         if self._image_transforms is not None:

@@ -114,6 +114,26 @@ def test_lerobot_commands_parse(words: list[str], tmp_path: Path, monkeypatch: p
             check_input_features(policy.input_features)
 
 
+def test_training_on_several_gpus_parses() -> None:
+    import draccus
+
+    import lerobot_env_adamanip  # noqa: F401
+
+    (found,) = commands("accelerate")
+    (words,) = found.values
+    at = words.index("$(which lerobot-train)")
+    kind, arguments = lerobot_config(["lerobot-train", *words[at + 1 :]])
+    assert draccus.parse(config_class=kind, args=arguments).policy.type == "dp3_adaptive"
+
+
+def test_job_scripts_are_bash() -> None:
+    scripts = [block.code for block in blocks("bash") if block.code.startswith("#!/bin/bash")]
+    assert len(scripts) == 2
+    for script in scripts:
+        done = subprocess.run(["bash", "-n"], input=script, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
 def check_input_features(features: dict[str, Any]) -> None:
     """What the documents tell ACT and diffusion to look at exists, in LeRobot's shape (channels first)."""
     table = schema.dataset_features()

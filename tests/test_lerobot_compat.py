@@ -16,12 +16,13 @@ import torch
 from lerobot.datasets import lerobot_dataset
 from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from readers import FPS, assert_same, opened
 
-from lerobot_adamanip import lerobot_compat, lerobot_reader, schema
-from lerobot_adamanip.lerobot_reader import ColumnStore, FastDatasetReader
+from lerobot_adamanip import columns, lerobot_compat, schema
+from lerobot_adamanip.columns import ColumnStore
+from lerobot_adamanip.lerobot_reader import FastDatasetReader
 
 LENGTHS = (5, 8, 2)
-FPS = 4
 CAMERA, PICTURE = "observation.images.front", "observation.images.still"
 FEATURES: dict[str, dict[str, Any]] = {
     "observation.point_cloud": {"dtype": "float32", "shape": (6, 3), "names": None},
@@ -72,25 +73,6 @@ def _reader_as_before() -> Iterator[None]:
     was_applied = lerobot_dataset.DatasetReader is not DatasetReader
     yield
     (lerobot_compat.apply if was_applied else lerobot_compat.restore)()
-
-
-def opened(root: Path, prepare: Callable[[], object], **options: Any) -> LeRobotDataset:
-    prepare()
-    deltas = options.pop("deltas", None)
-    if deltas is not None:
-        options["delta_timestamps"] = {key: [step / FPS for step in steps] for key, steps in deltas.items()}
-    return LeRobotDataset("local/reader", root=root, video_backend="pyav", **options)
-
-
-def assert_same(one: dict[str, Any], other: dict[str, Any], without: tuple[str, ...] = ()) -> None:
-    assert [key for key in one if key not in without] == list(other)
-    for key, value in other.items():
-        if isinstance(value, torch.Tensor):
-            assert value.dtype == one[key].dtype, key
-            assert value.shape == one[key].shape, key
-            assert torch.equal(value, one[key]), key
-        else:
-            assert value == one[key], key
 
 
 @pytest.mark.parametrize("deltas", [None, BOTH_ENDS], ids=["rows", "windows"])
@@ -178,13 +160,13 @@ def test_numeric_columns_are_read_without_copying_the_dataset(root: Path) -> Non
     ids=["text", "null", "ragged", "null inside"],
 )
 def test_what_is_no_plain_array_is_left_to_lerobot(column: pa.Array) -> None:
-    assert lerobot_reader._view(column) is None
+    assert columns._view(column) is None
 
 
 def test_slices_of_arrow_memory_keep_their_rows() -> None:
     for kind in (pa.list_(pa.float32()), pa.list_(pa.float32(), 2), pa.large_list(pa.int64())):
         column = pa.array([[1, 2], [3, 4], [5, 6]], type=kind).slice(1, 2)
-        view = lerobot_reader._view(column)
+        view = columns._view(column)
         assert view is not None
         assert view.tolist() == [[3, 4], [5, 6]]
 

@@ -17,9 +17,10 @@ from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, CollectionSpec
+from lerobot_adamanip.demos.parts import Part
 from lerobot_adamanip.demos.record import Factories
 from lerobot_adamanip.demos.summary import CollectSummary
-from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.hub.publish import publish, require_hub_name
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
@@ -90,10 +91,23 @@ class Collect:
     """Of the whole collection."""
 
     workers: int = 1
-    """Processes, each with a simulator of its own. Does not change the data."""
+    """Processes, each with a simulator of its own; with --cluster actors, 0: one per CPU. Does not change the data."""
 
     worker_timeout: float = DEFAULT_TIMEOUT
-    """A worker that gives no sign of life (a key frame, an episode) for so long is replaced [s]."""
+    """A worker that gives no sign of life (a key frame, an episode) for so long is replaced [s]. With --cluster: one
+    that takes longer for one episode with all its attempts."""
+
+    cluster: str | None = None
+    """Ray cluster to record on: HOST:PORT, auto (the one this machine belongs to) or local (this machine alone)."""
+
+    insecure_cluster: bool = False
+    """Use a cluster that demands no token: whoever reaches its ports runs code on it."""
+
+    part: str | None = None
+    """K/N: record only every N-th episode, from the K-th on, and make no dataset yet; for one of N machines."""
+
+    adopt: tuple[Path, ...] = ()
+    """Roots of such parts: take over what they recorded, record what is missing, and make the dataset."""
 
     repo_id: str | None = None
     """Name of the dataset, in its card and on the Hub. local/<folder name> by default."""
@@ -122,6 +136,7 @@ class Collect:
             require_known({"pose_preset": self.pose_preset})
         if self.push_to_hub:
             require_hub_name(self.repo_id)
+        self._require_whole()
         spec, options = self.spec(), self.options()
         try:
             summary = self._collect(spec, options)
@@ -133,6 +148,16 @@ class Collect:
             publish(self.root, str(self.repo_id), private=self.private)
         self._print(summary)
         return 0
+
+    def _require_whole(self) -> None:
+        """A part makes no dataset, so there is none to upload."""
+        if self.part is not None and (self.push_to_hub or self.adopt):
+            raise ConfigurationError(
+                "A part of a collection makes no dataset.",
+                got="--part with --push-to-hub or --adopt",
+                allowed="--part alone",
+                hint="adamanip collect ... --root DATASET --adopt PART1 PART2, once all parts are recorded",
+            )
 
     def spec(self) -> CollectionSpec:
         """Returns what is to be collected; raises `ConfigurationError` for what cannot be."""
@@ -169,6 +194,10 @@ class Collect:
             max_attempts=self.max_attempts,
             allow_missing=self.allow_missing,
             repo_id=self.repo_id,
+            cluster=self.cluster,
+            insecure_cluster=self.insecure_cluster,
+            part=None if self.part is None else Part.parse(self.part),
+            adopt=self.adopt,
         )
 
     def _collect(self, spec: CollectionSpec, options: CollectOptions) -> CollectSummary:
@@ -181,7 +210,10 @@ class Collect:
             rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
             print(json.dumps({**dataclasses.asdict(summary), **rate}))
             return
-        if summary.recorded == 0:
+        if self.part is not None:
+            print(f"Part {self.part}: {summary.episodes} episodes in {summary.root}, {summary.recorded} of them new.")
+            return
+        if summary.recorded == 0 and not self.adopt:
             print(f"Complete already: {summary.episodes} episodes in {summary.root}")
             return
         print(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,24 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip import files, schema
+from lerobot_adamanip.demos.append import append, in_order
 from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl
 from lerobot_adamanip.demos.card import dataset_card
 from lerobot_adamanip.demos.collection import assembling, manifest_path
+from lerobot_adamanip.demos.crew import Crews
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.manifest import Manifest, write_manifest
+from lerobot_adamanip.demos.prepare import (
+    ENCODER_THREADS,
+    EpisodeFile,
+    PreparedEpisode,
+    is_tested,
+    preparing_session,
+    video_encoder,
+)
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.jobs import JobResult, WorkerError
 
 _VIDEO_FILE_MB = 25
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
@@ -47,13 +59,21 @@ class Contents:
     repo_id: str
 
 
-def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None]) -> Path:
+def assemble(
+    root: Path,
+    contents: Contents,
+    progress: Callable[[int, int], None],
+    crews: Crews | None = None,
+) -> Path:
     """Writes a dataset, syncs it and reads it back. Starts over if it was interrupted.
+
+    Neither who prepares the episodes, nor whether LeRobot's writer does it, changes a byte.
 
     Args:
         root: where it is to be put in the end, by `files.move_durably`.
         contents: what it is made of.
         progress: told of episodes written, and all.
+        crews: prepare episodes, where there are enough of them; else this process does.
 
     Returns:
         The folder it is in.
@@ -69,7 +89,7 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
     files.remove_tree(folder)
     files.crash_point("assembly begun")
     dataset = _create(folder, contents.manifest, read_shard(contents.shards[0]), contents.repo_id)
-    records, lengths = _append_all(dataset, contents.shards, progress)
+    records, lengths = _append_all(dataset, contents.shards, progress, crews)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
     _write_card(folder, root.name, contents, records)
@@ -82,20 +102,51 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
 
 
 def _append_all(
-    dataset: Any, shards: list[Path], progress: Callable[[int, int], None]
+    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], crews: Crews | None
 ) -> tuple[list[dict[str, Any]], list[int]]:
     """Writes all episodes; returns their records and their numbers of rows."""
     records: list[dict[str, Any]] = []
     lengths: list[int] = []
-    for number, path in enumerate(shards):
-        episode = read_shard(path)
-        _append(dataset, episode)
-        records.append(episode.record)
-        lengths.append(len(episode))
+    appended = _appended(dataset, shards, crews) if is_tested() else _written_by_lerobot(dataset, shards)
+    for record, length in appended:
+        records.append(record)
+        lengths.append(length)
         files.crash_point("episode assembled")
-        progress(number + 1, len(shards))
+        progress(len(records), len(shards))
     dataset.finalize()
     return records, lengths
+
+
+def _appended(dataset: Any, shards: list[Path], crews: Crews | None) -> Iterator[tuple[dict[str, Any], int]]:
+    """Appends episodes that a crew prepares, or this process; yields each one's record and number of rows."""
+    items = [EpisodeFile(number, path) for number, path in enumerate(shards)]
+    features, fps = dataset.meta.features, dataset.meta.fps
+    with contextlib.ExitStack() as stack:
+        crew = crews.preparing(features, fps, len(items)) if crews is not None else None
+        if crew is None:
+            work = stack.enter_context(preparing_session(features, fps))
+            prepared: Iterator[PreparedEpisode] = (work(item, lambda: None) for item in items)
+        else:
+            prepared = in_order(map(_prepared, stack.enter_context(crew).run(items)))
+        for episode in prepared:
+            yield episode.record, append(dataset, episode)
+
+
+def _prepared(result: JobResult[EpisodeFile]) -> tuple[int, PreparedEpisode]:
+    if not isinstance(result.value, PreparedEpisode):
+        raise WorkerError(f"{result.item.path.name} could not be prepared: its worker died twice ({result.death})")
+    return result.item.number, result.value
+
+
+def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict[str, Any], int]]:
+    """As `_appended`, by LeRobot's writer: slower, and what the other has to equal."""
+    for path in shards:
+        episode = read_shard(path)
+        for row in range(len(episode)):
+            frame = {key: column[row] for key, column in episode.columns.items()}
+            dataset.add_frame({**frame, "task": episode.record["task"]})
+        dataset.save_episode()
+        yield episode.record, len(episode)
 
 
 def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[str, Any]]) -> None:
@@ -113,7 +164,6 @@ def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[
 def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str) -> Any:
     import av
     import datasets
-    from lerobot.configs.video import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     av.logging.set_libav_level(av.logging.ERROR)
@@ -131,19 +181,11 @@ def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str
         features=features,
         root=root,
         robot_type="panda",
-        # One thread: the same frames then give the same file on every run.
-        rgb_encoder=RGBEncoderConfig(vcodec="h264", crf=20, preset="veryfast", g=2),
-        encoder_threads=1,
+        rgb_encoder=video_encoder(),
+        encoder_threads=ENCODER_THREADS,
         video_backend="pyav",
         video_files_size_in_mb=_VIDEO_FILE_MB,
     )
-
-
-def _append(dataset: Any, episode: RecordedEpisode) -> None:
-    for row in range(len(episode)):
-        frame = {key: column[row] for key, column in episode.columns.items()}
-        dataset.add_frame({**frame, "task": episode.record["task"]})
-    dataset.save_episode()
 
 
 def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:

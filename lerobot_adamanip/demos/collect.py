@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import functools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -15,21 +13,18 @@ from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.assemble import Contents, assemble
 from lerobot_adamanip.demos.attempts import all_attempts, count
+from lerobot_adamanip.demos.cluster import require_usable
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
+from lerobot_adamanip.demos.crew import Crews, open_crews
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.manifest import Manifest, read_manifest, require_same, write_manifest
-from lerobot_adamanip.demos.record import (
-    Attempt,
-    Factories,
-    ItemReport,
-    RecordingJob,
-    recording_session,
-    write_given_up,
-)
+from lerobot_adamanip.demos.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
+from lerobot_adamanip.demos.parts import Part, adopt, given_up
+from lerobot_adamanip.demos.record import Factories, RecordingJob
 from lerobot_adamanip.demos.shards import read_record
-from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize
+from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize, summarize_part
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.jobs import DEFAULT_TIMEOUT, JobResult, WorkerPool
+from lerobot_adamanip.jobs import DEFAULT_TIMEOUT, JobResult
 
 Listener = Callable[[str, int, int], None]
 """Told of progress: stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, in all."""
@@ -40,11 +35,16 @@ class CollectOptions:
     """How a collection is made; nothing of it changes the data.
 
     Attributes:
-        workers: processes, each with a simulator of its own.
-        worker_timeout: a worker without a sign of life for so long is replaced [s].
+        workers: processes, each with a simulator of its own; or actors of the cluster, 0 for one per CPU of it.
+        worker_timeout: a worker without a sign of life for so long is replaced [s]; on a cluster, one whose item takes
+            longer.
         max_attempts: seeds to try per episode until the expert succeeds.
         allow_missing: make a dataset even if some episodes were given up.
         repo_id: written into the dataset card; ``local/<folder name>`` by default.
+        cluster: Ray cluster that records: ``HOST:PORT``, ``auto`` or ``local``; None for processes of this machine.
+        insecure_cluster: whether that may do without a token.
+        part: of the episodes that alone is recorded, without making a dataset; None for all.
+        adopt: roots of parts whose episodes are taken over first.
     """
 
     workers: int = 1
@@ -52,9 +52,13 @@ class CollectOptions:
     max_attempts: int = 5
     allow_missing: bool = False
     repo_id: str | None = None
+    cluster: str | None = None
+    insecure_cluster: bool = False
+    part: Part | None = None
+    adopt: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.workers < 1 or self.max_attempts < 1 or not self.worker_timeout > 0:
+        if self.workers < (self.cluster is None) or self.max_attempts < 1 or not self.worker_timeout > 0:
             raise ConfigurationError(
                 "Too small.",
                 got=f"workers = {self.workers}, max_attempts = {self.max_attempts}, timeout = {self.worker_timeout}",
@@ -87,18 +91,25 @@ def collect(
         WorkerError: if a worker failed for good.
     """
     begin = time.monotonic()
+    if options.cluster is not None:
+        require_usable(options.cluster, insecure=options.insecure_cluster)
     paths = CollectionPaths(root.absolute())
     manifest = Manifest.of(spec, _fingerprint(spec, factories))
     if _is_complete(paths, manifest):
         paths.clean()
         return summarize(paths.root, spec, [], begin=begin)
+    job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
     with _prepared(paths, manifest):
-        job = RecordingJob(spec, factories, paths, options.max_attempts, manifest.fingerprint)
-        results = _record(job, options, listener)
-        recording = time.monotonic() - begin
-        failures = _require_all(results, options)
-        files.crash_point("all recorded")
-        _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
+        with _crews(options) as crews:
+            adopt(paths, manifest, options.adopt)
+            results = _record(job, paths, options, crews, listener)
+            recording = time.monotonic() - begin
+            failures = _require_all(results, options)
+            files.crash_point("all recorded")
+            if options.part is not None:
+                mine = options.part.of(spec.items())
+                return summarize_part(paths, mine, results, begin=begin, recording=recording, failures=failures)
+            _publish(paths, manifest, options, crews, lambda done, total: listener("assemble", done, total))
         summary = summarize(paths.root, spec, results, begin=begin, recording=recording, failures=failures)
         paths.clean()
     return summary
@@ -134,16 +145,8 @@ def _prepared(paths: CollectionPaths, manifest: Manifest) -> Iterator[None]:
     """Makes the partial folder, or checks the one there, and keeps other collections out of it meanwhile."""
     for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
         folder.mkdir(parents=True, exist_ok=True)
-    with open(paths.partial / "lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise DatasetError(
-                "Another collection is at work here.",
-                got=paths.partial,
-                allowed="one at a time",
-                hint="--workers 2 for more speed, or another --root",
-            ) from error
+    busy = "Another collection is at work here."
+    with files.locked(paths.partial, busy, "--workers 2 for more speed, or another --root"):
         if any(paths.episodes.glob("*.safetensors")) and paths.partial_manifest.exists():
             assets = manifest.spec.environment.assets
             require_same(read_manifest(paths.partial_manifest, assets), manifest, paths.partial)
@@ -157,21 +160,29 @@ def _prepared(paths: CollectionPaths, manifest: Manifest) -> Iterator[None]:
         yield
 
 
-def _record(job: RecordingJob, options: CollectOptions, listener: Listener) -> list[ItemResult]:
-    items = job.spec.items()
-    missing = [item for item in items if not _is_recorded(job.paths, item)]
+def _crews(options: CollectOptions) -> contextlib.AbstractContextManager[Crews]:
+    return open_crews(
+        options.workers, options.worker_timeout, cluster=options.cluster, insecure=options.insecure_cluster
+    )
+
+
+def _record(
+    job: RecordingJob, paths: CollectionPaths, options: CollectOptions, crews: Crews, listener: Listener
+) -> list[ItemResult]:
+    items = job.spec.items() if options.part is None else options.part.of(job.spec.items())
+    missing = [item for item in items if not _is_recorded(paths, item)]
+    # What a part has given up would fail again: every attempt follows from its seed.
+    results = given_up(paths, missing, options.max_attempts) if options.adopt else []
+    missing = [item for item in missing if item not in {result.item for result in results}]
     # Category by category, because changing it costs a worker seconds. The dataset's order is another one.
     missing.sort(key=lambda item: job.spec.categories.index(category_of(item.object_id)))
     totals = Counter(category_of(item.object_id) for item in items)
     done = totals - Counter(category_of(item.object_id) for item in missing)
     for category, total in totals.items():
         listener(f"record {category}", done[category], total)
-    results = []
-    session = functools.partial(recording_session, job)
-    workers = min(options.workers, max(1, len(missing)))
-    with WorkerPool[EpisodeSpec](session, workers, timeout=options.worker_timeout) as pool:
-        for outcome in pool.run(missing):
-            results.append(_result(job.paths, outcome))
+    with crews.recording(job, paths, len(missing)) as crew:
+        for outcome in crew.run(missing):
+            results.append(_result(paths, outcome))
             category = category_of(outcome.item.object_id)
             done[category] += results[-1].report.kept
             listener(f"record {category}", done[category], totals[category])
@@ -182,6 +193,9 @@ def _record(job: RecordingJob, options: CollectOptions, listener: Listener) -> l
 def _result(paths: CollectionPaths, outcome: JobResult[EpisodeSpec]) -> ItemResult:
     if isinstance(outcome.value, ItemReport):
         return ItemResult(outcome.item, outcome.value, outcome.seconds)
+    if isinstance(outcome.value, ItemOutcome):
+        write_outcome(paths, outcome.item, outcome.value)
+        return ItemResult(outcome.item, outcome.value.report, outcome.seconds)
     lost = Attempt(0, None, False, f"its worker died twice ({outcome.death})", 0, False)
     write_given_up(paths, outcome.item, [lost])
     return ItemResult(outcome.item, ItemReport((lost,)), outcome.seconds)
@@ -211,7 +225,11 @@ def _require_all(results: list[ItemResult], options: CollectOptions) -> tuple[st
 
 
 def _publish(
-    paths: CollectionPaths, manifest: Manifest, options: CollectOptions, progress: Callable[[int, int], None]
+    paths: CollectionPaths,
+    manifest: Manifest,
+    options: CollectOptions,
+    crews: Crews,
+    progress: Callable[[int, int], None],
 ) -> None:
     """Assembles the dataset, and that of failed episodes, and puts both in place; the kept one last."""
     items = manifest.spec.items()
@@ -222,9 +240,10 @@ def _publish(
     repo_id = options.repo_id or f"local/{paths.root.name}"
     failed = sorted(paths.failed_episodes.glob("*.safetensors")) if manifest.spec.keep_failed else []
     if failed:
-        built = assemble(paths.failed, Contents(counted, failed, attempts, f"{repo_id}-failed"), progress)
+        built = assemble(paths.failed, Contents(counted, failed, attempts, f"{repo_id}-failed"), progress, crews)
         if manifest_path(paths.failed).exists():  # left by a run that was interrupted before the other was in place
             files.remove_tree(paths.failed)
         files.move_durably(built, paths.failed)
-    files.move_durably(assemble(paths.root, Contents(counted, shards, attempts, repo_id), progress), paths.root)
+    built = assemble(paths.root, Contents(counted, shards, attempts, repo_id), progress, crews)
+    files.move_durably(built, paths.root)
     files.crash_point("dataset in place")

@@ -1,25 +1,27 @@
-"""Recording the episodes of a collection: in a worker that owns a simulator, each one written durably."""
+"""Recording the episodes of a collection, in a worker that owns a simulator; what is to be written comes as bytes.
+
+So a worker needs no folder of the collection: one on this machine writes itself, for one elsewhere the driver does.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.demos.late_starts import draw_start, start_column, start_late
 from lerobot_adamanip.demos.manifest import differing_parts
+from lerobot_adamanip.demos.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
-from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes
 from lerobot_adamanip.errors import DatasetError, UnreachableError
-from lerobot_adamanip.fingerprint import combined, versions
+from lerobot_adamanip.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.jobs import Beat
 from lerobot_adamanip.keyframes import KeyFrames
 from lerobot_adamanip.options import EnvironmentOptions
@@ -32,7 +34,6 @@ EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
 """Builds an environment. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
 ExpertFactory = Callable[..., KeyFrames]
 """Takes the arguments of `lerobot_adamanip.experts.make_expert`. A function of a module, likewise."""
-Hidden = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -53,64 +54,29 @@ class EpisodeRequest:
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One episode that was tried.
-
-    Attributes:
-        seed: of the episode.
-        hidden_state: its draw; None if there was no layout to draw it for.
-        success: whether the expert succeeded.
-        reason: ``success``, or why not.
-        key_frames: it took.
-        late: whether it started late.
-    """
-
-    seed: int
-    hidden_state: Hidden | None
-    success: bool
-    reason: str
-    key_frames: int
-    late: bool
-
-
-@dataclass(frozen=True)
-class ItemReport:
-    """What became of an item: kept if its last attempt succeeded, else given up."""
-
-    attempts: tuple[Attempt, ...] = field(default=())
-
-    @property
-    def kept(self) -> bool:
-        """Whether an episode file was written."""
-        return bool(self.attempts) and self.attempts[-1].success
-
-
-@dataclass(frozen=True)
 class RecordingJob:
     """What a worker needs to record episodes of a collection.
 
     Attributes:
         spec: of the collection.
         factories: of environments and experts.
-        paths: where files go.
         max_attempts: seeds to try per episode until the expert succeeds.
         fingerprint: that every environment has to have.
     """
 
     spec: CollectionSpec
     factories: Factories
-    paths: CollectionPaths
     max_attempts: int
     fingerprint: Mapping[str, str]
 
 
 @contextlib.contextmanager
-def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemOutcome]]:
     """What a worker holds from item to item: one simulator, built with the first item of a category."""
     env: SimulatedEnvironment | None = None
     category = ""
 
-    def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+    def work(item: EpisodeSpec, beat: Beat) -> ItemOutcome:
         nonlocal env, category
         if env is None or category != category_of(item.object_id):
             if env is not None:
@@ -127,6 +93,19 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat
             env.close()
 
 
+@contextlib.contextmanager
+def writing_session(job: RecordingJob, paths: CollectionPaths) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+    """As `recording_session`, for a worker on the machine of the collection: it writes what it has recorded itself."""
+    with recording_session(job) as record:
+
+        def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+            outcome = record(item, beat)
+            write_outcome(paths, item, outcome)
+            return outcome.report
+
+        yield work
+
+
 def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
     found = env.fingerprint()
     if parts := differing_parts(found, job.fingerprint):
@@ -138,12 +117,13 @@ def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
         )
 
 
-def record_item(env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemReport:
-    """Tries seeds until the expert succeeds, and writes that episode.
+def record_item(env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemOutcome:
+    """Tries seeds until the expert succeeds.
 
     Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
     """
     attempts: list[Attempt] = []
+    failed: dict[int, bytes] = {}
     hidden: Hidden | None = None
     category = category_of(item.object_id)
     for number in range(job.max_attempts):
@@ -160,20 +140,12 @@ def record_item(env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec,
         if attempt.success:
             failures = [vars(each) for each in attempts[:-1]]
             record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
-            write_shard(job.paths.episodes / item.file_name, RecordedEpisode(episode.columns, record))
-            return ItemReport(tuple(attempts))
+            content = shard_bytes(RecordedEpisode(episode.columns, record))
+            return ItemOutcome(ItemReport(tuple(attempts)), failed, content)
         if job.spec.keep_failed and episode.columns:
             record |= {"attempts": 1, "failures": [], "late": attempt.late}
-            path = job.paths.failed_episodes / item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
-            write_shard(path, RecordedEpisode(episode.columns, record))
-    write_given_up(job.paths, item, attempts)
-    return ItemReport(tuple(attempts))
-
-
-def write_given_up(paths: CollectionPaths, item: EpisodeSpec, attempts: list[Attempt]) -> None:
-    """Keeps account of an item at which all attempts failed."""
-    content = json.dumps([vars(attempt) for attempt in attempts], sort_keys=True)
-    files.write_atomically(paths.attempts / item.file_name.replace(".safetensors", ".json"), content.encode())
+            failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
+    return ItemOutcome(ItemReport(tuple(attempts)), failed)
 
 
 def attempt_episode(
@@ -210,7 +182,7 @@ def attempt_episode(
         "camera": camera,
         "task": env.task_description,
         "episode_record": env.episode_record(),
-        "versions": dict(versions()),
+        "versions": {**versions(), "cpu": cpu_model()},
         "fingerprint": combined(env.fingerprint()),
     }
     attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)

@@ -38,15 +38,25 @@ class RecordedEpisode:
         return len(self.columns[schema.ACTION])
 
 
-def write_shard(path: Path, episode: RecordedEpisode) -> None:
-    """Writes an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
+def shard_bytes(episode: RecordedEpisode) -> bytes:
+    """Returns an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
     tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
     if schema.FRONT_IMAGE in tensors:
         images = [_png(image) for image in tensors.pop(schema.FRONT_IMAGE)]
         tensors[_PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
         tensors[_PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
     header = {_RECORD: json.dumps(episode.record, sort_keys=True)}
-    content = save(tensors, metadata=header)
+    content: bytes = save(tensors, metadata=header)
+    return content
+
+
+def write_shard(path: Path, episode: RecordedEpisode) -> None:
+    """Writes an episode, durably."""
+    write_shard_bytes(path, shard_bytes(episode))
+
+
+def write_shard_bytes(path: Path, content: bytes) -> None:
+    """Writes an episode that is bytes already, durably."""
     files.write_atomically(path, content, crash_points=("shard written", "shard in place"))
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, manifest_path
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
 from lerobot_adamanip.demos.loading import episode_table
 from lerobot_adamanip.demos.manifest import AttemptCounts, read_manifest
-from lerobot_adamanip.demos.record import ItemReport
+from lerobot_adamanip.demos.outcome import ItemReport
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,34 @@ def summarize(
         bytes=files.tree_bytes(root),
         failures=failures,
         categories={name: _of_category(name, rows, results) for name in spec.categories},
+    )
+
+
+def summarize_part(
+    paths: CollectionPaths,
+    items: list[EpisodeSpec],
+    results: list[ItemResult],
+    *,
+    begin: float,
+    recording: float,
+    failures: tuple[str, ...],
+) -> CollectSummary:
+    """Returns the summary of a part: of its episode files and of this run's results; there is no dataset yet."""
+    kept = sum((paths.episodes / item.file_name).exists() for item in items)
+    attempts = sum(len(result.report.attempts) for result in results)
+    recorded = sum(result.report.kept for result in results)
+    return CollectSummary(
+        root=str(paths.partial),
+        episodes=kept,
+        attempted=attempts,
+        given_up=len(items) - kept,
+        recorded=recorded,
+        attempts=attempts,
+        seconds=time.monotonic() - begin,
+        recording_seconds=recording,
+        expert_success_rate=recorded / max(1, attempts),
+        bytes=files.tree_bytes(paths.partial),
+        failures=failures,
     )
 
 

@@ -67,8 +67,10 @@ def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
     x, y, z = vector.unbind(dim=-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*x.shape, 3, 3)
-    exponential: Tensor = torch.linalg.matrix_exp(cross)
-    return exponential
+    # Rodrigues' formula: sin(a) / a and (1 - cos(a)) / a^2, both of which sinc knows at zero, too.
+    turns = vector.norm(dim=-1)[..., None, None] / torch.pi
+    same = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    return same + torch.sinc(turns) * cross + 0.5 * torch.sinc(turns / 2).square() * (cross @ cross)
 
 
 def _unit(vector: Tensor, fallback: Tensor) -> Tensor:

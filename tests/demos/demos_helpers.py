@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip.demos.collect import CollectOptions
 from lerobot_adamanip.demos.collection import CollectionSpec
+from lerobot_adamanip.demos.prepare import preparing_session
 from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.jobs import JobResult, Session, WorkerPool
 from lerobot_adamanip.options import EnvironmentOptions
 
 HERE = str(Path(__file__).parent)
@@ -65,3 +68,34 @@ def same_content(first: Path, second: Path) -> None:
     one, other = (LeRobotDataset("local/x", root=root, video_backend="pyav") for root in (first, second))
     for a, b in zip(one, other, strict=True):
         np.testing.assert_array_equal(a["observation.images.front"], b["observation.images.front"])
+
+
+class InThisProcess:
+    """Stands in for the pool: the work is done where the test's crash points are set, and without seconds of start."""
+
+    def __class_getitem__(cls, _: object) -> type[InThisProcess]:
+        return cls
+
+    def __init__(self, session: Session, count: int, **_: object) -> None:
+        self._session = session
+
+    def __enter__(self) -> InThisProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, items: list[Any]) -> Iterator[JobResult[Any]]:
+        with self._session() as work:
+            for item in items:
+                yield JobResult(item, work(item, lambda: None))
+
+
+class Preparing(InThisProcess):
+    """As `InThisProcess`, but episodes are prepared for assembly by processes."""
+
+    def __class_getitem__(cls, item: object) -> Any:
+        def made(session: Any, count: int, **options: Any) -> Any:
+            kind = WorkerPool[Any] if session.func is preparing_session else InThisProcess
+            return kind(session, count, **options)
+
+        return made

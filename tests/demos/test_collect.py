@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes, same_content
 
-from lerobot_adamanip.demos import collect as collecting
+from lerobot_adamanip.demos import crew as crews
 from lerobot_adamanip.demos.collect import collect
 from lerobot_adamanip.demos.collection import CollectionPaths
 from lerobot_adamanip.demos.loading import episode_table, load_check
@@ -117,7 +117,7 @@ def test_an_interrupted_assembly_starts_over(tmp_path: Path, finished: Path, mon
     with pytest.raises(KeyboardInterrupt):
         collect(root, make_spec(), fakes(), patiently(), interrupting("assemble", 3))
     assert not root.exists()
-    monkeypatch.setattr(collecting, "WorkerPool", NoWorkers)
+    monkeypatch.setattr(crews, "WorkerPool", NoWorkers)
     collect(root, make_spec(), fakes(), patiently())
     same_bytes(finished, root)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset"]

@@ -14,16 +14,15 @@ from typing import Any
 import numpy as np
 import pytest
 from demos_fake_env import make_env, make_expert
-from demos_helpers import make_spec, same_bytes
+from demos_helpers import InThisProcess, make_spec, same_bytes
 
 from lerobot_adamanip import files
-from lerobot_adamanip.demos import collect as collecting
+from lerobot_adamanip.demos import crew as crews
 from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import CollectionPaths
 from lerobot_adamanip.demos.loading import load_check
 from lerobot_adamanip.demos.record import Factories
 from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.jobs import JobResult, Session
 
 SPEC = make_spec(episodes_per_object=2, image_size=16, keep_failed=True, seed=1)
 OPTIONS = CollectOptions(max_attempts=25)
@@ -32,29 +31,9 @@ KILLED = 9
 RANDOM_MOMENTS = 20
 
 
-class InThisProcess:
-    """Stands in for the pool: the work is done where the test's crash points are set, and without seconds of start."""
-
-    def __class_getitem__(cls, _: object) -> type[InThisProcess]:
-        return cls
-
-    def __init__(self, session: Session, count: int, **_: object) -> None:
-        self._session = session
-
-    def __enter__(self) -> InThisProcess:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def run(self, items: list[Any]) -> Iterator[JobResult[Any]]:
-        with self._session() as work:
-            for item in items:
-                yield JobResult(item, work(item, lambda: None))
-
-
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(collecting, "WorkerPool", InThisProcess)
+    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
 
 
 def run(root: Path) -> None:
@@ -83,7 +62,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a collection that was never interrupted, and nothing else."""
     root = tmp_path_factory.mktemp("whole") / "dataset"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collecting, "WorkerPool", InThisProcess)
+        patch.setattr(crews, "WorkerPool", InThisProcess)
         run(root)
     assert sorted(path.name for path in root.parent.iterdir()) == ["dataset", "dataset-failed"]
     return root

@@ -124,8 +124,8 @@ def test_the_knob_turns_one_way_to_its_end_and_frees_the_door(env: Any, directio
     assert freed == pytest.approx(DOOR_UPPER)
 
 
-def readings(env: Any) -> dict[str, torch.Tensor]:
-    return {name: torch.tensor([q]) for name, q in env.joint_positions().items()}
+def readings(env: Any) -> dict[str, Any]:
+    return {name: np.array([q]) for name, q in env.joint_positions().items()}
 
 
 # Plain ManiSkill --------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import json
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -25,6 +26,7 @@ from lerobot_adamanip.mechanisms import (
     make_mechanism,
     replace_rows,
 )
+from lerobot_adamanip.mechanisms.arrays import as_arrays
 
 every_mechanism = pytest.mark.parametrize("mechanism", MECHANISMS.values(), ids=MECHANISMS)
 some = settings(max_examples=20, deadline=None)
@@ -88,6 +90,23 @@ def test_step_changes_none_of_its_arguments_and_is_repeatable(mechanism: Mechani
     assert all(torch.equal(joints[name], joints_before[name]) for name in joints)
     assert same(first[0], second[0])
     assert torch.equal(random_state, torch.get_rng_state())
+
+
+@every_mechanism
+def test_numpy_numbers_obey_the_same_rules_as_tensors(mechanism: Mechanism[Any]) -> None:
+    state = mechanism.draw(32, generator())
+    arrays = as_arrays(state)
+    for t in range(6):
+        joints = random_reading(mechanism, 32, t)
+        numbers: Any = {name: q.numpy() for name, q in joints.items()}
+        state, command = mechanism.step(state, joints)
+        arrays, commanded = mechanism.step(arrays, numbers)
+        assert all(np.array_equal(a.numpy(), b) for a, b in zip(leaves(state), leaves(arrays), strict=True))
+        for name, limits in command.items():
+            assert np.array_equal(limits.lower.numpy(), commanded[name].lower)
+            assert np.array_equal(limits.upper.numpy(), commanded[name].upper)
+        assert np.array_equal(mechanism.succeeded(joints).numpy(), mechanism.succeeded(numbers))
+        assert mechanism.hidden(state, 3) == mechanism.hidden(arrays, 3)
 
 
 @every_mechanism

@@ -45,6 +45,7 @@ def half_precision_step(policy: Any) -> tuple[Any, Any]:
     with torch.autocast("cpu", torch.bfloat16):
         loss, _ = policy.forward(batch)
         loss.backward()
+        assert all(weight.grad is not None for weight in policy.get_optim_params())
         policy.eval()
         action = policy.select_action({key: batch[key][:, -1] for key in (schema.POINT_CLOUD, schema.STATE)})
     return loss, action

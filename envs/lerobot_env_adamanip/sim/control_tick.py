@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import sapien
 from numpy.typing import NDArray
 
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS
+
+if TYPE_CHECKING:  # so that it loads, and is tested, without a simulator
+    import sapien
 
 CONTACT_OFFSET = 0.002
 """Two bodies nearer than twice this are a contact to be reckoned with [m]. The fastest hand goes 2.3 mm in a physics

@@ -36,8 +36,31 @@ LIMIT_MARGIN = 0.02
 """Kept from every joint limit [rad]."""
 DAMPING = 1e-4
 """Of the least squares: what a step gives up where the arm is stretched."""
-LARGEST_STEP, LARGEST_PULL = 0.2, 0.02
-"""Of one iteration, towards the goal and towards rest [rad]."""
+LARGEST_STEP = 0.2
+"""Of one iteration, towards the goal [rad]."""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """How an iteration draws the spare freedom towards rest.
+
+    Attributes:
+        share: of the way there.
+        largest: of one iteration [rad].
+        steps: iterations that do so. One for each step of a path keeps the motion smooth.
+        settled: a pull smaller than this has found the posture nearest to rest, and was the last [rad].
+    """
+
+    share: float = 0.1
+    largest: float = 0.02
+    steps: int = 1
+    settled: float = 0.0
+
+
+ALONG = Pull()
+"""In a motion."""
+CANONICAL = Pull(share=0.5, largest=0.2, steps=60, settled=1e-3)
+"""For the posture of a pose, wherever the arm is."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +113,10 @@ class ArmKinematics:
 
     def canonical(self, goal: Array) -> IKResult:
         """Returns the posture for ``goal`` (4, 4) that is nearest to rest, wherever the arm is now."""
-        return self.solve(goal, self.rest, iterations=120, posture_steps=60)
+        return self.solve(goal, self.rest, iterations=120, pull=CANONICAL)
 
     def solve(
-        self, goal: Array, start: Array, *, iterations: int = 40, posture_steps: int = 1, tolerance: float = 1e-4
+        self, goal: Array, start: Array, *, iterations: int = 40, pull: Pull = ALONG, tolerance: float = 1e-4
     ) -> IKResult:
         """Returns joint positions that bring the tool to ``goal`` (4, 4), from ``start`` (7,), never past a limit.
 
@@ -101,36 +124,38 @@ class ArmKinematics:
             goal: pose in the base frame.
             start: initial guess [rad].
             iterations: steps at most; a warm start needs two or three.
-            posture_steps: how many of them also pull the elbow towards rest. One for each step of a path keeps the
-                motion smooth; as many as there are iterations finds the canonical posture of a pose.
+            pull: towards rest.
             tolerance: position [m] and rotation [rad] error at which to stop.
         """
-        qpos = self._inside(start)
-        for number in range(iterations):
+        qpos, pulls = self._inside(start), pull.steps
+        for _ in range(iterations):
             error = pose_error(self.tcp_in_base(qpos), goal)
-            if number >= posture_steps and max(map(abs, error.tolist())) < tolerance:
+            if not pulls and max(map(abs, error.tolist())) < tolerance:
                 break
-            qpos = self._inside(qpos + self._step(qpos, error, pulled=number < posture_steps))
+            step, pulled = self._step(qpos, error, pull if pulls else None)
+            pulls = max(0, pulls - 1) if pulled >= pull.settled else 0
+            qpos = self._inside(qpos + step)
         else:
             error = pose_error(self.tcp_in_base(qpos), goal)
         position, rotation = error[:3].tolist(), error[3:].tolist()
         return IKResult(qpos, math.hypot(*position), math.hypot(*rotation))
 
-    def _step(self, qpos: Array, error: Array, *, pulled: bool) -> Array:
-        """Returns the damped step (7,) that takes the tool by a twist (6,); ``pulled`` towards rest on top of it.
+    def _step(self, qpos: Array, error: Array, pull: Pull | None) -> tuple[Array, float]:
+        """Returns the damped step (7,) that takes the tool by a twist (6,), and how far it was pulled in it [rad].
 
         A control tick takes a few of these, and a reset hundreds: each call of NumPy counts.
         """
         jacobian = self.body_jacobian(qpos)
         square = jacobian @ jacobian.T
         square.flat[::7] += DAMPING
-        if not pulled:
-            return _bounded(jacobian.T @ dposv(square, error)[1], LARGEST_STEP)
-        spare = 0.1 * (self.rest - qpos)
+        if pull is None:
+            return _bounded(jacobian.T @ dposv(square, error)[1], LARGEST_STEP), 0.0
+        spare = pull.share * (self.rest - qpos)
         wanted = np.empty((6, 2), order="F")
         wanted[:, 0], wanted[:, 1] = error, jacobian @ spare
         step, taken = (jacobian.T @ dposv(square, wanted)[1]).T
-        return _bounded(step, LARGEST_STEP) + _bounded(spare - taken, LARGEST_PULL)
+        pulled = _bounded(spare - taken, pull.largest)
+        return _bounded(step, LARGEST_STEP) + pulled, max(map(abs, pulled.tolist()))
 
     def _inside(self, qpos: Array) -> Array:
         return np.asarray(np.minimum(np.maximum(qpos, self.lower), self.upper))

@@ -12,15 +12,15 @@ from lerobot_adamanip.errors import UnreachableError, require_choice
 from lerobot_adamanip.keyframes import PRE_GRASP
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.rotations import rotation_about, straight_path, transform
-from lerobot_env_adamanip.sim.kinematics import ArmKinematics
+from lerobot_env_adamanip.sim.kinematics import ArmKinematics, Pull
 
 Array = NDArray[np.float64]
 
 PATH_STEPS = 6
 """Poses checked on each leg of a path."""
-APPROACH_STEPS, POSTURE_STEPS = 8, 5
-"""Poses checked on each leg of the way to a part, and steps at each that also pull the elbow towards rest: in a motion
-there is one of those a control tick, so several for each pose here."""
+APPROACH_STEPS, APPROACHING = 8, Pull(steps=5)
+"""Poses checked on each leg of the way to a part, and how the elbow is drawn to rest on it: in a motion there is one
+pull a control tick, so several for each pose here."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
     qpos, here = start, kinematics.tcp_in_base(start)
     for goal in (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp):
         for waypoint in straight_path(here, goal, np.arange(1, APPROACH_STEPS + 1) / APPROACH_STEPS):
-            solution = kinematics.solve(waypoint, qpos, iterations=80, posture_steps=POSTURE_STEPS)
+            solution = kinematics.solve(waypoint, qpos, iterations=80, pull=APPROACHING)
             if not solution.within(5e-3, 0.03):
                 return False
             qpos = solution.qpos
@@ -166,7 +166,7 @@ def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
 def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinematics) -> float | None:
     """Returns how far the wrist strays from rest while holding and moving the part; None if out of reach."""
     before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
-    grasped = kinematics.solve(before, kinematics.rest, iterations=120, posture_steps=60)
+    grasped = kinematics.canonical(before)
     if not grasped.within(2e-3, 0.01):
         return None
     first = kinematics.solve(part.grasp, grasped.qpos, iterations=60)
@@ -174,7 +174,7 @@ def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinemati
     for path in reach.paths:
         qpos = first.qpos
         for positions in _along(path):
-            solution = kinematics.solve(part.moved(positions), qpos, iterations=40)
+            solution = kinematics.solve(part.moved(positions), qpos, iterations=40, tolerance=1e-3)
             if not solution.within(2e-3, 0.01):
                 return None
             qpos = solution.qpos

@@ -110,6 +110,7 @@ class Bench:
             name: stage(f"training steps, {name}", partial(self._train, root, name, repeats if name == "fast" else 1))
             for name in presets
         }
+        results["levers"] = stage("training, plainly and fast in turns", partial(self._levers, root, repeats))
         results["action_ms"] = {
             name: stage(f"actions, {name}", partial(self._act, root, name, number))
             for name, number in (("fast", 3 * repeats), *((("paper", 1),) if not self.quick else ()))
@@ -121,6 +122,11 @@ class Bench:
         from lerobot_adamanip.cli.bench import learning
 
         return learning.training(root, preset, batch_size=self.batch_size, repeats=repeats, device=self.device)
+
+    def _levers(self, root: Path, repeats: int) -> Any:
+        from lerobot_adamanip.cli.bench.levers import levers
+
+        return levers(root, "fast", batch_size=self.batch_size, repeats=repeats, device=self.device)
 
     def _act(self, root: Path, preset: str, repeats: int) -> Any:
         from lerobot_adamanip.cli.bench import learning

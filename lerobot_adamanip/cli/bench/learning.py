@@ -92,19 +92,19 @@ def training(root: Path, preset: str, *, batch_size: int, repeats: int, device: 
     for _ in range(1 + repeats):
         with watch.stage("total"):
             with watch.stage("loading"):
-                items = [dataset[int(index)] for index in rng.integers(len(dataset), size=batch_size)]
+                items = dataset.__getitems__(rng.integers(len(dataset), size=batch_size).tolist())
                 batch = torch.utils.data.default_collate(items)
-            batch[POINT_CLOUD] = _enough_points(batch[POINT_CLOUD], policy.config.num_points)
+            batch[POINT_CLOUD] = enough_points(batch[POINT_CLOUD], policy.config.num_points)
             with watch.stage("preprocessing"):
                 batch = before(batch)
-                _synchronise(device)
+                synchronise(device)
             _learn(policy, batch, watch, device)
             with watch.stage("optimizer_and_ema"):
                 torch.nn.utils.clip_grad_norm_(policy.get_optim_params(), preset_.grad_clip_norm)
                 optimizer.step()
                 optimizer.zero_grad()
                 policy.update()
-                _synchronise(device)
+                synchronise(device)
     times = watch.medians_ms()
     return {"batch_size": batch_size, "ms": times, "loading_share": round(times["loading"] / times["total"], 4)}
 
@@ -117,7 +117,7 @@ def _learn(policy: Any, batch: Batch, watch: Stopwatch, device: str) -> None:
     def encode(*args: Any) -> torch.Tensor:
         with encoder_watch.stage("forward"):
             whole = type(encoder).forward(encoder, *args)
-            _synchronise(device)
+            synchronise(device)
         cut.append((whole, whole.detach().requires_grad_()))
         return cut[0][1]
 
@@ -126,13 +126,13 @@ def _learn(policy: Any, batch: Batch, watch: Stopwatch, device: str) -> None:
         with whole_watch.stage("step"):
             loss, _ = policy.forward(batch)
             loss.backward()
-            _synchronise(device)
+            synchronise(device)
     finally:
         del encoder.forward
     encoded, leaf = cut[0]
     with encoder_watch.stage("backward"):
         torch.autograd.backward(encoded, leaf.grad)
-        _synchronise(device)
+        synchronise(device)
     forward, backward = (encoder_watch.laps[name][0] for name in ("forward", "backward"))
     watch.laps.setdefault("encoder", []).append(forward + backward)
     watch.laps.setdefault("head", []).append(whole_watch.laps["step"][0] - forward)
@@ -146,14 +146,14 @@ def acting(root: Path, preset: str, *, batch_sizes: tuple[int, ...], repeats: in
     times: dict[str, float] = {}
     for batch_size in batch_sizes:
         observation = {key: _repeated(item[key][-1], batch_size) for key in policy.config.input_features}
-        observation[POINT_CLOUD] = _enough_points(observation[POINT_CLOUD], policy.config.num_points)
+        observation[POINT_CLOUD] = enough_points(observation[POINT_CLOUD], policy.config.num_points)
 
         def act(observation: Batch = observation) -> None:
             # Forgetting the plan makes every call generate; the observation queue is filled by the first.
             policy._planned.clear()
             with torch.inference_mode():
                 after(policy.select_action(before(dict(observation))))
-            _synchronise(device)
+            synchronise(device)
 
         policy.reset()
         times[f"batch_{batch_size}"] = repeat_ms(act, repeats)
@@ -164,12 +164,13 @@ def _repeated(value: torch.Tensor, batch_size: int) -> torch.Tensor:
     return value.unsqueeze(0).repeat(batch_size, *(1,) * value.dim())
 
 
-def _enough_points(cloud: torch.Tensor, num_points: int) -> torch.Tensor:
-    """(..., N, 3) -> at least ``num_points``, by repetition: time does not depend on where points are."""
+def enough_points(cloud: torch.Tensor, num_points: int) -> torch.Tensor:
+    """Returns clouds (..., N, 3) of at least ``num_points``, by repetition: time does not depend on where they are."""
     times = -(-num_points // cloud.shape[-2])
     return torch.cat([cloud] * times, dim=-2) if times > 1 else cloud
 
 
-def _synchronise(device: str) -> None:
+def synchronise(device: str) -> None:
+    """Waits for a GPU."""
     if device == "cuda":
         torch.cuda.synchronize()

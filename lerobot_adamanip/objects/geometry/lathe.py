@@ -46,20 +46,31 @@ class Ring:
     def point(self, angle: ArrayLike, proud: float = 0.0) -> Array:
         """Returns the points (..., 3) of the outline at angles from +x [rad], ``proud`` [m] outside it."""
         angle = np.asarray(angle, dtype=np.float64)
-        power = 2.0 + 6.0 * self.squareness
-        cosine, sine = np.cos(angle), np.sin(angle)
-        reach = (np.abs(cosine) ** power + np.abs(sine) ** power) ** (-1.0 / power)
-        x = (self.radius * self.depth + proud) * reach * cosine
-        y = (self.radius + proud) * reach * sine
-        return np.stack([x, y, np.full_like(x, self.height)], axis=-1)
+        return _outline(self.height, (self.radius, self.depth, self.squareness), angle, proud)
+
+
+def _outline(height: ArrayLike, section: Sequence[ArrayLike], angle: Array, proud: float) -> Array:
+    """Points (..., 3) at heights [m] and angles (...) [rad]; ``section``: radius, depth and squareness there."""
+    radius, depth, squareness = (np.asarray(values, np.float64) for values in section)
+    power = 2.0 + 6.0 * squareness
+    cosine, sine = np.cos(angle), np.sin(angle)
+    reach = (np.abs(cosine) ** power + np.abs(sine) ** power) ** (-1.0 / power)
+    x = (radius * depth + proud) * reach * cosine
+    y = (radius + proud) * reach * sine
+    return np.stack([x, y, np.broadcast_to(height, x.shape)], axis=-1)
 
 
 def ring_at(rings: Sequence[Ring], height: float) -> Ring:
     """Returns the cross-section of a profile at ``height`` [m], interpolated between its rings."""
+    radius, depth, squareness = (float(value) for value in _section_at(rings, height))
+    return Ring(height, radius, depth, squareness)
+
+
+def _section_at(rings: Sequence[Ring], height: Array | float) -> list[Array]:
+    """Radius, depth and squareness of a profile at heights [m], in the shape of these."""
     heights = [ring.height for ring in rings]
     values = [[ring.radius, ring.depth, ring.squareness] for ring in rings]
-    radius, depth, squareness = (float(np.interp(height, heights, column)) for column in zip(*values, strict=True))
-    return Ring(height, radius, depth, squareness)
+    return [np.asarray(np.interp(np.asarray(height), heights, column)) for column in zip(*values, strict=True)]
 
 
 def turned(
@@ -171,9 +182,7 @@ def decal(
     heights = lower + (upper - lower) * np.linspace(0.0, 1.0, rows)[:, None]
     # One angle per column, so that the edges of a picture on a tapered bottle stay upright.
     angles = turn + across / ring_at(rings, float(heights.mean())).radius
-    points = np.array(
-        [[ring_at(rings, h).point(a, layer * PROUD) for h, a in zip(row, angles, strict=True)] for row in heights]
-    )
+    points = _outline(heights, _section_at(rings, heights), np.broadcast_to(angles, heights.shape), layer * PROUD)
     index = np.arange(heights.size).reshape(heights.shape)
     corners = (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
     faces = _quads(*(corner.reshape(-1) for corner in corners))

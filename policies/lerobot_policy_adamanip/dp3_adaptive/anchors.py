@@ -24,6 +24,7 @@ from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
+    constant,
     motion_between,
     point_features,
     points_seen,
@@ -80,7 +81,7 @@ class AnchorNetwork(nn.Module):
 
     def nearest_anchor(self, motion: Tensor) -> Tensor:
         """Motions (B, 7) -> indices (B,) of their anchors."""
-        away = (motion[:, None] - self.anchors) / motion.new_tensor(MOTION_UNITS)
+        away = (motion[:, None] - self.anchors) / constant(MOTION_UNITS, motion)
         return away.square().sum(dim=-1).argmin(dim=-1)
 
     def aims(self, index: Tensor) -> Tensor:
@@ -133,7 +134,8 @@ class AnchorHead:
         """Other points of the same surfaces at every step, not quite where they were."""
         count = self.config.training_points
         if count < cloud.shape[1]:
-            kept = torch.rand(cloud.shape[:2], device=cloud.device).topk(count, dim=1).indices
+            # Which ones is drawn, their order is not looked at: so it is not made.
+            kept = torch.rand(cloud.shape[:2], device=cloud.device).topk(count, dim=1, sorted=False).indices
             cloud = cloud.gather(1, kept[..., None].expand(-1, -1, cloud.shape[-1]))
         return cloud + self.config.point_noise_std * torch.randn_like(cloud)
 
@@ -176,11 +178,9 @@ class AnchorHead:
     def _refinement_loss(
         self, model: AnchorNetwork, refiner: Refiner, window: Window, goal: Tensor, index: Tensor
     ) -> Tensor:
-        """(B,): of the samples that aim; nothing for the others, which are most, and are spared the work."""
+        """(B,): of the samples that aim; nothing for the others, which are most and, on a CPU, spared the work."""
         aims = model.aims(index)
-        rows = aims.nonzero().squeeze(-1)
-        # One that counts for nothing if none does: every weight has a gradient in every step.
-        rows = rows if len(rows) else rows.new_zeros(1)
+        rows = _rows_to_refine(aims)
         cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
         loss = refiner.loss(cloud, goal[rows], tool, index[rows]) * aims[rows]
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
@@ -201,10 +201,28 @@ class AnchorHead:
         motion = torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1)
         pose = pose_after(motion, tool)
         if model.refiner is not None:
-            cloud = window.observations[POINT_CLOUD][:, -1]
-            refined = model.refiner.refined(cloud, pose, tool, index, self.config.num_refinements)
-            pose = torch.where(model.aims(index)[:, None], refined, pose)
+            pose = self._refined(model, model.refiner, window, pose, index)
         return pose[:, None]
+
+    def _refined(self, model: AnchorNetwork, refiner: Refiner, window: Window, pose: Tensor, index: Tensor) -> Tensor:
+        """Returns poses (B, 10), corrected where their anchors aim: on a CPU most actions are spared the work."""
+        aims = model.aims(index)
+        if aims.device.type == "cpu" and not aims.any():
+            return pose
+        rows = _rows_to_refine(aims)
+        cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
+        refined = refiner.refined(cloud, pose[rows], tool.float(), index[rows], self.config.num_refinements)
+        return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
+
+
+def _rows_to_refine(aims: Tensor) -> Tensor:
+    """Returns indices of rows (R,), of aims (B,) bool: those that aim, and others that then count for nothing."""
+    if aims.device.type != "cpu":
+        # Which ones aim is not known without waiting for the device, to which the others are little work.
+        return torch.arange(len(aims), device=aims.device)
+    rows = aims.nonzero().squeeze(-1)
+    # One that counts for nothing if none does: every weight has a gradient in every step.
+    return rows if len(rows) else rows.new_zeros(1)
 
 
 def _drawn(likely: Tensor, noise: Tensor | None) -> Tensor:

@@ -7,7 +7,6 @@ from typing import Any
 
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
-from lerobot.optim.optimizers import AdamWConfig
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
 from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
@@ -19,6 +18,7 @@ from lerobot_policy_adamanip.dp3_adaptive.checks import (
     wrong_number_of_points,
 )
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
+from lerobot_policy_adamanip.optimizer import FusedAdamWConfig
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
@@ -275,9 +275,10 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             return False
         return tuple(action.shape) == (ACTION_DIM,) and int(state.shape[0]) >= ACTION_DIM
 
-    def get_optimizer_preset(self) -> AdamWConfig:
+    def get_optimizer_preset(self) -> FusedAdamWConfig:
         """AdamW."""
-        return AdamWConfig(lr=self.optimizer_lr, betas=self.optimizer_betas, weight_decay=self.optimizer_weight_decay)
+        decay, betas = self.optimizer_weight_decay, self.optimizer_betas
+        return FusedAdamWConfig(lr=self.optimizer_lr, betas=betas, weight_decay=decay)
 
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
         """Cosine with warm-up."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from lerobot_policy_adamanip.dp3_adaptive.tool_frame import MOTION_DIM, MOTION_UNITS, motion_between
+from lerobot_policy_adamanip.dp3_adaptive.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
 UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
 """What counts as one in what is left of a motion [m, m, m, rad, rad, rad, -]: so far off is an arm that is stopped."""
@@ -24,13 +24,12 @@ def events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
     Returns:
         (B, H, 16): motion commanded, motion left undone (both in units of their own), gripper reached, validity.
     """
-    commanded = motion_between(commands, poses[:, :-1])
-    undone = motion_between(commands, poses[:, 1:])
+    commanded, undone = motion_between(commands, torch.stack([poses[:, :-1], poses[:, 1:]])).unbind()
     undone = torch.cat([undone[..., :6], undone[..., 6:] - poses[:, 1:, 9:10]], dim=-1)
     told = torch.cat(
         [
-            commanded / commanded.new_tensor(MOTION_UNITS),
-            undone / undone.new_tensor(UNDONE_UNITS),
+            commanded / constant(MOTION_UNITS, commanded),
+            undone / constant(UNDONE_UNITS, undone),
             poses[:, 1:, 9:10],
             torch.ones_like(commanded[..., :1]),
         ],

@@ -154,7 +154,8 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         losses, weights, told = self.head.loss(self._active_model(), window, actions[:, past:], ~padded[:, past:])
         if reduction == "none":
             return losses, {}
-        told = {name: float(value) for name, value in told.items()}
+        # In one piece: each number on its own would wait for a GPU once more.
+        told = dict(zip(told, torch.stack(list(told.values())).tolist(), strict=True)) if told else {}
         return (losses * weights).sum() / weights.sum().clamp(min=1), told
 
     @torch.no_grad()

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     MOTION_UNITS,
+    constant,
     motion_between,
     point_features,
     points_seen,
@@ -52,13 +53,13 @@ class Refiner(nn.Module):
     def forward(self, cloud: Tensor, pose: Tensor, tool: Tensor, anchor: Tensor) -> Tensor:
         """Clouds (B, N, 3) [m], proposed and present poses (B, 10), anchors (B,) -> (B, 6) in `CORRECTION_UNITS`."""
         points = points_seen(cloud, pose)
-        distance = (points - points.new_tensor(AHEAD)).norm(dim=-1)
+        distance = (points - constant(AHEAD, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
             points = points + JITTER * torch.randn_like(points)
         local = self.encoder(point_features(points, NEAR, SHARP))
-        way = motion_between(pose, tool)[:, :6] / points.new_tensor(MOTION_UNITS[:6])
+        way = motion_between(pose, tool)[:, :6] / constant(MOTION_UNITS[:6], points)
         correction: Tensor = self.out(torch.cat([local, self.embedding(anchor), way], dim=-1))
         return correction
 
@@ -68,13 +69,13 @@ class Refiner(nn.Module):
         aside = share * torch.randn(len(goal), 6, device=goal.device)
         aside = torch.cat([BESIDE_POSITION * aside[:, :3], BESIDE_ROTATION * aside[:, 3:], goal[:, 9:10]], dim=-1)
         proposed = pose_after(aside, goal)
-        wanted = motion_between(goal, proposed)[:, :6] / goal.new_tensor(CORRECTION_UNITS)
+        wanted = motion_between(goal, proposed)[:, :6] / constant(CORRECTION_UNITS, goal)
         found = self(cloud, proposed, tool, anchor)
         return F.smooth_l1_loss(found.float(), wanted, reduction="none").mean(dim=-1)
 
     def refined(self, cloud: Tensor, pose: Tensor, tool: Tensor, anchor: Tensor, steps: int) -> Tensor:
         """Returns poses (B, 10) after so many corrections; the gripper stays as it is."""
         for _ in range(steps):
-            correction = self(cloud, pose, tool, anchor).float() * pose.new_tensor(CORRECTION_UNITS)
+            correction = self(cloud, pose, tool, anchor).float() * constant(CORRECTION_UNITS, pose)
             pose = pose_after(torch.cat([correction, pose[:, 9:10]], dim=-1), pose)
         return pose

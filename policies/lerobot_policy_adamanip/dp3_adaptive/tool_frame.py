@@ -20,6 +20,18 @@ MOTION_UNITS = (0.05, 0.05, 0.05, 0.5, 0.5, 0.5, 1.0)
 """What counts as one in each number of a motion [m, m, m, rad, rad, rad, -]: a typical motion in contact."""
 
 
+@functools.cache
+def _kept(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
+    # An ordinary tensor, though it be asked for first where nothing is ever differentiated.
+    with torch.inference_mode(mode=False):
+        return torch.tensor(values, device=device, dtype=dtype)
+
+
+def constant(values: tuple[float, ...], like: Tensor) -> Tensor:
+    """Returns constants where a tensor is, in its dtype: made once, since a copy to a GPU waits for it."""
+    return _kept(values, like.device, like.dtype)
+
+
 def _whole(function: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
     """Without autocast: in half precision a position is known to centimetres."""
 
@@ -37,7 +49,8 @@ def motion_between(pose: Tensor, tool: Tensor) -> Tensor:
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])
     moved = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
     turned = frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
-    return torch.cat([moved.squeeze(-2), rotation_vector(turned), pose[..., GRIPPER_DIM : GRIPPER_DIM + 1]], dim=-1)
+    gripper = pose[..., GRIPPER_DIM : GRIPPER_DIM + 1].expand(*turned.shape[:-2], 1)
+    return torch.cat([moved.squeeze(-2), rotation_vector(turned), gripper], dim=-1)
 
 
 @_whole

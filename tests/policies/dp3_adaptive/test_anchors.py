@@ -14,8 +14,10 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip.dp3_adaptive import anchors
 from lerobot_policy_adamanip.dp3_adaptive.anchors import LEAST_SPREAD, demonstrated_motions, fit_anchors
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
+from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 
 MakeTiny = Callable[..., tuple[Any, ...]]
@@ -322,8 +324,6 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
 
 def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
     """Goals are at a corner of a wedge: taught from poses beside them on a few scenes, found on others."""
-    from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
-
     torch.manual_seed(0)
     draw = np.random.default_rng(0)
     plane = np.stack(np.meshgrid(np.linspace(0, 0.08, 7), np.linspace(0, 0.05, 6)), axis=-1).reshape(-1, 2)
@@ -367,3 +367,46 @@ def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> No
     model.anchors[:3, 6] = 1.0
     model.spread[[0, 3], 2] = 0.03
     assert model.aims(torch.arange(6)).tolist() == [True, False, False, False, False, False]
+
+
+def test_rows_that_do_not_aim_count_for_nothing_where_all_are_looked_at(
+    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As on a GPU, which is not asked how many aim.
+    policy, before, _, dataset = make_anchors()
+    batch = batch_of(dataset, before, 0, 5, 8, 20)
+    policy.model.spread[:] = torch.tensor(LEAST_SPREAD)
+    monkeypatch.setattr(anchors, "_rows_to_refine", lambda aims: torch.arange(len(aims)))
+    loss, told = policy.forward(batch)
+    loss.backward()
+    assert told["refinement_loss"] == 0.0
+    refiner = policy.model.refiner
+    assert all(weight.grad is not None and not weight.grad.any() for weight in refiner.parameters())
+
+
+def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
+    make_anchors: MakeTiny, observation_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, before, _, dataset = make_anchors()
+    policy.eval()
+    for model in (policy.model, policy.ema_model):
+        model.anchors[:, 6], model.spread[:] = 1.0, torch.tensor(LEAST_SPREAD)
+        model.spread[::2, 2] = 0.03
+    observation = observation_of(dataset, before, *range(20))
+    noise = torch.rand(20, 1)
+
+    def acted() -> torch.Tensor:
+        policy.reset()
+        return policy.select_action(observation, noise=noise)
+
+    looked: list[int] = []
+    refine = Refiner.refined
+    monkeypatch.setattr(Refiner, "refined", lambda *a: looked.append(len(a[2])) or refine(*a))
+    few = acted()
+    monkeypatch.setattr(anchors, "_rows_to_refine", lambda aims: torch.arange(len(aims)))
+    torch.testing.assert_close(few, acted(), rtol=0, atol=1e-6)
+    assert 0 < looked[0] < looked[1] == 20
+    for model in (policy.model, policy.ema_model):
+        model.spread[:] = torch.tensor(LEAST_SPREAD)
+    acted()
+    assert len(looked) == 2

@@ -4,7 +4,14 @@ import pytest
 import torch
 
 from lerobot_policy_adamanip import encoders
-from lerobot_policy_adamanip.encoders import PointNet2Encoder, PointNetEncoder, SetAbstraction, ball_query, make_encoder
+from lerobot_policy_adamanip.encoders import (
+    PointNet2Encoder,
+    PointNetEncoder,
+    SetAbstraction,
+    ball_query,
+    largest_rows,
+    make_encoder,
+)
 
 
 @pytest.mark.parametrize("in_dim", [3, 6])
@@ -90,3 +97,72 @@ def test_what_is_out_of_reach_of_every_centre_is_not_seen() -> None:
     xyz = torch.rand(1, 30, 3) * 0.2
     changed = torch.cat([xyz, torch.full((1, 3, 3), 5.0)], dim=1)
     torch.testing.assert_close(level(changed, changed)[1], level(xyz, xyz)[1], rtol=0, atol=1e-6)
+
+
+# Backward through the winners only -----------------------------------------------------------------------------------
+
+
+def gradients(encoder: PointNetEncoder, points: torch.Tensor) -> list[torch.Tensor]:
+    """What a loss of the encoder's features gives to every weight, and to the points; the features last."""
+    points = points.clone().requires_grad_()
+    features = encoder(points)
+    weight = torch.linspace(-1, 1, features.numel(), dtype=features.dtype).reshape(features.shape)
+    return [*torch.autograd.grad((features * weight).sum(), [*encoder.parameters(), points]), features.detach()]
+
+
+@pytest.mark.parametrize("points", [1, 7, 12, 64, 320])
+def test_the_largest_is_found_by_groups(points: int) -> None:
+    values = torch.randn(3, points, 11)
+    assert torch.equal(largest_rows(values), values.argmax(dim=1))
+    level = values.round()
+    assert torch.equal(level.gather(1, largest_rows(level)[:, None])[:, 0], level.amax(dim=1))
+
+
+@pytest.mark.parametrize(("dtype", "bound"), [(torch.float64, 1e-13), (torch.float32, 1e-5)], ids=str)
+@pytest.mark.parametrize("shape", [(3, 50, 6), (40, 320, 6), (1, 1, 3), (2, 13, 3)], ids=str)
+def test_winners_alone_have_the_gradient_of_the_plain_way(
+    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, bound: float, shape: tuple[int, int, int]
+) -> None:
+    torch.manual_seed(0)
+    encoder, points = PointNetEncoder(shape[-1], (16, 32), 8).to(dtype), torch.randn(shape, dtype=dtype)
+    found = gradients(encoder, points)
+    monkeypatch.setattr(PointNetEncoder, "winners_only", False)
+    for one, other in zip(found, gradients(encoder, points), strict=True):
+        assert (one - other).norm() <= bound * other.norm()
+
+
+def test_points_that_are_there_twice_give_the_weights_the_same_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch.manual_seed(0)
+    encoder, points = PointNetEncoder(3, (16, 32), 8).double(), torch.randn(4, 20, 3, dtype=torch.float64)
+    repeated = points[:, torch.arange(60) % 20]
+    found = gradients(encoder, repeated)
+    monkeypatch.setattr(PointNetEncoder, "winners_only", False)
+    plain = gradients(encoder, repeated)
+    for one, other in zip(found[:-2], plain[:-2], strict=True):
+        assert (one - other).norm() <= 1e-13 * other.norm()
+    # To a point it is the sum over its copies that is the same: how copies share it is nobody's business.
+    for one, other in ((part[-2].reshape(4, 3, 20, 3).sum(dim=1) for part in (found, plain)),):
+        torch.testing.assert_close(one, other, rtol=1e-12, atol=1e-13)
+
+
+def test_outside_training_the_plain_way_is_taken_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PointNetEncoder, "_winners", lambda *_: pytest.fail("not in training"))
+    encoder, points = PointNetEncoder(3, (16, 32), 8), torch.randn(4, 50, 3)
+    plain = encoder.projection(encoder.mlp(points).amax(dim=-2))
+    with torch.no_grad():
+        assert torch.equal(encoder.train()(points), plain)
+    assert torch.equal(encoder.eval()(points), plain)
+
+
+def test_weights_cast_without_a_graph_are_not_kept_by_autocast() -> None:
+    # Looked at before anything is computed: not every processor that offers half precision has it.
+    encoder, seen = PointNetEncoder(3, (16,), 8), []
+
+    def look(*_: object) -> None:
+        seen.append((torch.is_grad_enabled(), torch.is_autocast_cache_enabled(), torch.is_autocast_enabled("cpu")))
+        raise InterruptedError
+
+    encoder.mlp.register_forward_pre_hook(look)
+    with torch.autocast("cpu", torch.bfloat16), pytest.raises(InterruptedError):
+        encoder(torch.randn(2, 5, 3))
+    assert seen == [(False, False, True)]

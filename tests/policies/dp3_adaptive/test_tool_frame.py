@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
-from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between, points_seen, pose_after, upwards
+from lerobot_policy_adamanip.dp3_adaptive.tool_frame import constant, motion_between, points_seen, pose_after, upwards
 
 
 def _poses(count: int, seed: int) -> torch.Tensor:
@@ -107,3 +107,19 @@ def test_the_order_of_events_is_remembered() -> None:
     told = events(commands, poses, torch.ones(1, 3, dtype=torch.bool))
     memory = EventMemory(8)
     assert not torch.allclose(memory(told), memory(told.flip(1)), atol=1e-4)
+
+
+def test_a_constant_made_at_run_time_can_be_trained_with() -> None:
+    weight = torch.ones(2, requires_grad=True)
+    with torch.inference_mode():
+        made = constant((2.0, 3.0), weight)
+    assert made is constant((2.0, 3.0), weight)
+    assert constant((2.0, 3.0), weight.double()).dtype == torch.float64
+    (weight * constant((2.0, 3.0), weight)).sum().backward()
+    assert weight.grad is not None
+    assert weight.grad.tolist() == [2.0, 3.0]
+
+
+def test_motions_of_several_tools_at_once_are_those_of_each() -> None:
+    goal, tools = _poses(8, 4), torch.stack([_poses(8, 5), _poses(8, 6)])
+    assert torch.equal(motion_between(goal, tools), torch.stack([motion_between(goal, tool) for tool in tools]))

@@ -10,6 +10,7 @@ import torch
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_policy_adamanip.encoders import PointNetEncoder
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 VARIANTS: list[dict[str, Any]] = [
@@ -177,3 +178,20 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
 def test_a_policy_for_more_points_than_recorded_is_refused(make_tiny: MakeTiny) -> None:
     with pytest.raises(ConfigurationError, match="65"):
         make_tiny(num_points=65)
+
+
+@pytest.mark.parametrize("changes", [{}, {"preset": "fast", "num_points": 48, "training_points": 24}], ids=str)
+def test_winners_alone_give_a_policy_the_gradient_of_the_plain_way(
+    make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any]
+) -> None:
+    policy, before, _, dataset = make_tiny(**changes)
+    batch = batch_of(dataset, before, *range(0, 28, 3))
+    found: list[dict[str, torch.Tensor]] = []
+    for way in (True, False):
+        monkeypatch.setattr(PointNetEncoder, "winners_only", way)
+        torch.manual_seed(1)
+        policy.zero_grad()
+        policy.forward(batch)[0].backward()
+        found.append({name: weight.grad.clone() for name, weight in policy.model.named_parameters()})
+    for name, plain in found[1].items():
+        assert (found[0][name] - plain).norm() <= 1e-5 * plain.norm() + 1e-9, name

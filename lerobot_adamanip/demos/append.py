@@ -1,0 +1,95 @@
+"""Appending prepared episodes to a LeRobotDataset, in their order: what LeRobot's writer does once the rest is done."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lerobot_adamanip.demos.prepare import PLACE, PreparedEpisode
+
+
+def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:
+    """Yields what comes numbered from 0, each as soon as all before it have come."""
+    waiting: dict[int, T] = {}
+    following = 0
+    for number, value in numbered:
+        waiting[number] = value
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def append(dataset: Any, episode: PreparedEpisode) -> int:
+    """Appends an episode: the same bytes as ``add_frame`` and ``save_episode`` write. Returns its number of rows."""
+    from lerobot.datasets.compute_stats import compute_episode_stats
+
+    writer, meta = dataset.writer, dataset.meta
+    table = pa.ipc.open_stream(episode.table).read_all()
+    number, task, length = meta.total_episodes, episode.record["task"], len(table)
+    meta.save_episode_tasks([task])
+    place = {
+        "index": np.arange(meta.total_frames, meta.total_frames + length),
+        "episode_index": np.full((length,), number),
+        "task_index": np.full((length,), meta.get_task_index(task)),
+    }
+    stats = episode.stats | compute_episode_stats(place, meta.features)
+    stats = {key: stats[key] for key in _order(meta.features)}
+    metadata = _append_table(writer, meta, _placed(table, place))
+    for key, content in episode.videos.items():
+        path = Path(tempfile.mkdtemp(dir=dataset.root)) / f"{key}_{number:03d}.mp4"
+        path.write_bytes(content)
+        metadata.update(writer._save_episode_video(key, number, temp_path=path))
+    meta.save_episode(number, length, [task], stats, metadata)
+    return length
+
+
+def _order(features: dict[str, Any]) -> list[str]:
+    return [key for key, feature in features.items() if feature["dtype"] not in ("string", "language")]
+
+
+def _placed(table: pa.Table, place: dict[str, Any]) -> pa.Table:
+    for key in PLACE:
+        at = table.schema.get_field_index(key)
+        field = table.schema.field(at)
+        table = table.set_column(at, field, pa.array(place[key], type=field.type))
+    return table
+
+
+def _append_table(writer: Any, meta: Any, table: pa.Table) -> dict[str, Any]:
+    """Writes an episode's rows as a row group, into another file where this one is full: LeRobot's rule."""
+    from lerobot.datasets.io_utils import get_file_size_in_mb
+    from lerobot.datasets.utils import update_chunk_file_indices
+
+    latest = writer._latest_episode
+    chunk = file = begin = 0
+    if latest is None:
+        writer._current_file_start_frame = 0
+    else:
+        chunk, file, begin = latest["data/chunk_index"], latest["data/file_index"], latest["dataset_to_index"]
+        size = get_file_size_in_mb(writer._root / meta.data_path.format(chunk_index=chunk, file_index=file))
+        frames = begin - writer._current_file_start_frame
+        per_frame = size / frames if frames > 0 else 0
+        if size + per_frame * len(table) >= meta.data_files_size_in_mb:
+            chunk, file = update_chunk_file_indices(chunk, file, meta.chunks_size)
+            writer.close_writer()
+            writer._current_file_start_frame = begin
+    path = writer._root / meta.data_path.format(chunk_index=chunk, file_index=file)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not writer._pq_writer:
+        writer._pq_writer = pq.ParquetWriter(path, schema=table.schema, compression="snappy", use_dictionary=True)
+    writer._pq_writer.write_table(table)
+    metadata = {
+        "data/chunk_index": chunk,
+        "data/file_index": file,
+        "dataset_from_index": begin,
+        "dataset_to_index": begin + len(table),
+    }
+    writer._latest_episode = metadata
+    writer._recorded_frames += len(table)
+    return metadata

@@ -1,0 +1,130 @@
+"""Parts of a collection, recorded apart and put together: the bytes of one collection."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from demos_helpers import ATTEMPTS, InThisProcess, fakes, make_spec, patiently, same_bytes
+
+from lerobot_adamanip.cli import collect as command
+from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos import crew as crews
+from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.demos.collection import CollectionPaths
+from lerobot_adamanip.demos.parts import Part
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+
+Refuses = Callable[[type, Callable[[], Any]], str]
+
+
+class NoWorkers:
+    """Stands in for the pool where nothing may be left to record."""
+
+    def __class_getitem__(cls, _: object) -> type[NoWorkers]:
+        return cls
+
+    def __init__(self, *_: object, **__: object) -> None: ...
+
+    def __enter__(self) -> NoWorkers:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, items: list[object]) -> list[object]:
+        assert items == []
+        return []
+
+
+@pytest.fixture(autouse=True)
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
+
+
+def record_parts(folder: Path, **changes: Any) -> tuple[Path, ...]:
+    """Records a collection in two parts; returns their roots."""
+    roots = (folder / "first", folder / "second")
+    for number, root in enumerate(roots, 1):
+        options = patiently(part=Part(number, 2), allow_missing=True, **changes.get("options", {}))
+        summary = collect(root, make_spec(**changes.get("spec", {})), fakes(**changes.get("fakes", {})), options)
+        assert not root.exists()
+        assert summary.episodes + summary.given_up == 3
+    return roots
+
+
+def test_two_parts_adopted_are_one_collection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Failed episodes and given-up items included; and no simulator is needed where they are put together."""
+    same = {"keep_failed": True}
+    behaviour = {"hopeless": "safe_001"}
+    whole = tmp_path / "whole" / "dataset"
+    collect(whole, make_spec(**same), fakes(**behaviour), patiently(allow_missing=True))
+    parts = record_parts(tmp_path, spec=same, fakes=behaviour)
+    monkeypatch.setattr(crews, "WorkerPool", NoWorkers)
+    options = patiently(adopt=parts, allow_missing=True)
+    summary = collect(tmp_path / "adopted" / "dataset", make_spec(**same), fakes(**behaviour), options)
+    assert (summary.episodes, summary.given_up) == (3, 3)
+    same_bytes(whole.parent, tmp_path / "adopted")
+
+
+def test_what_parts_lack_is_recorded_on_adoption(tmp_path: Path, finished: Path) -> None:
+    first, _ = record_parts(tmp_path)
+    summary = collect(tmp_path / "dataset", make_spec(), fakes(), patiently(adopt=(first,)))
+    assert summary.recorded == 3
+    same_bytes(finished, tmp_path / "dataset")
+
+
+def test_a_part_resumes_and_becomes_the_whole_without_the_option(tmp_path: Path, finished: Path) -> None:
+    root = tmp_path / "dataset"
+    part = patiently(part=Part(1, 2))
+    assert collect(root, make_spec(), fakes(), part).recorded == 3
+    assert collect(root, make_spec(), fakes(), part).recorded == 0
+    assert collect(root, make_spec(), fakes(), patiently()).recorded == 3
+    same_bytes(finished, root)
+
+
+def test_only_parts_of_this_collection_are_adopted(tmp_path: Path, refuses: Refuses) -> None:
+    first, second = record_parts(tmp_path)
+
+    def adopting(*roots: Path, **changes: Any) -> Callable[[], Any]:
+        spec, behaviour = make_spec(**changes.pop("spec", {})), fakes(**changes)
+        return lambda: collect(tmp_path / "dataset", spec, behaviour, patiently(adopt=roots))
+
+    assert "Nothing was recorded" in refuses(DatasetError, adopting(tmp_path / "nowhere"))
+    assert "seed = 5" in refuses(DatasetError, adopting(first, spec={"seed": 5}))
+    assert "fingerprint" in refuses(DatasetError, adopting(first, code="b"))
+    episodes = CollectionPaths(second).episodes
+    one, other = sorted(episodes.iterdir())[:2]
+    one.write_bytes(other.read_bytes())  # an episode under another's name
+    assert "not what its name says" in refuses(DatasetError, adopting(first, second))
+    one.write_bytes(one.read_bytes()[:-9])
+    assert "damaged" in refuses(DatasetError, adopting(first, second))
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "1/0", "a/b", "-1/2", "1/2/3", ""])
+def test_impossible_parts_are_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="K/N"):
+        Part.parse(text)
+
+
+def test_parts_divide_the_episodes(tmp_path: Path) -> None:
+    items = make_spec().items()
+    parts = [Part(number, 4).of(items) for number in (1, 2, 3, 4)]
+    assert sorted(item for part in parts for item in part) == sorted(items)
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+def test_the_command_records_parts_and_adopts_them(
+    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "factories", fakes)
+    line = ["--objects", "0:2", "--episodes-per-object", "3", "--num-points", "8", "--image-size", "64",
+            "--late-starts", "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
+    roots = [str(tmp_path / name) for name in ("a", "b")]
+    for number, root in enumerate(roots, 1):
+        assert main(["collect", "--root", root, "--part", f"{number}/2", *line]) == 0
+        assert f"Part {number}/2: 3 episodes" in capsys.readouterr().out
+    assert main(["collect", "--root", str(tmp_path / "dataset"), "--adopt", *roots, *line]) == 0
+    same_bytes(finished, tmp_path / "dataset")
+    assert main(["collect", "--root", roots[0], "--part", "1/2", "--adopt", roots[1], *line]) == 2

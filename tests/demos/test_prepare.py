@@ -1,0 +1,87 @@
+"""Assembly: whoever prepares the episodes, the dataset is the same; and it is what LeRobot's own writer makes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from demos_helpers import InThisProcess, Preparing, fakes, make_spec, patiently, same_bytes
+
+from lerobot_adamanip.demos import assemble as assembling
+from lerobot_adamanip.demos import crew as crews
+from lerobot_adamanip.demos import prepare
+from lerobot_adamanip.demos.append import in_order
+from lerobot_adamanip.demos.collect import collect
+
+SPEC: dict[str, Any] = {"episodes_per_object": 4, "num_points": 64}
+
+
+@pytest.fixture
+def small_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files so small that several are begun, as in large collections."""
+    create = assembling._create
+
+    def created(*arguments: Any) -> Any:
+        dataset = create(*arguments)
+        dataset.meta.update_chunk_settings(data_files_size_in_mb=0.02, video_files_size_in_mb=0.004)
+        return dataset
+
+    monkeypatch.setattr(assembling, "_create", created)
+
+
+def test_the_writer_at_hand_is_the_one_that_was_tested() -> None:
+    assert prepare.is_tested()
+
+
+@pytest.fixture
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
+
+
+def collected(folder: Path, *, spec: dict[str, Any] | None = None, **options: Any) -> Path:
+    collect(folder / "dataset", make_spec(**SPEC, **(spec or {})), fakes(), patiently(**options))
+    return folder / "dataset"
+
+
+def same_but_for_a_cache_name(one: Path, stock: Path) -> None:
+    """LeRobot's writer names an entry of its cache in the schema of a table; all else is equal, byte for byte."""
+    assert [path.relative_to(one) for path in sorted(one.rglob("*"))] == [
+        path.relative_to(stock) for path in sorted(stock.rglob("*"))
+    ]
+    for path in filter(Path.is_file, sorted(one.rglob("*"))):
+        other = stock / path.relative_to(one)
+        if path.parent.parent.name == "data":
+            assert pq.read_table(path).equals(pq.read_table(other))
+            assert pq.read_metadata(path).num_row_groups == pq.read_metadata(other).num_row_groups
+        else:
+            assert path.read_bytes() == other.read_bytes(), path
+
+
+@pytest.mark.usefixtures("small_files", "_here")
+def test_two_processes_one_and_lerobot_itself_make_the_same_dataset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = collected(tmp_path / "one")
+    assert len(list((one / "data").rglob("*.parquet"))) > 1
+    assert len(list((one / "videos").rglob("*.mp4"))) > 1
+    with monkeypatch.context() as patch:
+        patch.setattr(crews, "MIN_PREPARED", 1)
+        patch.setattr(crews, "WorkerPool", Preparing)
+        same_bytes(one, collected(tmp_path / "two", workers=2))
+    monkeypatch.setattr(assembling, "is_tested", lambda: False)
+    same_but_for_a_cache_name(one, collected(tmp_path / "stock"))
+
+
+@pytest.mark.usefixtures("_here")
+def test_so_does_a_collection_without_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = {"observe_images": False}
+    one = collected(tmp_path / "one", spec=images)
+    assert not (one / "videos").exists()
+    monkeypatch.setattr(assembling, "is_tested", lambda: False)
+    same_but_for_a_cache_name(one, collected(tmp_path / "stock", spec=images))
+
+
+def test_what_comes_in_any_order_leaves_in_its_own() -> None:
+    assert list(in_order(iter([(2, "c"), (0, "a"), (1, "b"), (3, "d")]))) == ["a", "b", "c", "d"]
