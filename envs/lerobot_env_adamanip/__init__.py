@@ -1,28 +1,35 @@
-"""AdaManip as a LeRobot plugin: importing this registers environments and policy, and nothing heavy."""
+"""AdaManip as a LeRobot plugin: importing this registers environments and policy, and nothing heavy.
 
+Unless the environment variable `lerobot_adamanip.NO_PLUGIN` is set: LeRobot's configurations take seconds to import.
+"""
+
+import os
 import sys
 
-from lerobot_env_adamanip.config import (
-    AdaManipBottleEnvConfig,
-    AdaManipCoffeeMakerEnvConfig,
-    AdaManipDoorEnvConfig,
-    AdaManipEnvConfig,
-    AdaManipLampEnvConfig,
-    AdaManipMicrowaveEnvConfig,
-    AdaManipPenEnvConfig,
-    AdaManipPressureCookerEnvConfig,
-    AdaManipSafeEnvConfig,
-    AdaManipWindowEnvConfig,
-)
-from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_adamanip import NO_PLUGIN
 
-if "lerobot.datasets.lerobot_dataset" in sys.modules:
-    # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
-    # Other datasets, and LeRobots this was not tested with, keep LeRobot's own reader.
-    from lerobot_adamanip import lerobot_compat
+if not os.environ.get(NO_PLUGIN):
+    from lerobot_env_adamanip.config import (
+        AdaManipBottleEnvConfig,
+        AdaManipCoffeeMakerEnvConfig,
+        AdaManipDoorEnvConfig,
+        AdaManipEnvConfig,
+        AdaManipLampEnvConfig,
+        AdaManipMicrowaveEnvConfig,
+        AdaManipPenEnvConfig,
+        AdaManipPressureCookerEnvConfig,
+        AdaManipSafeEnvConfig,
+        AdaManipWindowEnvConfig,
+    )
+    from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
+    from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
-    lerobot_compat.apply()
+    if "lerobot.datasets.lerobot_dataset" in sys.modules:
+        # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
+        # Other datasets, and LeRobots this was not tested with, keep LeRobot's own reader.
+        from lerobot_adamanip import lerobot_compat
+
+        lerobot_compat.apply()
 
 __all__ = [
     "AdaManipBottleEnvConfig",

@@ -10,10 +10,13 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol, cast
 
 import lerobot_adamanip
+from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
+_WITHOUT_PLUGIN = ("collect", "render")
+"""Commands to which our environments and policy are no plugin of LeRobot: registering them takes each process 3 s."""
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
 
@@ -117,6 +120,8 @@ def execute(name: str, options: Sequence[str]) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; exit status 0 done, 1 the command's own verdict, 2 an error of use or set-up, 130 interrupted."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if argv is None and arguments and arguments[0] in _WITHOUT_PLUGIN:
+        os.environ[NO_PLUGIN] = "1"
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())
         return 0 if arguments else EXIT_ERROR

@@ -8,15 +8,16 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.mechanisms.arrays import doubles, filled
+from lerobot_adamanip.mechanisms.arrays import doubles, filled, is_tensor
 
-Reading = Mapping[str, Tensor]
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
+    from torch import Tensor
+
+type Reading = Mapping[str, Tensor]
 """Joint name -> position (B,) [rad or m]."""
 
 
@@ -71,6 +72,8 @@ class Mechanism[StateT](ABC):
 
 def uniform(batch_size: int, generator: torch.Generator) -> Tensor:
     """(B,) float64 draws in [0, 1), on the generator's device."""
+    import torch
+
     return torch.rand(batch_size, generator=generator, dtype=torch.float64, device=generator.device)
 
 
@@ -87,6 +90,8 @@ def overridden(drawn: Tensor, overrides: Overrides | None, name: str, choices: C
     if not (value in choices if choices else positive):
         allowed = " or ".join(map(str, choices)) or "a number above 0"
         raise ConfigurationError(f"Impossible {name}.", got=repr(value), allowed=allowed, hint="leave it out")
+    import torch
+
     return torch.full_like(drawn, value)
 
 
@@ -114,7 +119,9 @@ def check_positive(name: str, value: float) -> float:
 
 def replace_rows[StateT](state: StateT, fresh: StateT, mask: Tensor) -> StateT:
     """Returns ``state`` with the environments of ``mask`` (B,) taken from ``fresh``: how some of a batch are reset."""
-    if isinstance(state, Tensor):
+    if is_tensor(state):
+        import torch
+
         return torch.where(mask, fresh, state)  # type: ignore[call-overload, no-any-return]
     if not is_dataclass(state) or isinstance(state, type):
         raise TypeError(f"a state is a dataclass of tensors, got {type(state).__name__}")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading, check_names
 from lerobot_adamanip.mechanisms.push_rotate import PushOrRotate, PushRotateState
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
 
 
 class LampMechanism(Mechanism[PushRotateState]):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, opening, overridden, uniform
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
+    from torch import Tensor
 
 
 def check_fraction(name: str, value: float, *, zero: bool = True) -> float:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.mechanisms.arrays import filled
 from lerobot_adamanip.mechanisms.base import (
@@ -19,6 +17,9 @@ from lerobot_adamanip.mechanisms.base import (
 )
 from lerobot_adamanip.mechanisms.lock import LockState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
 
 
 @dataclass(frozen=True)

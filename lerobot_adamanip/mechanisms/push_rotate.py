@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from lerobot_adamanip.mechanisms.arrays import filled, where
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
+    from torch import Tensor
 
 PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE = 0, 1, 2
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, opening
 from lerobot_adamanip.mechanisms.lock import check_fraction
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class RotateThenSlide:
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> RotateSlideState:
         """Draws the rotation; the slide starts held."""
         rotation = self.rotation.draw(batch_size, generator, overrides)
+        import torch
+
         return RotateSlideState(rotation, torch.zeros_like(rotation.direction, dtype=torch.bool))
 
     def step(

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.arrays import filled, where
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, overridden, uniform
 from lerobot_adamanip.mechanisms.lock import check_fraction
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class RandomRotationDirection:
 
     def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> RotationState:
         """Draws direction and range; overrides ``direction`` (+1 or -1) and the range's name [rad]."""
+        import torch
+
         positive = uniform(batch_size, generator) < self.p_positive
         low, high = self.range_fraction
         turn_range = self.nominal_range * (low + (high - low) * uniform(batch_size, generator))

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading, check_names
 from lerobot_adamanip.mechanisms.lock import LockState
 from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
 from lerobot_adamanip.mechanisms.turn_to_open import direction_words, range_words
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    import torch
 
 
 @dataclass(frozen=True)

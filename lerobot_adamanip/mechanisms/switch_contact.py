@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from lerobot_adamanip.mechanisms.arrays import where
 from lerobot_adamanip.mechanisms.base import JointLimits, opening
 from lerobot_adamanip.mechanisms.lock import Lock, LockState, check_fraction
+
+if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+    from torch import Tensor
 
 AJAR = 0.02
 """A final part that has moved this far [rad or m] is open, and cannot be locked by its key."""
