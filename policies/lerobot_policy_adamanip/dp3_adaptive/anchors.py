@@ -41,8 +41,8 @@ POINT_UNIT, POINT_NEAR = 0.15, 0.03
 EFFORT_UNIT = 20.0
 """[N m]"""
 OPEN, SCATTERED = 0.5, 0.006
-"""Gripper opening of an open hand, and the spread [m] beyond which an anchor's motions end in different places: pre-grasps
-differ, so a last approach spreads by 8 mm or more; backing off from a grasp spreads by 5."""
+"""Gripper opening of an open hand, and the spread [m] beyond which an anchor's motions end in different places: those
+of a last approach spread by 8 mm or more, since pre-grasps differ; backing off from a grasp spreads by 5."""
 SILENT = 0.03
 """Anchors less likely than this are never drawn: what a network has not quite unlearned is no choice."""
 
