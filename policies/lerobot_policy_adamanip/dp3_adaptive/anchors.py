@@ -40,9 +40,10 @@ POINT_UNIT, POINT_NEAR = 0.15, 0.03
 """A point is told by where it is in this unit, and by its direction, which is sharp within this distance [m]."""
 EFFORT_UNIT = 20.0
 """[N m]"""
-OPEN, SCATTERED = 0.5, 0.006
-"""Gripper opening of an open hand, and the spread [m] beyond which an anchor's motions end in different places: those
-of a last approach spread by 8 mm or more, since pre-grasps differ; backing off from a grasp spreads by 5."""
+OPEN, AWAY, SCATTERED = 0.5, 0.02, 0.006
+"""Gripper opening of an open hand, the way [m] beyond which an anchor leads elsewhere, and the spread [m] beyond which
+its motions end in different places: those of a last approach spread by 8 mm or more, since pre-grasps differ; backing
+off from a grasp spreads by 5."""
 SILENT = 0.03
 """Anchors less likely than this are never drawn: what a network has not quite unlearned is no choice."""
 
@@ -90,7 +91,8 @@ class AnchorNetwork(nn.Module):
 
         What a closed hand can do is decided by what it holds, and a hand that lets go stays where it is.
         """
-        aiming = (self.anchors[:, -1] > OPEN) & (self.spread[:, :3].amax(dim=-1) > SCATTERED)
+        leading = (self.anchors[:, -1] > OPEN) & (self.anchors[:, :3].norm(dim=-1) > AWAY)
+        aiming = leading & (self.spread[:, :3].amax(dim=-1) > SCATTERED)
         return aiming[index]
 
 

@@ -364,8 +364,9 @@ def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> No
     model = policy.model
     model.anchors[:] = 0.0
     model.spread[:] = torch.tensor(LEAST_SPREAD)
-    model.anchors[:3, 6] = 1.0
-    model.spread[[0, 3], 2] = 0.03
+    model.anchors[:3, 6] = 1.0  # the fourth is closed
+    model.anchors[[0, 2, 3], 2] = 0.1  # the second stays where it is
+    model.spread[[0, 1, 3], 2] = 0.008  # the third ends where it always does
     assert model.aims(torch.arange(6)).tolist() == [True, False, False, False, False, False]
 
 
