@@ -89,9 +89,8 @@ def _visual(urdf: Path, geometry: Geometry) -> Triangles:
         )
     import trimesh
 
-    # SAPIEN passes over the poses of nodes (3 mm in the Panda's fourth link), and what it draws is what is wanted.
-    meshes = trimesh.load_scene(urdf.parent / geometry.mesh, process=False).geometry.values()
-    corners = np.concatenate([np.asarray(mesh.triangles, np.float64) for mesh in meshes]) * np.asarray(geometry.size)
+    whole = trimesh.load_scene(urdf.parent / geometry.mesh, process=False).to_mesh()
+    corners = np.asarray(whole.triangles, np.float64) * np.asarray(geometry.size)
     return _placed(corners.astype(np.float32), geometry.pose)
 
 
