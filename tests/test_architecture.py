@@ -317,7 +317,8 @@ def test_a_package_that_has_a_face_says_which() -> None:
     for path, tree in trees():
         if path.name != "__init__.py":
             continue
-        offers = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.module != "__future__"]
+        nodes = [node for top in tree.body for node in (ast.walk(top) if isinstance(top, ast.If) else (top,))]
+        offers = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module != "__future__"]
         stated = [
             node for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
         ]
