@@ -92,7 +92,7 @@ class AnchorNetwork(nn.Module):
         What a closed hand can do is decided by what it holds, and a hand that lets go stays where it is.
         """
         leading = (self.anchors[:, -1] > OPEN) & (self.anchors[:, :3].norm(dim=-1) > AWAY)
-        aiming = leading & (self.spread[:, :3].amax(dim=-1) > SCATTERED)
+        aiming: Tensor = leading & (self.spread[:, :3].amax(dim=-1) > SCATTERED)
         return aiming[index]
 
 
