@@ -16,6 +16,9 @@ KDTREE_HEIGHT = 6
 """Bucket height of the k-d line sampler: a tenth faster than the paper's ("QuickFPS") 5 for some 2 * 10^4 points. Where
 no two points are equally far it does not change what is sampled."""
 
+DEPTH_SIZE, FEW_POINTS, DEPTH_SIZE_OF_FEW = 320, 2048, 240
+"""Side of the depth picture whose pixels are the points [px], and what is enough for clouds of so few."""
+
 
 @dataclass(frozen=True)
 class Workspace:
@@ -43,6 +46,15 @@ def check_num_points(num_points: int) -> int:
     raise ConfigurationError(
         "Wrong number of points in the cloud.", got=num_points, allowed="1 ... 16384", hint="--num-points 1024"
     )
+
+
+def depth_size(num_points: int) -> int:
+    """Returns the side of the depth picture [px] that a cloud of so many points is sampled from.
+
+    The smallest object, a pen, shows 3,670 points at 240 px and 6,500 at 320; two thirds of a cloud's time go with the
+    number of pixels.
+    """
+    return DEPTH_SIZE_OF_FEW if num_points <= FEW_POINTS else DEPTH_SIZE
 
 
 def farthest_point_order(points: Cloud, num_points: int) -> Cloud:

@@ -111,7 +111,7 @@ def pair(before: list[float], after: list[float], *, rate: bool = False) -> Numb
 
 
 def simulator(old: Version, new: Version, categories: tuple[str, ...], repeats: int) -> Numbers:
-    """Returns category -> control tick [us], reset [ms], observation [ms], key frames per second and core."""
+    """Returns category -> control tick [us], reset [ms], cloud [ms], key frames per second and core."""
     found: Numbers = {}
     with old.worker() as ask_old, new.worker() as ask_new:
         for category in categories:
@@ -135,6 +135,7 @@ def _quantities(answer: Numbers) -> dict[str, float]:
     return {
         "tick_us": 1e6 * seconds["execute"] / calls["_tick"],
         "reset_ms": 1e3 * seconds["reset"] / calls["reset"],
+        "cloud_ms": 1e3 * seconds["cloud"] / calls["cloud"],
         "key_frames_per_core_second": calls["execute"] / answer["cpu"],
     }
 

@@ -68,9 +68,9 @@ class Counts:
 
 def compare(task: Any) -> Counts:
     """Compares what both see of a task, made with ``cloud_source="render"``, at this moment."""
-    from lerobot_env_adamanip.sim.camera import RENDER_SIZE, pinhole, points_in_world
+    from lerobot_env_adamanip.sim.camera import pinhole, points_in_world
 
-    camera = pinhole(task.views.camera(RENDER_SIZE))
+    camera = pinhole(task.views.camera(task.views.depth_size))
     rendered, cast = _rendered(task), _cast(task, 0.0, 0.0)
 
     def inside(millimetres: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -106,12 +106,12 @@ def _rendered(task: Any) -> NDArray[np.float32]:
 
 def _cast(task: Any, right: float, down: float) -> NDArray[np.float32]:
     """The same of rays, each so much of a pixel beside the middle of its own."""
-    from lerobot_env_adamanip.sim.camera import RENDER_SIZE
     from lerobot_env_adamanip.sim.sensors import RaycastSensor
 
     views = task.views
-    pixels, points = RaycastSensor(views.camera(RENDER_SIZE), views.bodies(), views.workspace, (right, down)).pixels()
-    image = np.zeros((RENDER_SIZE**2, 3), np.float32)
+    camera = views.camera(views.depth_size)
+    pixels, points = RaycastSensor(camera, views.bodies(), views.workspace, (right, down)).pixels()
+    image = np.zeros((views.depth_size**2, 3), np.float32)
     image[pixels] = points
     return image
 

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Container
 from pathlib import Path
 
 from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
-from lerobot_env_adamanip.fingerprint import present_fingerprint
+from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE, README, RESULTS = ROOT / "docs" / "results.md", ROOT / "README.md", ROOT / "results"
@@ -23,7 +24,7 @@ def read_results(folder: Path) -> dict[str, ResultFile]:
     return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
 
 
-def documents(folder: Path, present: str) -> dict[Path, str]:
+def documents(folder: Path, present: Container[str]) -> dict[Path, str]:
     """Returns document -> what it has to say."""
     results = read_results(folder)
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(results, present))
@@ -36,7 +37,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document would change")
     options = parser.parse_args()
     try:
-        wanted = documents(RESULTS, present_fingerprint())
+        wanted = documents(RESULTS, present_fingerprints())
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2

@@ -13,6 +13,7 @@ PAGE, REPORT = ROOT / "docs" / "speed.md", ROOT / "results" / "bench" / "against
 NAMES = {
     "tick_us": "control tick, µs of processor time",
     "reset_ms": "reset, ms of processor time",
+    "cloud_ms": "cloud of 1,024 points, what is made once an episode included, ms of processor time",
     "key_frames_per_core_second": "key frames with cloud per second and core",
     "with_pictures_per_minute": "`adamanip collect`, two workers, clouds and pictures: episodes a minute",
     "clouds_only_per_minute": "the same, clouds alone",
@@ -52,7 +53,7 @@ def _against(report: dict[str, Any]) -> list[str]:
 
 def _categories(report: dict[str, Any]) -> list[str]:
     names = list(next(iter(report["simulator"].values())))
-    lines = ["## By category", "", "The first three rows above are means of these.", ""]
+    lines = ["## By category", "", "The first four rows above are means of these.", ""]
     lines += [_row("category", *(NAMES[name] for name in names)), "|---" * (len(names) + 1) + "|"]
     for category, row in report["simulator"].items():
         cells = (f"{row[name]['before']} → {row[name]['after']} ({row[name]['ratio']} ×)" for name in names)

@@ -76,12 +76,14 @@ class Measured:
     """
 
     def __init__(self, clock: Clock, *, detail: bool) -> None:
+        from lerobot_env_adamanip.keyframe_env import KeyframeEnv
         from lerobot_env_adamanip.sim.tasks.base import AdaManipTask
 
         self.env: Any = None
         self._clock, self._detail = clock, detail
         for name in ("execute", "observe", "reset", "_tick"):
             clock.watch(AdaManipTask, name, name)
+        clock.watch(KeyframeEnv, "_observe", "cloud")
         if detail:
             self._watch_parts()
 

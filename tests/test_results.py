@@ -23,7 +23,12 @@ from lerobot_adamanip.evaluation.results import (
     write_result,
 )
 from lerobot_adamanip.evaluation.tables import END, NOTHING, START, readme_block, results_page, with_block
-from lerobot_env_adamanip.fingerprint import code_fingerprint, present_fingerprint
+from lerobot_env_adamanip.fingerprint import (
+    code_fingerprint,
+    environment_fingerprint,
+    present_fingerprint,
+    present_fingerprints,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 NOW, BEFORE = "a" * 16, "b" * 16
@@ -60,13 +65,13 @@ def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
 
 def test_documents_are_what_the_script_writes() -> None:
     module = script()
-    for path, text in module.documents(module.RESULTS, present_fingerprint()).items():
+    for path, text in module.documents(module.RESULTS, present_fingerprints()).items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python scripts/make_results.py"
 
 
 def test_every_number_in_the_readme_is_of_the_present_fingerprint() -> None:
-    now = present_fingerprint()
-    fresh = {name: each for name, each in script().read_results(ROOT / "results").items() if each.fingerprint == now}
+    now = present_fingerprints()
+    fresh = {name: each for name, each in script().read_results(ROOT / "results").items() if each.fingerprint in now}
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     block = text[text.index(START) : text.index(END) + len(END)]
     assert block == readme_block(fresh, now)
@@ -75,19 +80,19 @@ def test_every_number_in_the_readme_is_of_the_present_fingerprint() -> None:
 
 def test_a_changed_fingerprint_takes_a_number_out_of_the_readme_and_marks_it_on_the_page() -> None:
     results = {"experts.json": result()}
-    assert "19/20 (14.6)" in readme_block(results, NOW)
-    assert NOTHING not in readme_block(results, NOW)
-    stale = readme_block(results, BEFORE)
+    assert "19/20 (14.6)" in readme_block(results, {NOW})
+    assert NOTHING not in readme_block(results, {NOW})
+    stale = readme_block(results, {BEFORE})
     assert "19/20" not in stale
     assert NOTHING in stale
-    page = results_page(results, BEFORE)
+    page = results_page(results, {BEFORE})
     assert "19/20 (14.6)" in page
     assert f"**Of another fingerprint**, `{NOW}`" in page
-    assert "Of another fingerprint" not in results_page(results, NOW)
+    assert "Of another fingerprint" not in results_page(results, {NOW})
 
 
 def test_a_table_says_what_it_was_measured_with() -> None:
-    page = results_page({"experts.json": result()}, NOW)
+    page = results_page({"experts.json": result()}, {NOW})
     for text in (
         "`python scripts/check_experts.py --category all`",
         f"fingerprint `{NOW}`",
@@ -106,7 +111,7 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
     records = [record(seed=k, locked=k % 2 == 0, success=k % 4 != 0) for k in range(20)]
     rows = rows_of_records([*records, records[0]], "dp3_adaptive")
     assert [(row.objects, row.successes, row.episodes) for row in rows] == [("seen", 15, 20)]
-    block = readme_block({"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}, NOW)
+    block = readme_block({"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}, {NOW})
     assert (
         "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | direction +1 15/20, locked 5/10, unlocked 10/10 |" in block
     )
@@ -172,3 +177,13 @@ def test_the_fingerprint_covers_core_and_simulator_and_starts_neither() -> None:
     assert set(parts) == {"contract", "mechanisms", "objects", "experts", "simulator"}
     assert len(set(parts.values())) == len(parts)
     assert re.fullmatch(r"[0-9a-f]{16}", present_fingerprint())
+
+
+def test_other_experts_leave_the_results_of_policies_what_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    policies, experts = environment_fingerprint(), present_fingerprint()
+    parts = {**code_fingerprint(), "experts": "other"}
+    monkeypatch.setattr("lerobot_env_adamanip.fingerprint.code_fingerprint", lambda: parts)
+    assert environment_fingerprint() == policies
+    assert present_fingerprint() != experts
+    parts["simulator"] = "other"
+    assert environment_fingerprint() != policies

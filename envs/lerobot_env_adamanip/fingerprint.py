@@ -17,5 +17,15 @@ def code_fingerprint() -> Mapping[str, str]:
 
 
 def present_fingerprint() -> str:
-    """Returns one hash of `code_fingerprint`: what logs and results carry, the same on every machine."""
+    """Returns one hash of `code_fingerprint`: what results of experts carry, the same on every machine."""
     return combined(code_fingerprint())
+
+
+def environment_fingerprint() -> str:
+    """Returns one hash of what decides how a policy's episode comes out: all of `code_fingerprint` but the experts."""
+    return combined({part: made for part, made in code_fingerprint().items() if part != "experts"})
+
+
+def present_fingerprints() -> frozenset[str]:
+    """Returns what results of the present code carry, those of experts and those of policies."""
+    return frozenset((present_fingerprint(), environment_fingerprint()))

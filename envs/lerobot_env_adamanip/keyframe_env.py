@@ -20,10 +20,11 @@ from lerobot_adamanip.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.observation import state_vector, workspace_cloud
 from lerobot_adamanip.options import EnvironmentOptions, require_known
+from lerobot_adamanip.pointcloud import depth_size
 from lerobot_adamanip.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
 from lerobot_adamanip.seeds import retried_seed, scene_seed
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
-from lerobot_env_adamanip.fingerprint import code_fingerprint, present_fingerprint
+from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 from lerobot_env_adamanip.starting import make_task, require_simulator, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
@@ -216,6 +217,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
                 poses=self.options.poses,
                 mechanism_preset=self.options.mechanism_preset,
                 image_size=self.options.image_size,
+                depth_size=depth_size(self.num_points),
                 hidden_overrides=dict(self.options.hidden_overrides),
                 cloud_source=self.options.cloud_source,
                 workspace=self.options.workspace,
@@ -264,7 +266,7 @@ def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]
     """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
     log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log))
     run_id = None if log is None else options.run_id or new_run_id()
-    return log, Provenance(present_fingerprint(), __version__, options.mechanism_preset, run_id, options.run_label)
+    return log, Provenance(environment_fingerprint(), __version__, options.mechanism_preset, run_id, options.run_label)
 
 
 def _options(category: str | None, options: EnvironmentOptions | None, values: dict[str, Any]) -> EnvironmentOptions:

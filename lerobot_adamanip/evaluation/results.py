@@ -122,7 +122,7 @@ def make_result(
         kind: see `KINDS`.
         title: one line.
         command: as typed; raises `ConfigurationError` if it holds a path of this machine.
-        fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()`, or that of the log.
+        fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()` for experts, else that of the log.
         seeds: of the episodes.
         scenes: their split.
         seconds: it took.

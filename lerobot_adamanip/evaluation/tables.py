@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.rates import rate
@@ -13,28 +13,29 @@ INTRODUCTION = """# Results
 
 Generated from the files in `results/` by `python scripts/make_results.py`; a test compares the two. Each table says
 with which command, commit and seeds it was measured, and by which code: the *fingerprint* is a hash of all that decides
-how an episode comes out (contract, mechanisms, objects, experts, simulator). Only tables of the present fingerprint
-stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a success.
+how an episode comes out (contract, mechanisms, objects, simulator; experts, where they acted). Only tables of the
+present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
+success.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _CONTINUOUS = ("<", ">=")
 
 
-def results_page(results: Mapping[str, ResultFile], present: str) -> str:
+def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
     """Returns docs/results.md.
 
     Args:
         results: by file name.
-        present: fingerprint of the present code.
+        present: fingerprints of the present code: with experts, and without.
     """
     parts = [INTRODUCTION]
-    fresh = {name: result for name, result in results.items() if result.fingerprint == present}
-    stale = {name: result for name, result in results.items() if result.fingerprint != present}
+    fresh = {name: result for name, result in results.items() if result.fingerprint in present}
+    stale = {name: result for name, result in results.items() if result.fingerprint not in present}
     if not fresh:
         parts.append(f"{NOTHING}\n")
     for name, result in (*fresh.items(), *stale.items()):
         parts.append(f"## {_heading(result)}\n")
-        if result.fingerprint != present:
+        if result.fingerprint not in present:
             parts.append(
                 f"**Of another fingerprint**, `{result.fingerprint}` (version {result.version}): "
                 "not what the present code would give.\n"
@@ -44,9 +45,9 @@ def results_page(results: Mapping[str, ResultFile], present: str) -> str:
     return "\n".join(parts)
 
 
-def readme_block(results: Mapping[str, ResultFile], present: str) -> str:
+def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
     """Returns what stands between the README's marks, both included: tables of the present fingerprint alone."""
-    fresh = [result for result in results.values() if result.fingerprint == present]
+    fresh = [result for result in results.values() if result.fingerprint in present]
     parts = [START]
     for result in fresh:
         parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result)}\n")

@@ -14,8 +14,6 @@ from lerobot_adamanip.pointcloud import Cloud
 from lerobot_env_adamanip.sim.observation import CameraParameters
 from lerobot_env_adamanip.sim.raycast import PinholeCamera
 
-RENDER_SIZE = 320
-"""Side of what is rendered for an observation [px], whatever the image's size: each of its pixels is a point."""
 OPENCV_FROM_GL = np.diag([1.0, -1.0, -1.0, 1.0])
 GL_FROM_BODY = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """SAPIEN poses a camera as a body that looks along x, with z up."""

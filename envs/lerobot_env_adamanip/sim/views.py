@@ -12,7 +12,7 @@ from mani_skill.sensors.camera import CameraConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.pointcloud import Cloud, Workspace
-from lerobot_env_adamanip.sim.camera import RENDER_SIZE, camera_parameters, pinhole
+from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
 from lerobot_env_adamanip.sim.observation import CameraParameters
 from lerobot_env_adamanip.sim.pictures import PictureScene
 from lerobot_env_adamanip.sim.robot import joint_snapshot, set_joints
@@ -30,6 +30,7 @@ class Views:
         agent: ManiSkill's, of the arm.
         camera: returns the camera's configuration for a picture of so many pixels along a side.
         image_size: of the image [px].
+        depth_size: of the picture whose pixels are the points [px].
         workspace: of which points are wanted.
         render_backend: what renders pictures, see `lerobot_adamanip.options.RENDER_BACKENDS`.
         rendered: sees points and image in a scene that is rendered anyway; None where points are cast as rays.
@@ -39,6 +40,7 @@ class Views:
     agent: Any
     camera: Callable[[int], CameraConfig]
     image_size: int
+    depth_size: int
     workspace: Workspace
     render_backend: str
     rendered: RenderedSensor | None = None
@@ -51,7 +53,7 @@ class Views:
         if self.rendered is not None:
             return self.rendered
         if self._cast is None:
-            self._cast = RaycastSensor(self.camera(RENDER_SIZE), self.bodies(), self.workspace)
+            self._cast = RaycastSensor(self.camera(self.depth_size), self.bodies(), self.workspace)
         return self._cast
 
     def points(self) -> Cloud:
@@ -91,7 +93,7 @@ class Views:
 
     def camera_parameters(self) -> CameraParameters:
         """Returns the camera's parameters for the image."""
-        return camera_parameters(pinhole(self.camera(RENDER_SIZE)), self.image_size)
+        return camera_parameters(pinhole(self.camera(self.image_size)), self.image_size)
 
     @property
     def _robot(self) -> Any:

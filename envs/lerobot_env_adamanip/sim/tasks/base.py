@@ -18,10 +18,9 @@ from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.keyframes import Feedback
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim.backends import device_for, require_one_on_cpu
-from lerobot_env_adamanip.sim.camera import RENDER_SIZE
 from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
 from lerobot_env_adamanip.sim.garbage import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
@@ -79,6 +78,7 @@ class AdaManipTask(BaseEnv):
         poses: str = "randomized",
         mechanism_preset: str = "paper",
         image_size: int = 256,
+        depth_size: int = DEPTH_SIZE,
         shader: str = "default",
         render_backend: str = "auto",
         cloud_source: str = "raycast",
@@ -94,7 +94,7 @@ class AdaManipTask(BaseEnv):
         self.randomization = randomization(poses)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
-        self._image_size, self._shader = image_size, shader
+        self._image_size, self._depth_size, self._shader = image_size, depth_size, shader
         self._cloud_source, self._workspace = resolve_cloud_source(cloud_source), workspace
         self._renderer = render_backend
         kwargs.setdefault("reconfiguration_freq", 1)
@@ -188,8 +188,8 @@ class AdaManipTask(BaseEnv):
         """Plain ManiSkill observes by itself, at the size it asked for; a cloud of key frames does not depend on it."""
         if self._obs_mode != "none":
             return {CAMERA: self._image_size}
-        larger = {IMAGE_CAMERA: self._image_size} if self._image_size > RENDER_SIZE else {}
-        return {CAMERA: RENDER_SIZE, **larger}
+        larger = {IMAGE_CAMERA: self._image_size} if self._image_size > self._depth_size else {}
+        return {CAMERA: self._depth_size, **larger}
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
@@ -261,9 +261,8 @@ class AdaManipTask(BaseEnv):
         if self._cloud_source == "render":
             own = self._sensors.get(IMAGE_CAMERA)
             rendered = RenderedSensor(self.scene, self._sensors[CAMERA], own, self._image_size)
-        return Views(
-            self._objects, self.agent, self._camera, self._image_size, self._workspace, self._renderer, rendered
-        )
+        sizes = self._image_size, self._depth_size
+        return Views(self._objects, self.agent, self._camera, *sizes, self._workspace, self._renderer, rendered)
 
     def _stream(self, stream: int) -> np.random.Generator:
         """A generator of its own for each kind of draw: the hidden draw leaves every other as it is."""
