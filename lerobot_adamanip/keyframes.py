@@ -91,6 +91,7 @@ class KeyFrameLabels:
         tried: index of the joint that was tried in the mechanism's `joints` (0 the one that opens); -1 for none.
         failed: whether the try failed; False where nothing was tried.
         progress: how far the tried joint moved, in the direction it was sent [rad or m]; 0 where nothing was tried.
+        sent: how far the tried joint was sent, signed [rad or m]; 0 where nothing was tried.
         trial: failed tries of this episode before this key frame: it counts up right after each failed one.
     """
 
@@ -98,6 +99,7 @@ class KeyFrameLabels:
     failed: bool = False
     progress: float = 0.0
     trial: int = 0
+    sent: float = 0.0
 
 
 KeyFrames = Generator[Goal, Feedback, None]

@@ -207,7 +207,8 @@ class TryLabeler:
         if tried is not None:
             self.first_part = self.first_part or tried.part
             progress = tried.progress(self._positions[tried.joint], positions[tried.joint])
-            self.labels = KeyFrameLabels(self._joints.index(tried.joint), tried.failed(progress), progress, trial)
+            joint, failed = self._joints.index(tried.joint), tried.failed(progress)
+            self.labels = KeyFrameLabels(joint, failed, progress, trial, tried.sent)
         self.history.append(self.labels)
         self._felt, self._positions, self._was_closed = feedback, dict(positions), gripper < CLOSED
         return self.labels

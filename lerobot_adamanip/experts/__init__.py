@@ -9,6 +9,7 @@ import numpy as np
 
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.experts import lamp, microwave, safe, turn_to_open
+from lerobot_adamanip.experts.belief import Belief
 from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import Hand, Parts
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
@@ -67,6 +68,7 @@ def make_expert(
     mechanism_preset: str = DEFAULT_MECHANISM_PRESET,
     positions: Mapping[str, float] | None = None,
     feedback: Feedback | None = None,
+    belief: Belief | None = None,
 ) -> KeyFrames:
     """Returns an expert at work.
 
@@ -82,13 +84,15 @@ def make_expert(
             fixed, an adaptive expert knows, as a policy learns it from any demonstration.
         positions: joint -> where it stands at the start [rad or m], as a camera sees it: a door that is ajar, a knob
             that is turned. Left out is at rest.
-        feedback: of the hand at the start, if it may hold something or be about a part: it then lets go first.
+        feedback: of the hand at the start, if it may hold something or be about a part: what it holds, or is about
+            to, it goes on with if the expert wants it, and else lets go first.
+        belief: what tries before this expert's own tell, whoever made them.
 
     Raises:
         ConfigurationError: an unknown name, or knowledge that this kind of expert must not have or lacks.
     """
     expert = EXPERTS[require_choice("category", category, EXPERTS)]
-    hand = Hand(generator, trials, dict(positions or {}))
+    hand = Hand(generator, trials, dict(positions or {}), belief=belief or Belief())
     _check_knowledge(require_choice("expert", kind, EXPERT_KINDS), trials, hidden)
     if hidden is not None:
         return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
@@ -116,12 +120,11 @@ def _check_knowledge(kind: str, trials: int, hidden: Hidden | None) -> None:
 
 def _started(hand: Hand, parts: Parts, feedback: Feedback | None, frames: KeyFrames) -> KeyFrames:
     if feedback is not None:
-        hand.feedback, hand.home = feedback, feedback.tcp_in_base.copy()
-        yield from hand.clear(parts)
+        hand.feedback, hand.home, hand.parts = feedback, feedback.tcp_in_base.copy(), parts
     yield from frames
 
 
 __all__ = [
-    "EXPERTS", "EXPERT_KINDS", "EXPERT_PRESETS", "Expert", "Feedback", "Goal", "KeyFrames", "Outcome", "Phase",
-    "make_expert",
+    "EXPERTS", "EXPERT_KINDS", "EXPERT_PRESETS", "Belief", "Expert", "Feedback", "Goal", "KeyFrames", "Outcome",
+    "Phase", "make_expert",
 ]  # fmt: skip

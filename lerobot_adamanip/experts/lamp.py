@@ -33,8 +33,11 @@ def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     if abs(hand.at("knob")) > TURNED:
         yield from _attempt(hand, knob, 1 if hand.at("knob") > 0 else 2)
         return
-    for _ in range(MAX_ROUNDS):
+    failed = _failed_before(hand)
+    for number in range(MAX_ROUNDS):
         for mode in hand.rng.permutation(len(MOTIONS)):
+            if number == 0 and mode in failed:
+                continue
             for _ in range(hand.trials):
                 if (yield from _attempt(hand, knob, int(mode))):
                     return
@@ -53,6 +56,14 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 def _hold(hand: Hand, knob: PartAnnotation) -> Attempt:
     hand.settles = {"button": 0.0}
     return (yield from hand.grasp(knob)) or (yield from hand.regrasp(knob))
+
+
+def _failed_before(hand: Hand) -> set[int]:
+    """Returns the modes that others have tried in vain; none if that is all: one that slipped tells nothing."""
+    blocked = {("knob", way) for way in hand.belief.blocked_ways("knob", TURNED)}
+    blocked |= {("button", 1)} if hand.belief.blocked("button") else set()
+    failed = {mode for mode, motion in enumerate(MOTIONS) if motion in blocked}
+    return failed if len(failed) < len(MOTIONS) else set()
 
 
 def _attempt(hand: Hand, knob: PartAnnotation, mode: int) -> Attempt:

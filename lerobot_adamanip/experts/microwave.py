@@ -19,11 +19,15 @@ SEQUENCE = "pull door; if it is blocked: let go, push button with the closed han
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
     handle = known.parts["handle"]
+    # Who takes over from a hand that has pulled in vain pushes first.
+    pushing = not hand.is_ajar(handle, "door") and hand.belief.blocked("door", until="button")
     for number in range(MAX_ROUNDS + 1):
-        opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
-        if opening is Opening.DONE:
-            return
-        yield from hand.release()
+        if not pushing:
+            opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
+            if opening is Opening.DONE:
+                return
+            yield from hand.release()
+        pushing = False
         if not hand.is_ajar(handle, "door"):
             yield from push_button(hand, known.parts["button"])
 

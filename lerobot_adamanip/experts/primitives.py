@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lerobot_adamanip.experts.belief import Belief
 from lerobot_adamanip.keyframes import EMPTY_HAND, FOLLOWED, PRE_GRASP, Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.rotations import angle_between, transform
 
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
 """Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; what
@@ -22,6 +23,12 @@ APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
 the arm's reach, where a path may not exist though both of its ends are within reach."""
 OPEN_HAND = 0.9
 """Finger opening above which a hand holds nothing."""
+HELD_WITHIN, HELD_TURNED = 0.015, 0.3
+"""A hand that closes on something this near to a grasp holds the part [m, rad]."""
+AT_GRASP, AT_GRASP_TURNED = 0.004, 0.06
+"""An open hand this near to a grasp needs only close [m, rad]."""
+BESIDE, ASKEW = 0.035, 0.35
+"""An open hand no farther from a grasp than `PRE_GRASP`, and this near to its line, goes straight there [m, rad]."""
 NEAR_PART = 0.06
 """A hand this close to a grasp [m] is about the part, and has to back off before it goes anywhere."""
 AJAR = {"revolute": 0.07, "prismatic": 0.006, "fixed": np.inf}
@@ -62,6 +69,9 @@ class Hand:
         positions: joint -> where it stands [rad or m]: seen at the start, then felt by the hand that holds its part.
         feedback: the latest. At the start: of the hand as it is, if it need not be open and away from every part.
         home: (4, 4) pose at the start, where known: from there the arm gets anywhere.
+        belief: what tries before this expert's own tell.
+        parts: all of them, where the hand takes over from another: it may be about any of them. None where it starts
+            open and away from every part.
         settles: joint -> where it goes when its part is let go after it has moved [rad or m]: a lever springs back, a
             lid falls shut, a portafilter falls out.
     """
@@ -71,6 +81,8 @@ class Hand:
     positions: dict[str, float] = field(default_factory=dict)
     feedback: Feedback = field(default_factory=lambda: Feedback(np.eye(4), 1.0))
     home: NDArray[np.float64] | None = None
+    belief: Belief = field(default_factory=Belief)
+    parts: Parts | None = None
     settles: Mapping[str, float] = field(default_factory=dict)
     _sent: tuple[str, float] | None = None
 
@@ -91,15 +103,30 @@ class Hand:
         """One key frame."""
         self.feedback = yield Goal(pose, gripper, phase)
 
-    def clear(self, parts: Parts) -> Frames:
-        """Lets go and backs off where the episode begins with a hand that is closed, or about a part."""
+    def clear(self) -> Frames:
+        """Lets go and backs off where this expert takes over with a hand that is closed, or about a part."""
+        parts, self.parts = self.parts or {}, None
         here = self.feedback.tcp_in_base[:3, 3]
         near = (np.linalg.norm(part.moved(self.positions)[:3, 3] - here) < NEAR_PART for part in parts.values())
-        if self.feedback.gripper < OPEN_HAND or any(near):
+        if parts and (self.feedback.gripper < OPEN_HAND or any(near)):
             yield from self.release()
+
+    def holds(self, part: PartAnnotation) -> bool:
+        """Whether the hand that is taken over holds a part already."""
+        away, turned = self._beside(part.moved(self.positions))
+        full = EMPTY_HAND <= self.feedback.gripper < OPEN_HAND
+        return full and float(np.linalg.norm(away)) < HELD_WITHIN and turned < HELD_TURNED
+
+    def _beside(self, pose: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+        """Returns where the hand is as seen from a pose (4, 4): (3,) [m], and how far it is turned from it [rad]."""
+        here = self.feedback.tcp_in_base
+        return pose[:3, :3].T @ (here[:3, 3] - pose[:3, 3]), angle_between(pose[:3, :3], here[:3, :3])
 
     def grasp(self, part: PartAnnotation) -> Attempt:
         """Goes to a part where it is now, and closes the fingers. True if there is something between them."""
+        if self.parts is not None and self.holds(part):
+            self.parts = None
+            return True
         yield from self._approach(part, 1.0)
         yield from self.move_to(part.moved(self.positions), 0.0, Phase.GRASP)
         return not self.empty
@@ -110,6 +137,9 @@ class Hand:
 
     def _approach(self, part: PartAnnotation, gripper: float) -> Frames:
         grasp = part.moved(self.positions)
+        if self.parts is not None and (yield from self._go_on(grasp, gripper)):
+            return
+        yield from self.clear()
         for number, (distance, spread) in enumerate(APPROACHES):
             if number and self.home is not None:
                 yield from self.move_to(self.home, gripper, Phase.APPROACH)
@@ -119,6 +149,19 @@ class Hand:
             yield from self.move_to(grasp, gripper, Phase.APPROACH)
             if not self.feedback.failed:
                 return
+
+    def _go_on(self, grasp: NDArray[np.float64], gripper: float) -> Attempt:
+        """Takes an approach up where another hand has left it; True if the hand is at the grasp then."""
+        away, turned = self._beside(grasp)
+        as_wanted = self.feedback.gripper > OPEN_HAND if gripper else self.empty
+        short = -PRE_GRASP - BESIDE < away[2] < BESIDE
+        if not (as_wanted and short and np.linalg.norm(away[:2]) < BESIDE and turned < ASKEW):
+            return False
+        self.parts = None
+        if np.linalg.norm(away) < AT_GRASP and turned < AT_GRASP_TURNED:
+            return True
+        yield from self.move_to(grasp, gripper, Phase.APPROACH)
+        return not self.feedback.failed
 
     def release(self) -> Frames:
         """Opens the fingers where they are, and backs off."""

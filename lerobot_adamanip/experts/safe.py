@@ -28,15 +28,26 @@ SEQUENCE = "pull door; if it is blocked: let go, turn knob one way at random, th
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
     handle = known.parts["handle"]
+    # Who takes over from a hand that has turned the knob part of the way, or pulled in vain, turns it first.
+    blocked = hand.belief.blocked("door", until="knob")
+    turning = not hand.is_ajar(handle, "door") and (blocked or _turns(hand))
     for number in range(MAX_ROUNDS + 1):
-        opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
-        if opening is Opening.DONE:
-            return
-        yield from hand.release()
+        if not turning:
+            opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
+            if opening is Opening.DONE:
+                return
+            yield from hand.release()
+        turning = False
         if not hand.is_ajar(handle, "door"):
-            first = known.direction or int(hand.rng.choice([-1, 1]))
+            first = hand.belief.way("knob", TURNED) or known.direction or int(hand.rng.choice([-1, 1]))
             yield from turn_knob(hand, known.parts["knob"], (first, -first))
             yield from hand.release()
+
+
+def _turns(hand: Hand) -> bool:
+    """Whether the hand that is taken over is turning the knob, and has not felt it stop."""
+    latest = hand.belief.tries[-1] if hand.belief.tries else None
+    return latest is not None and latest.joint == "knob" and not hand.belief.stopped("knob", TURNED)
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:

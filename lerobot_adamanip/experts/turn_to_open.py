@@ -100,10 +100,10 @@ class TurnToOpenExpert:
     def __init__(self, style: TurnToOpen, part: PartAnnotation, hand: Hand) -> None:
         self.style, self.part, self.hand = style, part, hand
         self.direction = 1
-        self.farthest = abs(hand.at(style.key))
+        self.farthest = max(abs(hand.at(style.key)), hand.belief.farthest(style.key))
         self.slips = 0
         """Tries after which the hand was not where it had taken hold, since it took hold."""
-        self.at_end = False
+        self.at_end = hand.belief.stopped(style.key, FOLLOWED * style.step)
         """Whether the key has been felt to stop after it had turned: it turns no farther."""
         hand.settles = style.settles
 
@@ -120,9 +120,12 @@ class TurnToOpenExpert:
         if self.hand.is_open(style.final, style.opening):
             return
         # A key that stands turned shows which way it goes.
-        self.direction = int(np.sign(self.angle)) if turned else fixed_direction or drawn
+        known = fixed_direction or self.hand.belief.way(style.key, FOLLOWED * style.step)
+        self.direction = int(np.sign(self.angle)) if turned else known or drawn
         yield from self._hold()
-        may = rng.random() < (style.p_open if turned else style.p_open_first)
+        may = rng.random() < (style.p_open if turned else style.p_open_first) or self.at_end
+        # Where others have tried it in vain, it is not tried again.
+        may = may and abs(self.angle) > self.hand.belief.blocked_at(style.final, style.key) + FOLLOWED * style.step / 2
         ajar = self.hand.is_ajar(self.part, style.final)
         if (ajar or (may and abs(self.angle) >= style.not_before)) and (yield from self._try_to_open()):
             return

@@ -1,0 +1,118 @@
+"""What the tries so far tell of the hidden state, whoever made them: an expert, a policy, or a person.
+
+A belief is nothing but the tries and what was felt of each. Everything hidden is one of a few possibilities (a
+direction, a mode, locked or not), and a try that failed rules some of them out until something else has changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lerobot_adamanip.keyframes import KeyFrameLabels
+
+Positions = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class FeltTry:
+    """One try, as whoever made it felt it.
+
+    Attributes:
+        joint: that was tried.
+        sign: of the way it was sent.
+        before, after: joint -> where it stood [rad or m].
+        failed: whether the joint did not follow, see `KeyFrameLabels`.
+    """
+
+    joint: str
+    sign: int
+    before: Positions
+    after: Positions
+    failed: bool
+
+
+@dataclass(frozen=True)
+class Belief:
+    """What is known of an episode's hidden state. Nothing at the start.
+
+    Attributes:
+        tries: so far, in order.
+    """
+
+    tries: tuple[FeltTry, ...] = ()
+
+    def after(self, labels: KeyFrameLabels, joints: tuple[str, ...], before: Positions, after: Positions) -> Belief:
+        """Returns the belief after one more key frame.
+
+        Args:
+            labels: of the key frame.
+            joints: of the mechanism, as ``labels.tried`` counts them.
+            before: where the joints stood when it began [rad or m].
+            after: where they stood when it ended.
+        """
+        if labels.tried < 0:
+            return self
+        sign = int(np.sign(labels.sent))
+        felt = FeltTry(joints[labels.tried], sign, dict(before), dict(after), labels.failed)
+        return replace(self, tries=(*self.tries, felt))
+
+    def latest(self, joint: str) -> FeltTry | None:
+        """Returns the latest try of a joint; None if there was none."""
+        return next((each for each in reversed(self.tries) if each.joint == joint), None)
+
+    def blocked(self, joint: str, *, until: str = "") -> bool:
+        """Whether the latest try of a joint failed, and no try of another one (``until``) has succeeded since."""
+        for each in reversed(self.tries):
+            if each.joint == joint:
+                return each.failed
+            if each.joint == until and not each.failed:
+                return False
+        return False
+
+    def blocked_ways(self, joint: str, rest: float) -> set[int]:
+        """Returns the signs in which a joint did not follow from where it rests, and never has.
+
+        Args:
+            joint: name.
+            rest: nearer to zero than this it stands at rest [rad or m].
+        """
+        found = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
+        return found - self._ways(joint, rest)
+
+    def way(self, joint: str, rest: float) -> int:
+        """Returns the sign in which a joint has followed, or must do since the other way is blocked; 0 if unknown."""
+        ways = self._ways(joint, rest)
+        blocked = self.blocked_ways(joint, rest)
+        if len(ways) == 1:
+            return next(iter(ways))
+        return -next(iter(blocked)) if len(blocked) == 1 else 0
+
+    def farthest(self, joint: str) -> float:
+        """Returns the farthest from zero that tries have taken a joint [rad or m], without sign."""
+        return max((abs(each.after[joint]) for each in self.tries if each.joint == joint), default=0.0)
+
+    def stopped(self, joint: str, rest: float) -> bool:
+        """Whether a joint has been felt to come to its stop: it was sent on from where it stood turned, in vain."""
+        latest = self.latest(joint)
+        return (
+            latest is not None
+            and latest.failed
+            and not at_rest(latest, rest)
+            and latest.sign * latest.before[joint] > 0
+        )
+
+    def blocked_at(self, joint: str, key: str) -> float:
+        """Returns the farthest position of ``key``, unsigned, at which ``joint`` was tried in vain; -1 for never."""
+        return max((abs(each.before[key]) for each in self.tries if each.joint == joint and each.failed), default=-1.0)
+
+    def _ways(self, joint: str, rest: float) -> set[int]:
+        moved = (each.after[joint] for each in self.tries if each.joint == joint)
+        return {int(np.sign(place)) for place in moved if abs(place) > rest}
+
+
+def at_rest(felt: FeltTry, rest: float) -> bool:
+    """Whether a try began with its joint at rest."""
+    return abs(felt.before[felt.joint]) < rest
