@@ -13,6 +13,7 @@ from torch.utils.data import default_collate
 from torch.utils.data._utils.collate import default_collate_fn_map
 
 from lerobot_adamanip.columns import ColumnStore
+from lerobot_adamanip.schema import ACTION, EXECUTED
 
 Batch = dict[str, Any]
 """Key -> tensor (B, ...), or a list of B texts."""
@@ -51,6 +52,8 @@ class Windows:
     def batch(self, indices: Sequence[int]) -> Batch:
         """Returns rows (B, ...), windows (B, T, ...) and their padding (B, T), in the order of an item's keys.
 
+        Past actions are those that were executed: where a policy drove, the column ``action`` tells what to do better.
+
         Args:
             indices: rows of the store; negative ones count from its end.
 
@@ -70,6 +73,9 @@ class Windows:
             batch[f"{key}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))
             if key in self._store:
                 windows[key] = self._window(key, wanted.clip(start, end - 1))
+                if key == ACTION and EXECUTED in self._store and (steps < 0).any():
+                    past = (wanted.clip(start, end - 1))[:, steps < 0]
+                    windows[key][:, steps < 0] = self._window(EXECUTED, past)
         return {**{name: windows.get(name, batch.get(name)) for name in self._names}, **batch, **windows}
 
     def _window(self, key: str, wanted: NDArray[np.int64]) -> torch.Tensor:

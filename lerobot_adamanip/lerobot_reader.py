@@ -15,7 +15,7 @@ from lerobot.datasets.dataset_reader import DatasetReader
 
 from lerobot_adamanip.columns import ColumnStore
 from lerobot_adamanip.lerobot_batches import Batch, Windows, register
-from lerobot_adamanip.schema import LATEST_ONLY, SKIP_VIDEOS
+from lerobot_adamanip.schema import ACTION, EXECUTED, LATEST_ONLY, SKIP_VIDEOS
 
 _DEPTH_UNITS = "_image_depth_units"
 
@@ -96,6 +96,10 @@ class FastDatasetReader(DatasetReader):
         for key, wanted in query_indices.items():
             if key in tables.store:
                 result[key] = tables.store.rows(key, self._relative(wanted))
+                past = [place for place, delta in enumerate(self.delta_indices[key]) if delta < 0]
+                if key == ACTION and past and EXECUTED in tables.store:
+                    sent = self._relative([wanted[place] for place in past])
+                    result[key][past] = tables.store.rows(EXECUTED, sent)
             elif key not in self._meta.video_keys:
                 result[key] = torch.stack(tables.single(key)[self._relative(wanted)][key])
         return result

@@ -46,6 +46,10 @@ class KeyframeEnvironment(Protocol):
     def part_positions(self) -> dict[str, float]:
         """Joint positions of the object as they stand now [rad or m]: what a camera sees of an open door."""
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the object's joints as `labels` counts them: the one that opens first."""
+
     def fingerprint(self) -> dict[str, str]:
         """Part -> hash or name of what decides how an episode comes out; see `lerobot_adamanip.fingerprint`."""
 
@@ -86,6 +90,7 @@ class KeyFrame:
         following: the observation after it.
         success: whether the task is done by now.
         labels: what it tried, and what came of that.
+        executed: (10,) action that was sent, if not the goal's: see `lerobot_adamanip.demos.corrections`.
     """
 
     observation: Observation
@@ -94,6 +99,7 @@ class KeyFrame:
     following: Observation
     success: bool
     labels: KeyFrameLabels
+    executed: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)

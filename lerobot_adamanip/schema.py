@@ -24,6 +24,8 @@ TRIED = "complementary_info.tried"
 FAILED = "complementary_info.failed"
 PROGRESS = "complementary_info.progress"
 JOINTS = "complementary_info.joints"
+EXECUTED = "complementary_info.executed"
+"""What the arm was really sent, where a policy drove and ``action`` is what an expert would have done."""
 SUCCESS = "next.success"
 DONE = "next.done"
 
@@ -93,6 +95,7 @@ def dataset_features(
         **({FRONT_IMAGE: image} if images else {}),
         ACTION: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
         **{key: {"dtype": dtype, "shape": (1,), "names": None} for key, dtype in LABEL_DTYPES.items()},
+        EXECUTED: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
         JOINTS: {"dtype": "float32", "shape": (len(JOINT_NAMES),), "names": list(JOINT_NAMES)},
     }
 

@@ -63,7 +63,7 @@ def test_a_policy_is_shown_what_is_sensed_and_no_label() -> None:
     assert observed == {schema.POINT_CLOUD, schema.STATE, schema.EFFORT, schema.FRONT_IMAGE}
     others = set(schema.dataset_features()) - observed - {schema.ACTION}
     assert others
-    assert others == {*schema.LABEL_DTYPES, schema.JOINTS}
+    assert others == {*schema.LABEL_DTYPES, schema.EXECUTED, schema.JOINTS}
     assert all(key.startswith(("complementary_info.", "next.")) for key in others)
 
 

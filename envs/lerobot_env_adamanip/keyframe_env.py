@@ -173,6 +173,11 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Returns the object's joint positions as they stand now [rad or m]: what a camera sees of an open door."""
         return self._running().joint_positions()
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the object's joints as `labels` counts them: the one that opens first."""
+        return self._running().mechanism.joints
+
     def joints(self) -> NDArray[np.float32]:
         """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records."""
         return self._running().views.joints()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import json
 import shlex
 import sys
@@ -25,6 +26,7 @@ from lerobot_adamanip.hub.publish import publish, require_hub_name
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
 from lerobot_adamanip.options import EnvironmentOptions, require_known
+from lerobot_adamanip.trained_policy import TrainedPolicy, policy_hash
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -86,6 +88,13 @@ class Collect:
 
     keep_failed: bool = False
     """Keep failed episodes too, in a second dataset, ROOT-failed."""
+
+    policy: Path | None = None
+    """Folder pretrained_model of a policy that is to be corrected: it drives, and the expert, which takes over from any
+    state, says at each key frame what it would do. That is what is recorded as the action (DAgger)."""
+
+    expert_share: float = 0.3
+    """With --policy: share of key frames that the expert drives, so that the episode gets on."""
 
     seed: int = 0
     """Of the whole collection."""
@@ -183,6 +192,8 @@ class Collect:
             trials=self.trials,
             late_starts=self.late_starts,
             keep_failed=self.keep_failed,
+            policy="" if self.policy is None else policy_hash(self.policy),
+            expert_share=1.0 if self.policy is None else self.expert_share,
             seed=self.seed,
         )
 
@@ -203,7 +214,7 @@ class Collect:
     def _collect(self, spec: CollectionSpec, options: CollectOptions) -> CollectSummary:
         # What libraries print must not get into the JSON.
         with show_progress(_STAGES, every_stage=True) as listener, contextlib.redirect_stdout(sys.stderr):
-            return collect(self.root, spec, factories(), options, listener)
+            return collect(self.root, spec, factories(self.policy), options, listener)
 
     def _print(self, summary: CollectSummary) -> None:
         if self.json:
@@ -228,12 +239,13 @@ class Collect:
             print(f"missing: {line}")
 
 
-def factories() -> Factories:
-    """Returns what demonstrations are recorded with: the simulator and the scripted experts."""
+def factories(policy: Path | None = None) -> Factories:
+    """Returns what demonstrations are recorded with: the simulator, the scripted experts, a policy to be corrected."""
     from lerobot_adamanip.experts import make_expert
     from lerobot_env_adamanip.factory import make_keyframe_env
 
-    return Factories(make_keyframe_env, make_expert)
+    actor = None if policy is None else functools.partial(TrainedPolicy, policy.resolve())
+    return Factories(make_keyframe_env, make_expert, actor)
 
 
 def _print_categories(summary: CollectSummary) -> None:

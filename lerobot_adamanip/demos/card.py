@@ -27,6 +27,7 @@ COLUMNS = {
     schema.TRIED: "joint that this row's action tried to move: 0 the one that opens, 1 and up the others, -1 none",
     schema.FAILED: "whether that try failed: the joint covered less than half of the way it was sent",
     schema.PROGRESS: "how far that joint moved, in the direction it was sent [rad or m]",
+    schema.EXECUTED: "what the arm was sent: `action`, but where a policy drove and `action` corrects it",
     schema.JOINTS: "positions of all joints, from which `adamanip render` makes pictures: never a policy's input",
     schema.SUCCESS: "whether the task is done after this row's action",
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",

@@ -68,6 +68,9 @@ class CollectionSpec:
         seed: of the whole collection.
         late_starts: share of episodes that start late, see `lerobot_adamanip.demos.late_starts`.
         keep_failed: whether failed episodes are kept, in a dataset of their own.
+        policy: hash of the policy that drives and is corrected by the expert, see `lerobot_adamanip.demos.corrections`;
+            empty where the expert demonstrates. Its episodes are kept whether they succeed or not.
+        expert_share: share of key frames that the expert drives; 1 where it demonstrates.
     """
 
     environment: EnvironmentOptions
@@ -79,6 +82,8 @@ class CollectionSpec:
     seed: int = 0
     late_starts: float = DEFAULT_LATE_STARTS
     keep_failed: bool = False
+    policy: str = ""
+    expert_share: float = 1.0
 
     def __post_init__(self) -> None:
         require_choice("expert", self.expert, EXPERT_KINDS)
@@ -86,6 +91,10 @@ class CollectionSpec:
         for name, (lowest, highest) in LIMITS.items():
             _require(lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}")
         _require(0 <= self.late_starts <= 1, "late_starts", self.late_starts, "a share, 0 ... 1")
+        _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
+        alone = bool(self.policy) or self.expert_share == 1
+        _require(alone, "expert_share", self.expert_share, "1 without a policy")
+        _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
         different = len(set(self.objects)) == len(self.objects)
         _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", self.objects, "ids, each once")
         count = len(self.objects) * self.episodes_per_object

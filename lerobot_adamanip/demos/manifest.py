@@ -211,6 +211,8 @@ _COLLECTION: Mapping[str, Check] = {
     "expert_preset": choice(EXPERT_PRESETS),
     "late_starts": number(0.0, 1.0),
     "keep_failed": flag,
+    "policy": text(r"([0-9a-f]{32})?", "a hash, or nothing"),
+    "expert_share": number(0.0, 1.0),
     **{name: integer(*limits) for name, limits in LIMITS.items()},
 }
 _COUNT = integer(0, 1000 * MAX_EPISODES)

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.demos.corrections import Actor, ActorFactory, Correcting, corrected_rollout
 from lerobot_adamanip.demos.late_starts import draw_start, start_column, start_late
 from lerobot_adamanip.demos.manifest import differing_parts
 from lerobot_adamanip.demos.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
 from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes
 from lerobot_adamanip.errors import DatasetError, UnreachableError
+from lerobot_adamanip.experts import Belief
 from lerobot_adamanip.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.jobs import Beat
 from lerobot_adamanip.keyframes import KeyFrames
@@ -38,10 +40,17 @@ ExpertFactory = Callable[..., KeyFrames]
 
 @dataclass(frozen=True)
 class Factories:
-    """What a collection is recorded with: objects of this program, never names from a file."""
+    """What a collection is recorded with: objects of this program, never names from a file.
+
+    Attributes:
+        environment: builds environments.
+        expert: makes experts.
+        actor: loads the policy that is corrected; None where experts demonstrate.
+    """
 
     environment: EnvFactory
     expert: ExpertFactory
+    actor: ActorFactory | None = None
 
 
 @dataclass(frozen=True)
@@ -75,6 +84,7 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat
     """What a worker holds from item to item: one simulator, built with the first item of a category."""
     env: SimulatedEnvironment | None = None
     category = ""
+    actor = None if job.factories.actor is None else job.factories.actor()
 
     def work(item: EpisodeSpec, beat: Beat) -> ItemOutcome:
         nonlocal env, category
@@ -84,7 +94,7 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat
             category = category_of(item.object_id)
             env = job.factories.environment(job.spec.environment_of(category))
             _require_fingerprint(env, job)
-        return record_item(env, job, item, beat)
+        return record_item(env, job, item, beat, actor)
 
     try:
         yield work
@@ -117,8 +127,10 @@ def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
         )
 
 
-def record_item(env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat) -> ItemOutcome:
-    """Tries seeds until the expert succeeds.
+def record_item(
+    env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat, actor: Actor | None = None
+) -> ItemOutcome:
+    """Tries seeds until the expert succeeds; where a policy is corrected, until one can be tried.
 
     Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
     """
@@ -130,14 +142,14 @@ def record_item(env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec,
         seed = episode_seed(job.spec.seed, category, item.object_id, item.slot, number)
         request = EpisodeRequest(item.object_id, seed, hidden)
         try:
-            attempt, episode = attempt_episode(env, job.spec, job.factories.expert, request, beat)
+            attempt, episode = attempt_episode(env, job.spec, job.factories.expert, request, beat, actor=actor)
         except UnreachableError as error:
             attempts.append(Attempt(seed, hidden, False, f"unreachable: {error}".partition("\n")[0], 0, False))
             continue
         attempts.append(attempt)
         hidden = attempt.hidden_state
         record = {**episode.record, "slot": item.slot, "attempt": number}
-        if attempt.success:
+        if attempt.success or (actor is not None and episode.columns):
             failures = [vars(each) for each in attempts[:-1]]
             record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
             content = shard_bytes(RecordedEpisode(episode.columns, record))
@@ -154,20 +166,30 @@ def attempt_episode(
     make_expert: ExpertFactory,
     request: EpisodeRequest,
     beat: Beat = lambda: None,
+    *,
+    actor: Actor | None = None,
 ) -> tuple[Attempt, RecordedEpisode]:
-    """Records one episode, successful or not."""
+    """Records one episode, successful or not: an expert's, or a policy's that an expert corrects."""
     seed = request.seed
     observation, actions = _started(env, spec, make_expert, request)
     hidden, camera = env.hidden_state(), env.camera_parameters()
     late = bool(len(actions))
-    expert = _expert(env, spec, make_expert, request, late=late)
     recorder = EpisodeRecorder(env.joints, _failed_tries(env) if late else 0)
 
     def observe(key_frame: Any) -> None:
         recorder.record(key_frame)
         beat()
 
-    result = rollout(env, observation, expert, observe, past_success=True)
+    if actor is None:
+        expert = _expert(env, spec, make_expert, request, late=late)
+        result = rollout(env, observation, expert, observe, past_success=True)
+    else:
+
+        def take_over(belief: Belief, generator: np.random.Generator) -> KeyFrames:
+            return _expert(env, spec, make_expert, request, late=True, belief=belief, generator=generator)
+
+        correcting = Correcting(actor, take_over, spec.expert_share, seed)
+        result = corrected_rollout(env, observation, correcting, observe)
     record = {
         "object_id": request.object_id,
         "seed": seed,
@@ -190,7 +212,14 @@ def attempt_episode(
 
 
 def _expert(
-    env: SimulatedEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest, *, late: bool
+    env: SimulatedEnvironment,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    request: EpisodeRequest,
+    *,
+    late: bool,
+    generator: np.random.Generator | None = None,
+    **known: Any,
 ) -> KeyFrames:
     """Returns the expert of an episode; one that starts late sees where the parts stand and what the hand feels."""
     return make_expert(
@@ -198,12 +227,13 @@ def _expert(
         spec.expert,
         env.annotations,
         trials=spec.trials,
-        generator=np.random.default_rng([request.seed, _EXPERT_STREAM]),
+        generator=generator or np.random.default_rng([request.seed, _EXPERT_STREAM]),
         hidden=env.hidden_state() if spec.expert == "static" else None,
         preset=spec.expert_preset,
         mechanism_preset=spec.environment.mechanism_preset,
         positions=env.part_positions() if late else None,
         feedback=env.feedback if late else None,
+        **known,
     )
 
 

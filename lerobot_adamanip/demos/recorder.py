@@ -52,7 +52,8 @@ class EpisodeRecorder:
         self.failed_tries += labels.failed
         self._last = key_frame
         row = self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
-        self.rows.append({**row, schema.JOINTS: self._before})
+        executed = row[schema.ACTION] if key_frame.executed is None else key_frame.executed
+        self.rows.append({**row, schema.EXECUTED: executed, schema.JOINTS: self._before})
         self._before = self.joints()
 
     def columns(self) -> Row:
@@ -63,7 +64,7 @@ class EpisodeRecorder:
         stay = Goal(last.feedback.tcp_in_base, last.goal.gripper, last.goal.phase)
         labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
         end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
-        end[schema.JOINTS] = self._before
+        end |= {schema.EXECUTED: end[schema.ACTION], schema.JOINTS: self._before}
         return {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
 
     def _row(

@@ -120,7 +120,7 @@ def _compared(
         episode=episode,
         object_id=recording.object_id,
         seed=recording.seed,
-        key_frames=len(recording.columns[schema.ACTION]) - 1,
+        key_frames=len(recording.columns[schema.EXECUTED]) - 1,
         replayed=len(seen) - 1,
         differences=_differences(recording, seen),
         success=success,
@@ -175,7 +175,7 @@ def _read(root: Path, episode: int, manifest: Manifest) -> _Recording:
             hint="another episode, or collect the dataset again",
         ) from error
     frames = [dataset[index] for index in range(first, end)]
-    columns = {key: np.stack([frame[key].numpy() for frame in frames]) for key in (*_COMPARED, schema.ACTION)}
+    columns = {key: np.stack([frame[key].numpy() for frame in frames]) for key in (*_COMPARED, schema.EXECUTED)}
     if schema.FRONT_IMAGE in frames[0]:
         images = np.stack([frame[schema.FRONT_IMAGE].numpy() for frame in frames]).transpose(0, 2, 3, 1)
         columns[schema.FRONT_IMAGE] = np.round(images * 255.0).astype(np.uint8)
@@ -210,7 +210,7 @@ def _run(
     observation, _ = env.reset(seed=recording.seed, options={"object_id": recording.object_id, **overrides})
     for action in recording.prefix:
         observation, *_ = env.step(action)
-    actions = recording.columns[schema.ACTION][:-1]  # the terminal row's was never sent
+    actions = recording.columns[schema.EXECUTED][:-1]  # the terminal row's was never sent
     seen, success = [observation_columns(observation)], False
     pictures = [env.render()] if look else []
     for number, action in enumerate(actions):

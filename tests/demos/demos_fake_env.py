@@ -13,6 +13,7 @@ import numpy as np
 
 from lerobot_adamanip import files, schema
 from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.experts import Belief
 from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.rotations import transform
@@ -27,6 +28,7 @@ class FakeEnv:
 
     max_key_frames = 20
     task_description = "open the fake"
+    joint_names = ("lid",)
 
     def __init__(
         self, options: EnvironmentOptions, *, delay: float, crash: str | None, hopeless: str | None, code: str
@@ -161,10 +163,15 @@ def make_expert(
     mechanism_preset: str = "paper",
     positions: Mapping[str, float] | None = None,
     feedback: Feedback | None = None,
+    belief: Belief | None = None,
 ) -> KeyFrames:
     """Pulls; where that stalls, unlocks and pulls again, and then farther. Sometimes it gives up."""
     assert (hidden is None) == (kind == "adaptive")
     assert (positions is None) == (feedback is None)
+    if belief is not None:
+        assert feedback is not None
+        yield from _corrections(belief, positions or {}, feedback)
+        return
     y = float(generator.normal(scale=0.1))
     if generator.random() < EXPERT_FAILS_SHARE:
         yield Goal(transform((0.35, y, 0.2)), 1.0, Phase.APPROACH)
@@ -181,3 +188,34 @@ def make_expert(
         yield Goal(transform((0.45, y, 0.2)), 0.0, Phase.OPEN)
         yield Goal(transform((0.6, y, 0.2)), 0.0, Phase.OPEN)
     yield Goal(transform((0.65, y, 0.2)), 0.0, Phase.OPEN)
+
+
+def _corrections(belief: Belief, positions: Mapping[str, float], feedback: Feedback) -> KeyFrames:
+    """Unlocks after a try that failed, unless it has just done so; has nothing left to do once it is open."""
+    if positions["lid"] > OPEN_AT:
+        return
+    unlocks = belief.blocked("lid") and feedback.tcp_in_base[2, 3] < OPEN_AT
+    phase = Phase.UNLOCK if unlocks else Phase.TRY
+    yield Goal(transform((0.3, 0.0, 0.6) if unlocks else (0.6, 0.0, 0.2)), 0.0, phase)
+
+
+class FakeActor:
+    """Goes anywhere; what it leaves to chance follows from the seed it is reset with."""
+
+    def __init__(self) -> None:
+        self.told: list[np.ndarray] = []
+
+    def reset(self, seed: int) -> None:
+        self.generator = np.random.default_rng(seed)
+        self.remembered: list[np.ndarray] = []
+
+    def act(self, observation: Any, instruction: str) -> np.ndarray:
+        assert instruction == FakeEnv.task_description
+        position = (*self.generator.uniform(0.3, 0.45, 2), 0.2)
+        action = Goal(transform(position), float(self.generator.integers(2)), Phase.TRY).action()
+        self.remembered.append(action)
+        return action
+
+    def executed(self, action: np.ndarray) -> None:
+        self.remembered[-1] = action
+        self.told.append(action)

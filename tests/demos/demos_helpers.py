@@ -42,6 +42,12 @@ def fakes(**behaviour: Any) -> Factories:
     return Factories(functools.partial(demos_fake_env.make_env, **behaviour), demos_fake_env.make_expert)
 
 
+def corrected(**behaviour: Any) -> Factories:
+    """As `fakes`, with a policy that is corrected."""
+    made = fakes(**behaviour)
+    return Factories(made.environment, made.expert, demos_fake_env.FakeActor)
+
+
 def patiently(**options: Any) -> CollectOptions:
     """Many attempts, for an expert that fails often."""
     return CollectOptions(**{"max_attempts": ATTEMPTS, **options})

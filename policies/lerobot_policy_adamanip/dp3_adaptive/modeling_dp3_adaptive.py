@@ -195,6 +195,14 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         self._executed.append(action)
         return action
 
+    def replace_latest(self, action: Tensor) -> None:
+        """Remembers that another action (B, A), normalised, was executed than the latest of `select_action`.
+
+        What was planned behind that one is planned anew.
+        """
+        self._executed[-1] = action.to(self._executed[-1])
+        self._planned.clear()
+
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
         """Returns the chunk (B, T, A) that would follow ``batch`` after what was observed and done; changes nothing."""

@@ -37,19 +37,20 @@ def _pose(draw: np.random.Generator, position: np.ndarray) -> np.ndarray:
 
 
 def _frame(draw: np.random.Generator, tool: np.ndarray, index: int) -> dict[str, Any]:
-    goal = tool + draw.normal(scale=0.05, size=3)
+    action = _pose(draw, tool + draw.normal(scale=0.05, size=3))
     return {
         schema.POINT_CLOUD: draw.uniform((0.3, -0.4, 0.4), (0.9, 0.4, 1.0), (NUM_POINTS, 3)).astype(np.float32),
         schema.STATE: np.concatenate([_pose(draw, tool), draw.normal(size=14)]).astype(np.float32),
         schema.EFFORT: draw.normal(size=7).astype(np.float32),
         schema.FRONT_IMAGE: draw.integers(0, 255, (32, 32, 3)).astype(np.uint8),
-        schema.ACTION: _pose(draw, goal),
+        schema.ACTION: action,
         schema.PHASE: np.array([index], np.int64),
         schema.TRIAL: np.array([index // 4], np.int64),
         schema.OUTCOME: np.array([index % 3], np.int64),
         schema.TRIED: np.array([index % 3 - 1], np.int64),
         schema.FAILED: np.array([index % 3 == 1]),
         schema.PROGRESS: np.array([0.1 * index], np.float32),
+        schema.EXECUTED: action,
         schema.JOINTS: np.zeros(len(schema.JOINT_NAMES), np.float32),
         schema.SUCCESS: np.array([index > 4]),
         schema.DONE: np.array([False]),

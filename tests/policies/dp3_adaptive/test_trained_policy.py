@@ -1,0 +1,84 @@
+"""A checkpoint at work outside of lerobot-eval acts as the policy does, and remembers what was really done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.trained_policy import TrainedPolicy, policy_hash
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+
+
+@pytest.fixture(params=["fast", "diffusion"])
+def saved(request: pytest.FixtureRequest, make_tiny: MakeTiny, tmp_path: Path) -> tuple[Path, tuple[Any, ...]]:
+    made = make_tiny(preset=request.param)
+    for part in made[:3]:
+        part.save_pretrained(tmp_path)
+    return tmp_path, made
+
+
+def observation(dataset: Any, index: int) -> dict[str, np.ndarray]:
+    """What an environment would have shown at a row, the last step of its windows."""
+    item = dataset[index]
+    shapes = {"point_cloud": (schema.POINT_CLOUD, 2), "agent_pos": (schema.STATE, 1), "effort": (schema.EFFORT, 1)}
+    return {name: item[key].reshape(-1, *item[key].shape[-axes:])[-1].numpy() for name, (key, axes) in shapes.items()}
+
+
+def test_it_acts_as_the_policy_does(saved: tuple[Path, tuple[Any, ...]], observation_of: Any) -> None:
+    path, (policy, before, after, dataset) = saved
+    actor = TrainedPolicy(path)
+    actor.reset(5)
+    torch.manual_seed(5)
+    policy.eval().reset()
+    for index in range(3):
+        with torch.inference_mode():
+            wanted = after(policy.select_action(observation_of(dataset, before, index)))
+        found = actor.act(observation(dataset, index), "open the safe")
+        assert found.shape == (schema.ACTION_DIM,)
+        np.testing.assert_allclose(found, wanted[0], atol=1e-6)
+
+
+def test_equal_seeds_give_equal_episodes(saved: tuple[Path, tuple[Any, ...]]) -> None:
+    path, (*_, dataset) = saved
+    actor = TrainedPolicy(path)
+
+    def episode(seed: int) -> np.ndarray:
+        actor.reset(seed)
+        return np.stack([actor.act(observation(dataset, index), "open the safe") for index in range(3)])
+
+    first = episode(1)
+    assert np.array_equal(episode(1), first)
+    assert not np.array_equal(episode(2), first)
+
+
+def test_what_was_really_done_is_what_is_remembered(saved: tuple[Path, tuple[Any, ...]], observation_of: Any) -> None:
+    path, (policy, before, after, dataset) = saved
+    actor = TrainedPolicy(path)
+    actor.reset(0)
+    actor.act(observation(dataset, 0), "open the safe")
+    done = dataset[1][schema.ACTION].reshape(-1, schema.ACTION_DIM)[-1].numpy()
+    actor.executed(done)
+    history, valid = actor._policy.executed_history(1, torch.zeros(1))
+    assert valid.sum() == 1
+    np.testing.assert_allclose(after(history[:, -1])[0], done, atol=1e-5)
+
+
+def test_a_folder_without_a_policy_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="got:.*without config.json"):
+        policy_hash(tmp_path)
+
+
+def test_a_hash_tells_policies_apart(saved: tuple[Path, tuple[Any, ...]]) -> None:
+    path, _ = saved
+    first = policy_hash(path)
+    assert first == policy_hash(path)
+    (path / "config.json").write_text((path / "config.json").read_text() + " ")
+    assert policy_hash(path) != first
