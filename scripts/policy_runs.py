@@ -1,0 +1,203 @@
+"""Trains and evaluates `dp3_adaptive`, category by category: collect, lerobot-train, lerobot-eval, report.
+
+Each step is left out where its result is there already, so an interrupted run goes on, with the command it was begun
+with. One thing at a time: two cores are no more. For example, the default on validation scenes:
+
+    python scripts/policy_runs.py --category door,lamp --name default --episodes 100
+    python scripts/policy_runs.py --category door --name wide --train=--policy.trunk_dim=512
+
+Models are chosen on ``--split validation``; ``test`` is for numbers that are reported. A table of all runs in ``--out``
+follows from their logs: ``python scripts/policy_runs.py --table``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from check_common import ROOT, count, list_of
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.rates import wilson_interval
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.files import write_atomically
+
+BIN = Path(sys.executable).parent
+OBJECTS = ("seen", "unseen", "novel")
+ENVIRONMENT = {**os.environ, "HF_HUB_OFFLINE": "1", "TOKENIZERS_PARALLELISM": "false"}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training of one category, and where it lies.
+
+    Attributes:
+        folder: of checkpoints, logs and what was done.
+        category: of its objects.
+        options: of the command line.
+    """
+
+    folder: Path
+    category: str
+    options: argparse.Namespace
+
+    def collect(self) -> None:
+        """Records the demonstrations."""
+        root, given = self.data, self.options
+        if not (root / "meta" / "info.json").exists():
+            self._run(
+                "collect", "adamanip", "collect", "--category", self.category, "--root", str(root), "--no-images",
+                "--episodes-per-object", str(given.episodes_per_object), "--workers", "2",
+                "--objects", given.train_objects,
+            )  # fmt: skip
+
+    def train(self) -> None:
+        """Trains, on from the last checkpoint if there is one."""
+        given, last = self.options, self.folder / "train" / "checkpoints" / "last"
+        state = last / "training_state" / "training_step.json"
+        if state.exists() and json.loads(state.read_text(encoding="utf-8"))["step"] >= given.steps:
+            return
+        if state.exists():
+            config = last / "pretrained_model" / "train_config.json"
+            self._run("train", "lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={given.steps}")
+            return
+        self._run(
+            "train", "lerobot-train", "--policy.type=dp3_adaptive", "--policy.device=cpu",
+            "--policy.push_to_hub=false", f"--dataset.repo_id=local/{self.data.name}",
+            f"--dataset.root={self.data}", f"--batch_size={given.batch_size}", f"--steps={given.steps}",
+            f"--save_freq={given.steps}", "--log_freq=200", "--num_workers=0", f"--seed={given.seed}",
+            f"--output_dir={self.folder / 'train'}", *given.train,
+        )  # fmt: skip
+
+    def evaluate(self, objects: str) -> None:
+        """Evaluates on objects of a split; a log that was not finished is begun anew."""
+        given, log = self.options, self.log(objects)
+        finished = log.with_suffix(".done")
+        if finished.exists():
+            return
+        log.unlink(missing_ok=True)
+        self._run(
+            "evaluate", "lerobot-eval",
+            f"--policy.path={self.folder / 'train' / 'checkpoints' / 'last' / 'pretrained_model'}",
+            "--policy.device=cpu", f"--env.type=adamanip_{self.category}", f"--env.objects={objects}",
+            f"--env.split={given.split}", f"--env.episode_log={log}", f"--eval.n_episodes={given.episodes}",
+            "--eval.batch_size=2", f"--output_dir={self.folder / 'eval'}",
+        )  # fmt: skip
+        finished.touch()
+
+    @property
+    def data(self) -> Path:
+        """Folder of the demonstrations."""
+        return Path(self.options.data.format(category=self.category)).absolute()
+
+    def log(self, objects: str) -> Path:
+        """Episode log of an evaluation."""
+        return self.folder / f"{self.options.split}-{objects}.jsonl"
+
+    def _run(self, step: str, command: str, *arguments: str) -> None:
+        """Runs a command of the project's; keeps what it says, how long it took, and what it was."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        say(f"{self.folder.name}: {step}")
+        begin = time.perf_counter()
+        with (self.folder / f"{step}.log").open("ab") as told:
+            done = subprocess.run(
+                [str(BIN / command), *arguments], cwd=ROOT, env=ENVIRONMENT, stdout=told, stderr=told, check=False
+            )
+        if done.returncode:
+            raise SystemExit(f"{command} failed with {done.returncode}: {self.folder / f'{step}.log'}")
+        entry = {"step": step, "command": [command, *arguments], "seconds": round(time.perf_counter() - begin, 1)}
+        write_atomically(self.folder / "steps.json", json.dumps([*steps(self.folder), entry], indent=1).encode())
+
+
+def steps(folder: Path) -> list[dict[str, Any]]:
+    """Returns what was done in a run's folder."""
+    path = folder / "steps.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+
+
+def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
+    """Yields a row of numbers for each finished evaluation of a run."""
+    minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"] == "train") / 60
+    for log in sorted(folder.glob("*-*.jsonl")):
+        if not log.with_suffix(".done").exists():
+            continue
+        records = sorted(read_log(log), key=lambda record: record.given_seed)[:episodes]
+        yield {"run": folder.name, "scenes": log.stem, **numbers(records), "train_minutes": round(minutes, 1)}
+
+
+def numbers(records: list[EpisodeRecord]) -> dict[str, Any]:
+    """Returns successes, their interval, and tries that failed, of all episodes and of those that succeeded."""
+    won = [record for record in records if record.success]
+    low, high = wilson_interval(len(won), len(records))
+    return {
+        "episodes": len(records),
+        "successes": len(won),
+        "interval": [round(low, 3), round(high, 3)],
+        "failed_tries": round(sum(record.failed_tries for record in records) / max(1, len(records)), 2),
+        "failed_tries_of_successes": round(sum(record.failed_tries for record in won) / max(1, len(won)), 2),
+        "key_frames_of_successes": round(sum(record.key_frames for record in won) / max(1, len(won)), 1),
+    }
+
+
+def say(text: str) -> None:
+    """Progress."""
+    sys.stderr.write(f"{time.strftime('%H:%M:%S')} {text}\n")
+    sys.stderr.flush()
+
+
+def arguments() -> argparse.Namespace:
+    """Parses the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--category", type=list_of(tuple(CATEGORIES)), default=tuple(CATEGORIES))
+    parser.add_argument("--name", default="default", help="of the setting; a run is NAME-CATEGORY (%(default)s)")
+    parser.add_argument("--data", default="outputs/suite/{category}", help="of the demonstrations (%(default)s)")
+    parser.add_argument("--out", type=Path, default=ROOT / "outputs" / "runs", help="folder of the runs (%(default)s)")
+    parser.add_argument("--train-objects", default="seen")
+    parser.add_argument("--episodes-per-object", type=count, default=20)
+    parser.add_argument("--steps", type=count, default=4000)
+    parser.add_argument("--batch-size", type=count, default=64)
+    parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument(
+        "--train", action="append", default=[], help="one more option of lerobot-train, may be repeated"
+    )
+    parser.add_argument("--split", choices=("validation", "test"), default="validation")
+    parser.add_argument("--objects", type=list_of(OBJECTS), default=("seen",), help="evaluated on: seen, unseen, novel")
+    parser.add_argument("--episodes", type=count, default=100, help="of an evaluation (%(default)s)")
+    parser.add_argument("--collect-only", action="store_true")
+    parser.add_argument("--table", action="store_true", help="only print what is there")
+    parser.add_argument("--json", action="store_true", help="print the table as JSON")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Runs what is missing, and prints a table."""
+    options = arguments()
+    options.out = options.out.absolute()
+    for category in () if options.table else options.category:
+        run = Run(options.out / f"{options.name}-{category}", category, options)
+        run.collect()
+        if options.collect_only:
+            continue
+        run.train()
+        for objects in options.objects:
+            run.evaluate(objects)
+    rows = [row for folder in sorted(options.out.glob("*-*")) for row in summary(folder, options.episodes)]
+    if options.json:
+        sys.stdout.write(json.dumps(rows) + "\n")
+        return 0
+    for row in rows:
+        sys.stdout.write("  ".join(f"{name} {value}" for name, value in row.items()) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
