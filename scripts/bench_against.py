@@ -177,7 +177,7 @@ def collection(old: Version, new: Version, repeats: int) -> Numbers:
                     "--objects",
                     "0:4",
                     "--episodes-per-object",
-                    "8",
+                    "20",  # so many that starting does not count
                     "--workers",
                     "2",
                     "--seed",
