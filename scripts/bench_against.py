@@ -177,7 +177,7 @@ def collection(old: Version, new: Version, repeats: int) -> Numbers:
                     "--objects",
                     "0:4",
                     "--episodes-per-object",
-                    "20",  # so many that starting does not count
+                    "10",  # so many that starting hardly counts
                     "--workers",
                     "2",
                     "--seed",
