@@ -78,7 +78,8 @@ class Version:
             name: value for name, value in self.environment.items() if not threads or name != "OMP_NUM_THREADS"
         }
         begin = time.perf_counter()
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        # Python looks where it is started before it looks along PYTHONPATH.
+        done = subprocess.run(command, cwd=self.tree, env=environment, capture_output=True, text=True, check=False)
         if done.returncode:
             raise SystemExit(f"{' '.join(command)} failed on {self.tree.name}:\n{done.stderr[-3000:]}")
         return time.perf_counter() - begin, done.stdout
@@ -176,7 +177,7 @@ def collection(old: Version, new: Version, repeats: int) -> Numbers:
                     "--objects",
                     "0:4",
                     "--episodes-per-object",
-                    "8",
+                    "10",  # so many that starting hardly counts
                     "--workers",
                     "2",
                     "--seed",
@@ -261,6 +262,15 @@ def summary(report: Numbers) -> Numbers:
     return means
 
 
+def begun(path: Path | None, report: Numbers) -> Numbers:
+    """Returns the report that a run of the same code, against the same revision, has begun; or the one given."""
+    if path is None or not path.is_file():
+        return report
+    found: Numbers = json.loads(path.read_text(encoding="utf-8"))
+    alike = all(found.get(name) == report[name] for name in ("fingerprint", "versions", "against", "repeats"))
+    return found if alike else report
+
+
 def say(text: str) -> None:
     """Progress."""
     sys.stderr.write(f"{text}\n")
@@ -276,7 +286,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--repeats", type=count, default=5, help="of everything (%(default)s)")
     parser.add_argument("--checkpoint", type=Path, help="folder of a dp3_adaptive policy of safes, for the evaluation")
     parser.add_argument("--episodes", type=count, default=10, help="of an evaluation (%(default)s)")
-    parser.add_argument("--out", type=Path, help="file to write the report to, after each part")
+    parser.add_argument("--out", type=Path, help="file to write the report to, after each part; goes on with it")
     parser.add_argument("--json", action="store_true", help="print the report")
     return parser.parse_args()
 
@@ -284,7 +294,7 @@ def arguments() -> argparse.Namespace:
 def main() -> int:
     """Measures, prints and keeps."""
     options = arguments()
-    report: Numbers = {**header(), "against": options.against, "repeats": options.repeats}
+    report = begun(options.out, {**header(), "against": options.against, "repeats": options.repeats})
     with ExitStack() as stack:
         old, new = Version(stack.enter_context(checkout(options.against))), Version(ROOT)
         parts = {
@@ -296,7 +306,7 @@ def main() -> int:
             parts["evaluation"] = lambda: evaluation(
                 old, new, options.checkpoint.resolve(), options.repeats, options.episodes
             )
-        for name in (name for name in options.parts if name in parts):
+        for name in (name for name in options.parts if name in parts and name not in report):
             report[name] = parts[name]()
             if name == "simulator":
                 report["means"], report["tick_us"] = summary(report), breakdown(new, options.categories)
