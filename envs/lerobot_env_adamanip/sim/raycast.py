@@ -29,6 +29,10 @@ _BEHIND = 1e-3
 """What is nearer to the camera's plane than this cannot be projected [m]."""
 
 
+MARGIN = 0.01
+"""What is nearer than this to a picture's edge counts as in it [m]."""
+
+
 @dataclass(frozen=True)
 class PinholeCamera:
     """A square camera with its principal point in the middle; x right, y up, it looks along -z.
@@ -52,6 +56,19 @@ class PinholeCamera:
         across, down = ((np.arange(self.size) + 0.5 - self.size / 2 + shift) / self.focal for shift in beside)
         columns, rows = np.meshgrid(across, -down)
         return np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -1.0)], axis=1)
+
+    def may_see(self, points: NDArray[np.float64], pose: Pose) -> bool:
+        """Whether a body may be in the picture; False only if all of it is beside one of the picture's edges.
+
+        Args:
+            points: (N, 3) corners of its convex hull, in its own frame [m].
+            pose: of the body in the world (4, 4).
+        """
+        in_camera = np.linalg.inv(self.pose) @ pose
+        x, y, z = (points @ in_camera[:3, :3].T + in_camera[:3, 3]).T
+        half = -z * (0.5 * self.size / self.focal) + MARGIN
+        beside = x > half, x < -half, y > half, y < -half, z > MARGIN
+        return not any(side.all() for side in beside)
 
     def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
         """Returns which pixels may see each of M boxes: (M, 4) of first row, first column, end row, end column.

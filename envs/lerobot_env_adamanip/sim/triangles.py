@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from lerobot_adamanip.assets.urdf import Geometry, read_urdf
 from lerobot_adamanip.errors import SimulatorError
@@ -78,6 +79,13 @@ def robot_triangles(urdf: Path) -> Mapping[str, Triangles]:
     links = read_urdf(urdf).links.values()
     found = {link.name: _joined(_visual(urdf, each) for each in link.visuals) for link in links}
     return {name: triangles for name, triangles in found.items() if len(triangles)}
+
+
+@functools.cache
+def robot_outlines(urdf: Path) -> Mapping[str, NDArray[np.float64]]:
+    """Returns link name -> corners (N, 3) [m] of the convex hull of what `robot_triangles` has of it."""
+    points = {name: triangles.reshape(-1, 3).astype(np.float64) for name, triangles in robot_triangles(urdf).items()}
+    return {name: each[ConvexHull(each).vertices] for name, each in points.items()}
 
 
 def _visual(urdf: Path, geometry: Geometry) -> Triangles:
