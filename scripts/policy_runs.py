@@ -55,10 +55,21 @@ class Run:
         root, given = self.data, self.options
         if not (root / "meta" / "info.json").exists():
             self._run(
-                "collect", "adamanip", "collect", "--category", self.category, "--root", str(root), "--no-images",
-                "--episodes-per-object", str(given.episodes_per_object), "--workers", "2",
-                "--objects", given.train_objects,
-            )  # fmt: skip
+                "collect",
+                "adamanip",
+                "collect",
+                "--category",
+                self.category,
+                "--root",
+                str(root),
+                "--no-images",
+                "--episodes-per-object",
+                str(given.episodes_per_object),
+                "--workers",
+                "2",
+                "--objects",
+                given.train_objects,
+            )
 
     def train(self) -> None:
         """Trains, on from the last checkpoint if there is one."""
@@ -71,12 +82,22 @@ class Run:
             self._run("train", "lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={given.steps}")
             return
         self._run(
-            "train", "lerobot-train", "--policy.type=dp3_adaptive", "--policy.device=cpu",
-            "--policy.push_to_hub=false", f"--dataset.repo_id=local/{self.data.name}",
-            f"--dataset.root={self.data}", f"--batch_size={given.batch_size}", f"--steps={given.steps}",
-            f"--save_freq={given.steps}", "--log_freq=200", "--num_workers=0", f"--seed={given.seed}",
-            f"--output_dir={self.folder / 'train'}", *given.train,
-        )  # fmt: skip
+            "train",
+            "lerobot-train",
+            "--policy.type=dp3_adaptive",
+            "--policy.device=cpu",
+            "--policy.push_to_hub=false",
+            f"--dataset.repo_id=local/{self.data.name}",
+            f"--dataset.root={self.data}",
+            f"--batch_size={given.batch_size}",
+            f"--steps={given.steps}",
+            f"--save_freq={given.steps}",
+            "--log_freq=200",
+            "--num_workers=0",
+            f"--seed={given.seed}",
+            f"--output_dir={self.folder / 'train'}",
+            *given.train,
+        )
 
     def evaluate(self, objects: str) -> None:
         """Evaluates on objects of a split; a log that was not finished is begun anew."""
@@ -86,12 +107,18 @@ class Run:
             return
         log.unlink(missing_ok=True)
         self._run(
-            "evaluate", "lerobot-eval",
+            "evaluate",
+            "lerobot-eval",
             f"--policy.path={self.folder / 'train' / 'checkpoints' / 'last' / 'pretrained_model'}",
-            "--policy.device=cpu", f"--env.type=adamanip_{self.category}", f"--env.objects={objects}",
-            f"--env.split={given.split}", f"--env.episode_log={log}", f"--eval.n_episodes={given.episodes}",
-            "--eval.batch_size=2", f"--output_dir={self.folder / 'eval'}",
-        )  # fmt: skip
+            "--policy.device=cpu",
+            f"--env.type=adamanip_{self.category}",
+            f"--env.objects={objects}",
+            f"--env.split={given.split}",
+            f"--env.episode_log={log}",
+            f"--eval.n_episodes={given.episodes}",
+            "--eval.batch_size=2",
+            f"--output_dir={self.folder / 'eval'}",
+        )
         finished.touch()
 
     @property

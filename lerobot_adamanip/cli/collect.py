@@ -214,7 +214,11 @@ class Collect:
     def _collect(self, spec: CollectionSpec, options: CollectOptions) -> CollectSummary:
         # What libraries print must not get into the JSON.
         with show_progress(_STAGES, every_stage=True) as listener, contextlib.redirect_stdout(sys.stderr):
-            return collect(self.root, spec, factories(self.policy), options, listener)
+            return collect(self.root, spec, self._factories(), options, listener)
+
+    def _factories(self) -> Factories:
+        made, policy = factories(), self.policy
+        return made if policy is None else dataclasses.replace(made, actor=functools.partial(TrainedPolicy, policy))
 
     def _print(self, summary: CollectSummary) -> None:
         if self.json:
@@ -239,13 +243,12 @@ class Collect:
             print(f"missing: {line}")
 
 
-def factories(policy: Path | None = None) -> Factories:
-    """Returns what demonstrations are recorded with: the simulator, the scripted experts, a policy to be corrected."""
+def factories() -> Factories:
+    """Returns what demonstrations are recorded with: the simulator and the scripted experts."""
     from lerobot_adamanip.experts import make_expert
     from lerobot_env_adamanip.factory import make_keyframe_env
 
-    actor = None if policy is None else functools.partial(TrainedPolicy, policy.resolve())
-    return Factories(make_keyframe_env, make_expert, actor)
+    return Factories(make_keyframe_env, make_expert)
 
 
 def _print_categories(summary: CollectSummary) -> None:

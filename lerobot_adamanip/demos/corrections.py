@@ -40,8 +40,13 @@ class Actor(Protocol):
 
 ActorFactory = Callable[[], Actor]
 """Loads an actor. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
-TakeOver = Callable[[Belief, np.random.Generator], KeyFrames]
-"""Returns an expert that takes over from the environment's present state."""
+
+
+class TakeOver(Protocol):
+    """Makes experts that take over from the environment's present state."""
+
+    def __call__(self, *, belief: Belief, generator: np.random.Generator) -> KeyFrames:
+        """Returns one that believes what has been tried; ``generator`` decides what it leaves to chance."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ def corrected_rollout(
     actor.reset(correcting.seed)
     belief, success, key_frames, reason = Belief(), False, 0, "time limit"
     while key_frames < env.max_key_frames:
-        frames = correcting.take_over(belief, rng)
+        frames = correcting.take_over(belief=belief, generator=rng)
         goal = next(frames, None)
         frames.close()
         if goal is None:

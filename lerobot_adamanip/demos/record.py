@@ -6,6 +6,7 @@ So a worker needs no folder of the collection: one on this machine writes itself
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,6 @@ from lerobot_adamanip.demos.outcome import Attempt, Hidden, ItemOutcome, ItemRep
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
 from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes
 from lerobot_adamanip.errors import DatasetError, UnreachableError
-from lerobot_adamanip.experts import Belief
 from lerobot_adamanip.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.jobs import Beat
 from lerobot_adamanip.keyframes import KeyFrames
@@ -180,35 +180,41 @@ def attempt_episode(
         recorder.record(key_frame)
         beat()
 
+    make = functools.partial(_expert, env, spec, make_expert, request)
     if actor is None:
-        expert = _expert(env, spec, make_expert, request, late=late)
-        result = rollout(env, observation, expert, observe, past_success=True)
+        result = rollout(env, observation, make(late=late), observe, past_success=True)
     else:
-
-        def take_over(belief: Belief, generator: np.random.Generator) -> KeyFrames:
-            return _expert(env, spec, make_expert, request, late=True, belief=belief, generator=generator)
-
-        correcting = Correcting(actor, take_over, spec.expert_share, seed)
+        correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed)
         result = corrected_rollout(env, observation, correcting, observe)
-    record = {
+    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
+    facts = {"start": start_column(actions), "camera": camera, **_facts(env, spec, request, attempt)}
+    facts |= {"tries": recorder.tries, "failed_tries": recorder.failed_tries}
+    return attempt, RecordedEpisode(recorder.columns(), {name: facts[name] for name in EPISODE_FACTS})
+
+
+EPISODE_FACTS = (
+    "object_id", "seed", "hidden_state", "hidden_overrides", "start", "expert", "tries", "failed_tries", "success",
+    "key_frames", "camera", "task", "episode_record", "versions", "fingerprint",
+)  # fmt: skip
+"""Columns of an episode, in their order."""
+
+
+def _facts(
+    env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
+) -> dict[str, Any]:
+    return {
         "object_id": request.object_id,
-        "seed": seed,
-        "hidden_state": hidden,
+        "seed": attempt.seed,
+        "hidden_state": attempt.hidden_state,
         "hidden_overrides": None if request.overrides is None else dict(request.overrides),
-        "start": start_column(actions),
         "expert": spec.expert,
-        "tries": recorder.tries,
-        "failed_tries": recorder.failed_tries,
-        "success": result.success,
-        "key_frames": result.key_frames,
-        "camera": camera,
+        "success": attempt.success,
+        "key_frames": attempt.key_frames,
         "task": env.task_description,
         "episode_record": env.episode_record(),
         "versions": {**versions(), "cpu": cpu_model()},
         "fingerprint": combined(env.fingerprint()),
     }
-    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
-    return attempt, RecordedEpisode(recorder.columns(), record)
 
 
 def _expert(

@@ -23,7 +23,7 @@ APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
 the arm's reach, where a path may not exist though both of its ends are within reach."""
 OPEN_HAND = 0.9
 """Finger opening above which a hand holds nothing."""
-HELD_WITHIN, HELD_TURNED = 0.015, 0.3
+HELD_WITHIN, HELD_TURNED = 0.025, 0.3
 """A hand that closes on something this near to a grasp holds the part [m, rad]."""
 AT_GRASP, AT_GRASP_TURNED = 0.004, 0.06
 """An open hand this near to a grasp needs only close [m, rad]."""

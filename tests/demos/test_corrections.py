@@ -46,7 +46,7 @@ def driven(share: float, seed: int = 4) -> tuple[list[KeyFrame], demos_fake_env.
     env, seen, actor = demos_fake_env.make_env(spec().environment), [], demos_fake_env.FakeActor()
     observation, _ = env.reset(seed=seed, options={"object_id": "safe_000", "hidden_overrides": {"locked": True}})
 
-    def take_over(belief: Any, generator: np.random.Generator) -> Any:
+    def take_over(*, belief: Any, generator: np.random.Generator) -> Any:
         positions, feedback = env.part_positions(), env.feedback
         known = {"positions": positions, "feedback": feedback, "belief": belief, "generator": generator}
         return demos_fake_env.make_expert("safe", "adaptive", {}, **known)
