@@ -80,8 +80,7 @@ def make_expert(
         trials: failed tries the adaptive expert makes before it changes its mind, at least 1.
         hidden: the hidden state, for the static expert alone; the adaptive one refuses it.
         preset: ``paper``, or ``upstream`` for the adaptive sequence of its released code where that differs.
-        mechanism_preset: of the environment: what is the same in all of a category's episodes, as a direction that is
-            fixed, an adaptive expert knows.
+        mechanism_preset: of the environment: a direction that it fixes for all episodes an adaptive expert knows.
         positions: joint -> where it stands at the start [rad or m], as a camera sees it. Left out is at rest.
         feedback: of the hand at the start, if it may hold something or be about a part: it goes on with what it wants.
         belief: what tries before this expert's own tell, whoever made them.
