@@ -120,7 +120,8 @@ def execute(name: str, options: Sequence[str]) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; exit status 0 done, 1 the command's own verdict, 2 an error of use or set-up, 130 interrupted."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if argv is None and arguments and arguments[0] in _WITHOUT_PLUGIN:
+    policy = any(each.startswith("--policy") for each in arguments)  # which is a plugin's
+    if argv is None and arguments and arguments[0] in _WITHOUT_PLUGIN and not policy:
         os.environ[NO_PLUGIN] = "1"
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())

@@ -21,6 +21,8 @@ from lerobot_adamanip.observation import Observation
 from lerobot_adamanip.rollout import KeyFrame, KeyframeEnvironment, RolloutResult
 
 Action = NDArray[np.float32]
+BEYOND = 1
+"""Key frames past success, about as many as demonstrations have."""
 STREAM = 3
 """Tells these draws from any other that starts from the episode's seed."""
 
@@ -72,7 +74,7 @@ def corrected_rollout(
     correcting: Correcting,
     on_key_frame: Callable[[KeyFrame], None],
 ) -> RolloutResult:
-    """Lets a policy act on a freshly reset environment, corrected by an expert, until that has nothing left to do.
+    """Lets a policy act on a freshly reset environment, corrected by an expert, until just past success.
 
     Args:
         env: reset; ``observation`` is what its reset returned.
@@ -82,8 +84,8 @@ def corrected_rollout(
     """
     actor, rng = correcting.actor, np.random.default_rng([correcting.seed, STREAM])
     actor.reset(correcting.seed)
-    belief, success, key_frames, reason = Belief(), False, 0, "time limit"
-    while key_frames < env.max_key_frames:
+    belief, success, key_frames, beyond, reason = Belief(), False, 0, 0, "time limit"
+    while key_frames < env.max_key_frames and beyond < BEYOND:
         frames = correcting.take_over(belief=belief, generator=rng)
         goal = next(frames, None)
         frames.close()
@@ -97,6 +99,7 @@ def corrected_rollout(
         before = env.part_positions()
         following, _, _, truncated, info = env.step(sent)
         key_frames += 1
+        beyond += success
         success = success or bool(info["is_success"])
         on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels, sent))
         belief = belief.after(env.labels, env.joint_names, before, env.part_positions())

@@ -117,3 +117,16 @@ def _tensors(item: dict[str, Any]) -> list[tuple[str, torch.Tensor]]:
 )
 def test_what_does_not_go_together_is_refused(wrong: dict[str, Any], refuses: Refuses) -> None:
     refuses(ConfigurationError, lambda: spec(**wrong))
+
+
+def test_an_episode_ends_just_past_success(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made anew at each key frame, an expert may never find that it has nothing left to do."""
+    monkeypatch.setattr(demos_fake_env, "OPEN_AT", 0.55)
+    made = demos_fake_env._corrections
+
+    def tireless(belief: Any, positions: Any, feedback: Any) -> Any:
+        return made(belief, {"lid": 0.0}, feedback)
+
+    monkeypatch.setattr(demos_fake_env, "_corrections", tireless)
+    seen, _ = driven(1.0)
+    assert [frame.success for frame in seen] == [False, False, True, True]
