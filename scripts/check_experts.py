@@ -180,7 +180,7 @@ def write_results(path: Path, finished: list[Episode], said: dict[str, Any], sec
     result = make_result(
         result_rows(finished),
         kind="expert",
-        title="scripted experts",
+        title=f"scripted experts, preset {', '.join(dict.fromkeys(episode.preset for episode in finished))}",
         command=said["command"],
         fingerprint=said["fingerprint"],
         seeds=[episode.seed for episode in finished],

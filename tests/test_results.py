@@ -187,3 +187,9 @@ def test_other_experts_leave_the_results_of_policies_what_they_were(monkeypatch:
     assert present_fingerprint() != experts
     parts["simulator"] = "other"
     assert environment_fingerprint() != policies
+
+
+def test_the_readme_leaves_other_presets_than_the_papers_to_the_page() -> None:
+    hard = {"hard.json": result(rows=(ResultRow("adaptive", "hard", "lamp", "seen", 20, 7, 6.3),))}
+    assert "7/20" in results_page(hard, {NOW})
+    assert readme_block(hard, {NOW}) == readme_block({}, {NOW})

@@ -46,8 +46,9 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
 
 
 def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
-    """Returns what stands between the README's marks, both included: tables of the present fingerprint alone."""
-    fresh = [result for result in results.values() if result.fingerprint in present]
+    """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint."""
+    known = (result for result in results.values() if result.fingerprint in present)
+    fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
     parts = [START]
     for result in fresh:
         parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result)}\n")
