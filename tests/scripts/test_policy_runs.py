@@ -1,0 +1,101 @@
+"""Runs of trainings: every step once, on from where it was, and a table that follows from the logs alone."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import policy_runs
+import pytest
+from policy_runs import Run, numbers, summary
+
+
+class Commands:
+    """Stands in for LeRobot's commands: writes what they would leave behind, and fails when told to."""
+
+    def __init__(self) -> None:
+        self.called: list[list[str]] = []
+        self.failing = ""
+
+    def __call__(self, command: list[str], **_: Any) -> Any:
+        name = Path(command[0]).name
+        self.called.append([name, *command[1:]])
+        if name == self.failing:
+            return subprocess.CompletedProcess(command, 1)
+        options = dict(word.removeprefix("--").partition("=")[::2] for word in command[1:])
+        if name == "adamanip":
+            info = Path(command[command.index("--root") + 1]) / "meta" / "info.json"
+            info.parent.mkdir(parents=True)
+            info.touch()
+        if name == "lerobot-train":
+            out = options.get("output_dir") or str(Path(options["config_path"]).parents[3])
+            state = Path(out) / "checkpoints" / "last" / "training_state" / "training_step.json"
+            state.parent.mkdir(parents=True, exist_ok=True)
+            state.write_text(json.dumps({"step": int(options["steps"])}))
+        if name == "lerobot-eval":
+            with Path(options["env.episode_log"]).open("a") as log:
+                log.write("one\n")
+        return subprocess.CompletedProcess(command, 0)
+
+    @property
+    def names(self) -> list[str]:
+        return [name for name, *_ in self.called]
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch) -> Commands:
+    made = Commands()
+    monkeypatch.setattr(policy_runs.subprocess, "run", made)
+    return made
+
+
+def run_of(folder: Path, **changes: Any) -> Run:
+    values = {
+        "data": str(folder / "data" / "{category}"), "episodes_per_object": 2, "train_objects": "seen", "steps": 10,
+        "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
+    }  # fmt: skip
+    return Run(folder / "runs" / "default-door", "door", argparse.Namespace(**{**values, **changes}))
+
+
+def all_of(run: Run) -> None:
+    run.collect()
+    run.train()
+    run.evaluate("seen")
+
+
+def test_each_step_is_run_once(tmp_path: Path, commands: Commands) -> None:
+    for _ in range(2):
+        all_of(run_of(tmp_path))
+    assert commands.names == ["adamanip", "lerobot-train", "lerobot-eval"]
+    assert "--policy.trunk_dim=64" in commands.called[1]
+    assert [entry["step"] for entry in policy_runs.steps(run_of(tmp_path).folder)] == ["collect", "train", "evaluate"]
+
+
+def test_a_training_goes_on_to_more_steps(tmp_path: Path, commands: Commands) -> None:
+    all_of(run_of(tmp_path))
+    run_of(tmp_path, steps=20).train()
+    assert "--resume=true" in commands.called[-1]
+    assert "--steps=20" in commands.called[-1]
+
+
+def test_an_evaluation_that_broke_off_is_begun_anew(tmp_path: Path, commands: Commands) -> None:
+    run = run_of(tmp_path)
+    run.collect()
+    run.train()
+    commands.failing = "lerobot-eval"
+    run.log("seen").write_text("half\n")
+    with pytest.raises(SystemExit, match="lerobot-eval failed"):
+        run.evaluate("seen")
+    assert list(summary(run.folder, 5)) == [], "half an evaluation is no result"
+    commands.failing = ""
+    run.log("seen").write_text("half\n")
+    run.evaluate("seen")
+    assert run.log("seen").read_text() == "one\n"
+
+
+def test_numbers_of_no_episode_are_no_success() -> None:
+    assert numbers([])["interval"] == [0, 1]
+    assert numbers([])["successes"] == 0
