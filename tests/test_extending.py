@@ -174,5 +174,6 @@ assert get_policy_class("hold_still").from_pretrained("held").config.gripper == 
 """
 
 
+@pytest.mark.nightly
 def test_the_method_of_the_page_is_one(tree: Path) -> None:
     run(tree, A_POLICY)

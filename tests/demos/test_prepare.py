@@ -59,6 +59,7 @@ def same_but_for_a_cache_name(one: Path, stock: Path) -> None:
             assert path.read_bytes() == other.read_bytes(), path
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("small_files", "_here")
 def test_two_processes_one_and_lerobot_itself_make_the_same_dataset(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -78,6 +78,7 @@ def run(config: AdaManipSafeEnvConfig, actions: Tensor, seeds: list[int], *, use
     return dict(first)
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(290)
 def test_one_process_or_two_give_the_same_rollout(plan: tuple[list[int], Tensor], tmp_path: Path) -> None:
     seeds, actions = plan

@@ -3,7 +3,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.nightly
 def test_loading_the_policy_registers_the_steps_its_checkpoints_name() -> None:
     # In a process of its own, as lerobot-eval is: there nothing but the policy has been imported.
     code = (

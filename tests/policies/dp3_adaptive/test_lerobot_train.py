@@ -78,6 +78,7 @@ def test_a_training_resumes_where_it_stopped(dataset_root: Path, tmp_path: Path)
     assert (second / "pretrained_model" / "policy_preprocessor.json").is_file()
 
 
+@pytest.mark.nightly
 def test_act_trains_on_the_same_dataset(dataset_root: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     _train(*ACT, *_dataset(dataset_root), "--steps=2", "--save_freq=2", f"--output_dir={run}")
