@@ -5,6 +5,7 @@ with. One thing at a time: two cores are no more. For example, the default on va
 
     python scripts/policy_runs.py --category door,lamp --name default --episodes 100
     python scripts/policy_runs.py --category door --name wide --train=--policy.trunk_dim=512
+    python scripts/policy_runs.py --category door --name corrected --corrections 5
 
 Models are chosen on ``--split validation``; ``test`` is for numbers that are reported. A table of all runs in ``--out``
 follows from their logs: ``python scripts/policy_runs.py --table``.
@@ -52,52 +53,39 @@ class Run:
 
     def collect(self) -> None:
         """Records the demonstrations."""
-        root, given = self.data, self.options
-        if not (root / "meta" / "info.json").exists():
+        if not _recorded(self.data):
+            given = self.options
             self._run(
-                "collect",
-                "adamanip",
-                "collect",
-                "--category",
-                self.category,
-                "--root",
-                str(root),
-                "--no-images",
-                "--episodes-per-object",
-                str(given.episodes_per_object),
-                "--workers",
-                "2",
-                "--objects",
-                given.train_objects,
+                "collect", *self._recording(self.data, given.episodes_per_object), "--objects", given.train_objects
             )
 
     def train(self) -> None:
         """Trains, on from the last checkpoint if there is one."""
-        given, last = self.options, self.folder / "train" / "checkpoints" / "last"
-        state = last / "training_state" / "training_step.json"
-        if state.exists() and json.loads(state.read_text(encoding="utf-8"))["step"] >= given.steps:
+        begin = ["--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false", *self.options.train]
+        self._train("train", self.data, self.options.steps, begin)
+
+    def correct(self) -> None:
+        """Lets the policy drive and the expert correct it; trains on with demonstrations and corrections (DAgger)."""
+        given, corrections, both = self.options, self.folder / "corrections", self.folder / "both"
+        if not given.corrections:
             return
-        if state.exists():
-            config = last / "pretrained_model" / "train_config.json"
-            self._run("train", "lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={given.steps}")
-            return
-        self._run(
-            "train",
-            "lerobot-train",
-            "--policy.type=dp3_adaptive",
-            "--policy.device=cpu",
-            "--policy.push_to_hub=false",
-            f"--dataset.repo_id=local/{self.data.name}",
-            f"--dataset.root={self.data}",
-            f"--batch_size={given.batch_size}",
-            f"--steps={given.steps}",
-            f"--save_freq={given.steps}",
-            "--log_freq=200",
-            "--num_workers=0",
-            f"--seed={given.seed}",
-            f"--output_dir={self.folder / 'train'}",
-            *given.train,
-        )
+        if not _recorded(corrections):
+            policy = ("--policy", str(self.checkpoint("train")), "--objects", given.train_objects)
+            self._run("correct", *self._recording(corrections, given.corrections), *policy)
+        if not _recorded(both):
+            roots = [str(self.data), str(corrections)]
+            names = json.dumps([f"local/{Path(root).name}" for root in roots])
+            self._run(
+                "merge",
+                "lerobot-edit-dataset",
+                "--operation.type=merge",
+                "--new_repo_id=local/both",
+                f"--new_root={both}",
+                f"--operation.repo_ids={names}",
+                f"--operation.roots={json.dumps(roots)}",
+            )
+        start = [f"--policy.path={self.checkpoint('train')}", "--policy.push_to_hub=false"]
+        self._train("train_on", both, given.correction_steps, start)
 
     def evaluate(self, objects: str) -> None:
         """Evaluates on objects of a split; a log that was not finished is begun anew."""
@@ -109,7 +97,7 @@ class Run:
         self._run(
             "evaluate",
             "lerobot-eval",
-            f"--policy.path={self.folder / 'train' / 'checkpoints' / 'last' / 'pretrained_model'}",
+            f"--policy.path={self.checkpoint('train_on' if given.corrections else 'train')}",
             "--policy.device=cpu",
             f"--env.type=adamanip_{self.category}",
             f"--env.objects={objects}",
@@ -120,6 +108,39 @@ class Run:
             f"--output_dir={self.folder / 'eval'}",
         )
         finished.touch()
+
+    def checkpoint(self, training: str) -> Path:
+        """Folder of the last weights of a training."""
+        return self.folder / training / "checkpoints" / "last" / "pretrained_model"
+
+    def _recording(self, root: Path, episodes: int) -> list[str]:
+        count = ("--episodes-per-object", str(episodes), "--workers", "2")
+        return ["adamanip", "collect", "--category", self.category, "--root", str(root), "--no-images", *count]
+
+    def _train(self, name: str, data: Path, wanted: int, begin: list[str]) -> None:
+        given, weights = self.options, self.checkpoint(name)
+        state = weights.parent / "training_state" / "training_step.json"
+        done = json.loads(state.read_text(encoding="utf-8"))["step"] if state.exists() else 0
+        if done >= wanted:
+            return
+        if done:
+            resume = [f"--config_path={weights / 'train_config.json'}", "--resume=true"]
+            self._run(name, "lerobot-train", *resume, f"--steps={wanted}")
+            return
+        self._run(
+            name,
+            "lerobot-train",
+            *begin,
+            f"--dataset.repo_id=local/{data.name}",
+            f"--dataset.root={data}",
+            f"--batch_size={given.batch_size}",
+            f"--steps={wanted}",
+            f"--save_freq={wanted}",
+            "--log_freq=200",
+            "--num_workers=0",
+            f"--seed={given.seed}",
+            f"--output_dir={self.folder / name}",
+        )
 
     @property
     def data(self) -> Path:
@@ -145,6 +166,10 @@ class Run:
         write_atomically(self.folder / "steps.json", json.dumps([*steps(self.folder), entry], indent=1).encode())
 
 
+def _recorded(root: Path) -> bool:
+    return (root / "meta" / "info.json").exists()
+
+
 def steps(folder: Path) -> list[dict[str, Any]]:
     """Returns what was done in a run's folder."""
     path = folder / "steps.json"
@@ -153,7 +178,7 @@ def steps(folder: Path) -> list[dict[str, Any]]:
 
 def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
     """Yields a row of numbers for each finished evaluation of a run."""
-    minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"] == "train") / 60
+    minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"].startswith("train")) / 60
     for log in sorted(folder.glob("*-*.jsonl")):
         if not log.with_suffix(".done").exists():
             continue
@@ -196,6 +221,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--train", action="append", default=[], help="one more option of lerobot-train, may be repeated"
     )
+    parser.add_argument("--corrections", type=int, default=0, help="corrected episodes per object (%(default)s)")
+    parser.add_argument("--correction-steps", type=count, default=2000, help="trained with them (%(default)s)")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--objects", type=list_of(OBJECTS), default=("seen",), help="evaluated on: seen, unseen, novel")
     parser.add_argument("--episodes", type=count, default=100, help="of an evaluation (%(default)s)")
@@ -215,6 +242,7 @@ def main() -> int:
         if options.collect_only:
             continue
         run.train()
+        run.correct()
         for objects in options.objects:
             run.evaluate(objects)
     rows = [row for folder in sorted(options.out.glob("*-*")) for row in summary(folder, options.episodes)]

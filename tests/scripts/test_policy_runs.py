@@ -30,6 +30,10 @@ class Commands:
             info = Path(command[command.index("--root") + 1]) / "meta" / "info.json"
             info.parent.mkdir(parents=True)
             info.touch()
+        if name == "lerobot-edit-dataset":
+            info = Path(options["new_root"]) / "meta" / "info.json"
+            info.parent.mkdir(parents=True)
+            info.touch()
         if name == "lerobot-train":
             out = options.get("output_dir") or str(Path(options["config_path"]).parents[3])
             state = Path(out) / "checkpoints" / "last" / "training_state" / "training_step.json"
@@ -56,6 +60,7 @@ def run_of(folder: Path, **changes: Any) -> Run:
     values = {
         "data": str(folder / "data" / "{category}"), "episodes_per_object": 2, "train_objects": "seen", "steps": 10,
         "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
+        "corrections": 0, "correction_steps": 4,
     }  # fmt: skip
     return Run(folder / "runs" / "default-door", "door", argparse.Namespace(**{**values, **changes}))
 
@@ -63,6 +68,7 @@ def run_of(folder: Path, **changes: Any) -> Run:
 def all_of(run: Run) -> None:
     run.collect()
     run.train()
+    run.correct()
     run.evaluate("seen")
 
 
@@ -94,6 +100,16 @@ def test_an_evaluation_that_broke_off_is_begun_anew(tmp_path: Path, commands: Co
     run.log("seen").write_text("half\n")
     run.evaluate("seen")
     assert run.log("seen").read_text() == "one\n"
+
+
+def test_a_policy_is_corrected_once_and_what_was_trained_on_is_evaluated(tmp_path: Path, commands: Commands) -> None:
+    for _ in range(2):
+        all_of(run_of(tmp_path, corrections=3))
+    train = "lerobot-train"
+    assert commands.names == ["adamanip", train, "adamanip", "lerobot-edit-dataset", train, "lerobot-eval"]
+    first, on = (next(word for word in call if word.startswith("--output_dir=")) for call in commands.called[1:5:3])
+    assert commands.called[2][commands.called[2].index("--policy") + 1].startswith(first.partition("=")[2])
+    assert commands.called[5][1].startswith(f"--policy.path={on.partition('=')[2]}")
 
 
 def test_numbers_of_no_episode_are_no_success() -> None:
