@@ -1,7 +1,7 @@
 """A pool of processes that survives its workers' deaths, and notices one that hangs. Free of what it runs.
 
 What a worker needs for its items (a simulator, say) it makes once, in `Session`. Nothing of a job is read from a file:
-session and items travel from the parent process to those it has spawned.
+session and items travel from the parent process to those it has started.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import ForkServerContext, SpawnContext
+from multiprocessing.process import BaseProcess
 from typing import Protocol, Self
 
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
@@ -38,6 +39,29 @@ type Work[Item] = Callable[[Item, Beat], object]
 """Runs one item."""
 type Session[Item] = Callable[[], AbstractContextManager[Work[Item]]]
 """Made in a worker: what it holds from item to item. A function of a module, or a `functools.partial` of one."""
+
+
+_preloaded: list[str] = []
+
+
+def preload(*modules: str) -> None:
+    """Lets all workers of this process start as copies of one that has imported ``modules``; it begins at once.
+
+    For the start of a command: importing a simulator takes a core 4 s, in each worker otherwise. Where processes cannot
+    be copied, workers are spawned, as without this. A module that is not there is left to whoever needs it.
+    """
+    if _preloaded or "forkserver" not in multiprocessing.get_all_start_methods():
+        return
+    from multiprocessing.forkserver import ensure_running, set_forkserver_preload
+
+    set_forkserver_preload(list(modules))
+    with _thread_limits():
+        ensure_running()
+    _preloaded.extend(modules)
+
+
+def _context() -> SpawnContext | ForkServerContext:
+    return multiprocessing.get_context("forkserver") if _preloaded else multiprocessing.get_context("spawn")
 
 
 class WorkerError(AdaManipError, RuntimeError):
@@ -75,7 +99,7 @@ class Crew[Item](Protocol):
 
 @dataclass
 class _Worker[Item]:
-    process: SpawnProcess
+    process: BaseProcess
     pipe: Connection
     item: Item
     begin: float = field(default_factory=time.monotonic)
@@ -83,7 +107,7 @@ class _Worker[Item]:
 
 
 class WorkerPool[Item]:
-    """Runs items on up to ``count`` spawned processes. Use as a context manager: leaving it ends them.
+    """Runs items on up to ``count`` processes. Use as a context manager: leaving it ends them.
 
     Args:
         session: makes what a worker holds from item to item.
@@ -130,10 +154,11 @@ class WorkerPool[Item]:
                     yield from self._died(worker, queue, f"hung: no sign of life for {self._timeout:g} s")
 
     def _start(self, item: Item) -> _Worker[Item]:
-        context = multiprocessing.get_context("spawn")
+        context = _context()
         here, there = context.Pipe()
-        process = context.Process(target=_work, args=(there, self._session), daemon=True)
-        with _thread_limits(self._count):
+        renderer = max(1, (os.cpu_count() or 1) // self._count)
+        process = context.Process(target=_work, args=(there, self._session, renderer), daemon=True)
+        with _thread_limits():
             process.start()
         there.close()
         worker = _Worker(process, here, item)
@@ -184,7 +209,7 @@ class WorkerPool[Item]:
             yield JobResult(worker.item, death=cause, seconds=time.monotonic() - worker.begin)
 
 
-def _end(process: SpawnProcess) -> None:
+def _end(process: BaseProcess) -> None:
     process.join(_STOP_SECONDS)
     if process.is_alive():
         process.kill()
@@ -199,17 +224,14 @@ def _cause(exit_code: int | None) -> str:
 
 
 @contextlib.contextmanager
-def _thread_limits(workers: int) -> Iterator[None]:
-    """Sets thread counts that a spawned worker reads when it loads its libraries.
+def _thread_limits() -> Iterator[None]:
+    """Sets the number of threads that a process started meanwhile reads when it loads its libraries.
 
-    One thread for arithmetic whatever the number of workers, so that sums are taken in the same order; the software
-    renderer, whose result does not depend on it, shares the cores out.
+    One for arithmetic whatever the number of workers, so that sums are taken in the same order.
     """
-    renderer = max(1, (os.cpu_count() or 1) // workers)
-    wanted = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    wanted["LP_NUM_THREADS"] = str(renderer)
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
     try:
         yield
     finally:
@@ -220,8 +242,9 @@ def _thread_limits(workers: int) -> Iterator[None]:
 # In the worker ----------------------------------------------------------------------------------------------------
 
 
-def _work[Item](pipe: Connection, session: Session[Item]) -> None:
-    """Serves items from ``pipe`` until it closes."""
+def _work[Item](pipe: Connection, session: Session[Item], renderer: int) -> None:
+    """Serves items from ``pipe`` until it closes; its software renderer has ``renderer`` threads."""
+    os.environ["LP_NUM_THREADS"] = str(renderer)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides what it means
     threading.Thread(target=_die_with_parent, daemon=True).start()
     try:

@@ -72,10 +72,10 @@ class Windows:
             wanted = index[:, None] + steps
             batch[f"{key}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))
             if key in self._store:
-                windows[key] = self._window(key, wanted.clip(start, end - 1))
-                if key == ACTION and EXECUTED in self._store and (steps < 0).any():
-                    past = (wanted.clip(start, end - 1))[:, steps < 0]
-                    windows[key][:, steps < 0] = self._window(EXECUTED, past)
+                found = wanted.clip(start, end - 1)
+                windows[key] = self._window(key, found)
+                if key == ACTION and EXECUTED in self._store and (past := steps < 0).any():
+                    windows[key][:, past] = self._window(EXECUTED, found[:, past])
         return {**{name: windows.get(name, batch.get(name)) for name in self._names}, **batch, **windows}
 
     def _window(self, key: str, wanted: NDArray[np.int64]) -> torch.Tensor:

@@ -69,6 +69,12 @@ class KeyframeEnvironment(Protocol):
 class SimulatedEnvironment(KeyframeEnvironment, Protocol):
     """One that knows where everything is, and can be looked at: what demonstrations are recorded in."""
 
+    def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
+        """As `step`, but nobody looks: returns whether the task is done, and whether the key frames are used up."""
+
+    def observe(self) -> Observation:
+        """What is seen and felt now."""
+
     def joints(self) -> NDArray[np.float32]:
         """Positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -158,33 +160,50 @@ def breakdown(new: Version, categories: tuple[str, ...]) -> Numbers:
     return found
 
 
+def _collect(version: Version, folder: str, *arguments: str) -> tuple[float, str]:
+    """Returns how long `adamanip collect` took to record safes into ``folder`` [s], and what it printed."""
+    command = ("-m", "lerobot_adamanip.cli.main", "collect", "--root", f"{folder}/demos", "--category", "safe")
+    return version.run(sys.executable, *command, *arguments, "--json")
+
+
+class Watch:
+    """Looks for the first file that matches, from another thread.
+
+    Attributes:
+        seconds: from the start until it was there; infinite if it never was.
+    """
+
+    def __init__(self, folder: Path, pattern: str) -> None:
+        self._folder, self._pattern = folder, pattern
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self.seconds = math.inf
+
+    def __enter__(self) -> None:
+        self._begin = time.perf_counter()
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._stopped.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._stopped.wait(0.02):
+            if any(self._folder.glob(self._pattern)):
+                self.seconds = time.perf_counter() - self._begin
+                return
+
+
 def collection(old: Version, new: Version, repeats: int) -> Numbers:
     """Returns episodes per minute of `adamanip collect`, two workers: with pictures, and clouds alone."""
     kinds = {"pictures": (old, ()), "pictures_now": (new, ()), "clouds_now": (new, ("--no-images",))}
     rates: dict[str, list[float]] = {name: [] for name in kinds}
     for repeat in range(repeats):
         for name, (version, more) in kinds.items():
+            # So many episodes that starting hardly counts.
+            asked = ("--objects", "0:4", "--episodes-per-object", "10", "--workers", "2", "--seed", str(repeat))
             with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
-                _, printed = version.run(
-                    sys.executable,
-                    "-m",
-                    "lerobot_adamanip.cli.main",
-                    "collect",
-                    "--root",
-                    f"{folder}/demos",
-                    "--category",
-                    "safe",
-                    "--objects",
-                    "0:4",
-                    "--episodes-per-object",
-                    "10",  # so many that starting hardly counts
-                    "--workers",
-                    "2",
-                    "--seed",
-                    str(repeat),
-                    "--json",
-                    *more,
-                )
+                _, printed = _collect(version, folder, *asked, *more)
             rates[name].append(json.loads(printed.splitlines()[-1])["episodes_per_minute"])
         say("collection: " + ", ".join(f"{name} {values[-1]:.0f}/min" for name, values in rates.items()))
     before = rates["pictures"]
@@ -226,29 +245,22 @@ def _per_episode(told: Numbers) -> float:
 
 
 def start(old: Version, new: Version, repeats: int) -> Numbers:
-    """Returns seconds from the command to one recorded episode, dataset written."""
-    seconds: dict[str, list[float]] = {"before": [], "after": []}
+    """Returns seconds from the command until one episode is safe on disk, and until the dataset is written."""
+    first: dict[str, list[float]] = {"before": [], "after": []}
+    whole: dict[str, list[float]] = {"before": [], "after": []}
     for _ in range(repeats):
         for name, version, more in (("before", old, ()), ("after", new, ("--no-images",))):
             with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
-                took, _ = version.run(
-                    sys.executable,
-                    "-m",
-                    "lerobot_adamanip.cli.main",
-                    "collect",
-                    "--root",
-                    f"{folder}/demos",
-                    "--category",
-                    "safe",
-                    "--objects",
-                    "0:1",
-                    "--episodes-per-object",
-                    "1",
-                    "--json",
-                    *more,
-                )
-            seconds[name].append(took)
-    return {"one_episode_s": pair(seconds["before"], seconds["after"])}
+                watch = Watch(Path(folder), "*.partial/episodes/*.safetensors")
+                with watch:
+                    took, _ = _collect(version, folder, "--objects", "0:1", "--episodes-per-object", "1", *more)
+            first[name].append(watch.seconds)
+            whole[name].append(took)
+        say(f"start: first episode {first['before'][-1]:.1f} s, {first['after'][-1]:.1f} s")
+    return {
+        "first_episode_s": pair(first["before"], first["after"]),
+        "one_episode_s": pair(whole["before"], whole["after"]),
+    }
 
 
 def summary(report: Numbers) -> Numbers:

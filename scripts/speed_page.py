@@ -18,6 +18,7 @@ NAMES = {
     "with_pictures_per_minute": "`adamanip collect`, two workers, clouds and pictures: episodes a minute",
     "clouds_only_per_minute": "the same, clouds alone",
     "episodes_per_minute": "`lerobot-eval` of `dp3_adaptive`, two environments: episodes a minute",
+    "first_episode_s": "`adamanip collect`, from command to the first episode on disk, s",
     "one_episode_s": "`adamanip collect` of one episode, from command to dataset, s",
 }
 

@@ -11,8 +11,18 @@ from typing import Any
 import pytest
 from jobs_helpers import session
 
+from lerobot_adamanip import jobs
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.jobs import JobResult, WorkerError, WorkerPool
+
+
+@pytest.fixture(autouse=True, params=["spawned", "copied"])
+def start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """How workers start; whatever becomes of them is the same."""
+    monkeypatch.setattr(jobs, "_preloaded", [])
+    if request.param == "copied":
+        jobs.preload("jobs_helpers", "no_such_module")
+    return str(request.param)
 
 
 def run(folder: Path, items: list[Any], count: int = 1, **options: Any) -> list[JobResult[Any]]:

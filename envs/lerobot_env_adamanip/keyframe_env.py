@@ -21,10 +21,11 @@ from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.observation import state_vector, workspace_cloud
 from lerobot_adamanip.options import EnvironmentOptions, require_known
 from lerobot_adamanip.pointcloud import depth_size
-from lerobot_adamanip.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.schema import ACTION_DIM, FPS
 from lerobot_adamanip.seeds import retried_seed, scene_seed
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
+from lerobot_env_adamanip.spaces import observation_space
 from lerobot_env_adamanip.starting import make_task, require_simulator, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
@@ -76,7 +77,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
-        self.observation_space = _observation_space(self.options)
+        self.observation_space = observation_space(self.options)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
@@ -104,21 +105,40 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._monitor = EpisodeMonitor(
             sim, sim.placement.annotations, seed=drawn, given_seed=given, provenance=self._provenance
         )
-        return self._observe(), {"is_success": False}
+        return self.observe(), {"is_success": False}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
+        had_succeeded = self._episode().success
+        success, truncated = self.drive(action)
+        reward = float(success and not had_succeeded)
+        return self.observe(), reward, success, truncated, {"is_success": success}
+
+    def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
+        """As `step`, but nobody looks: returns whether the task is done, and whether the key frames are used up."""
         sim, monitor = self._running(), self._episode()
         sim.execute(np.asarray(action))
-        had_succeeded = monitor.success
+        self._image = None
         success = monitor.after_key_frame()
         truncated = not success and monitor.key_frames >= self._max_episode_steps
         if (success or truncated) and self._record is None:
             self._record = monitor.record()
             if self._episode_log is not None:
                 self._episode_log.append(self._record)
-        reward = float(success and not had_succeeded)
-        return self._observe(), reward, success, truncated, {"is_success": success}
+        return success, truncated
+
+    def observe(self) -> Observation:
+        """Returns what is seen and felt now."""
+        seen = self._running().observe(image=self.options.observe_images)
+        self._image = seen.image
+        observation: Observation = {
+            "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
+            "effort": seen.effort.astype(np.float32),
+            "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
+        }
+        if seen.image is not None:
+            observation["pixels"] = {"front": seen.image}
+        return observation
 
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's image (H, W, 3) of this moment; black before the first episode.
@@ -255,18 +275,6 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         assert self._sim is not None
         return self._sim
 
-    def _observe(self) -> Observation:
-        seen = self._running().observe(image=self.options.observe_images)
-        self._image = seen.image
-        observation: Observation = {
-            "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
-            "effort": seen.effort.astype(np.float32),
-            "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
-        }
-        if seen.image is not None:
-            observation["pixels"] = {"front": seen.image}
-        return observation
-
 
 def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:
     """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
@@ -280,17 +288,6 @@ def _options(category: str | None, options: EnvironmentOptions | None, values: d
     if options is None:
         return EnvironmentOptions(category=category or "safe", **values)
     return options.changed(**({} if category is None else {"category": category}), **values)
-
-
-def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
-    shapes = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (options.num_points, 3)}
-    spaces: dict[str, gym.Space[Any]] = {
-        key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
-    }
-    if options.observe_images:
-        size = options.image_size
-        spaces["pixels"] = gym.spaces.Dict({"front": gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
-    return gym.spaces.Dict(spaces)
 
 
 __all__ = ["KeyframeEnv", "make_task", "require_simulator"]

@@ -12,11 +12,14 @@ from typing import NamedTuple, Protocol, cast
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError
+from lerobot_adamanip.jobs import preload
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 _WITHOUT_PLUGIN = ("collect", "render")
 """Commands to which our environments and policy are no plugin of LeRobot: registering them takes each process 3 s."""
+_WORKER_MODULES = ("lerobot_adamanip.demos.record", "lerobot_adamanip.experts", "lerobot_env_adamanip.preload")
+"""What workers that record need, named here so that they are imported while this process is busy with its own."""
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
 
@@ -123,6 +126,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     policy = any(each.startswith("--policy") for each in arguments)  # which is a plugin's
     if argv is None and arguments and arguments[0] in _WITHOUT_PLUGIN and not policy:
         os.environ[NO_PLUGIN] = "1"
+    if argv is None and arguments[:1] == ["collect"] and not {"-h", "--help", "--cluster"} & set(arguments):
+        preload(*_WORKER_MODULES)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())
         return 0 if arguments else EXIT_ERROR

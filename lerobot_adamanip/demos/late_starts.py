@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip.checked_json import listing, number, parse, table
 from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Phase
 from lerobot_adamanip.observation import Observation
-from lerobot_adamanip.rollout import KeyframeEnvironment, next_goal
+from lerobot_adamanip.rollout import KeyframeEnvironment, SimulatedEnvironment, next_goal
 from lerobot_adamanip.rotations import transform
 from lerobot_adamanip.schema import ACTION_DIM
 
@@ -67,7 +67,7 @@ def draw_start(seed: int, share: float) -> LateStart | None:
 
 
 def start_late(
-    env: KeyframeEnvironment,
+    env: SimulatedEnvironment,
     start: LateStart,
     reset: Callable[[], Observation],
     make_expert: Callable[[np.random.Generator], KeyFrames],
@@ -84,14 +84,15 @@ def start_late(
         The observation there, and the (n, 10) actions that led to it.
     """
     for limit in range(start.key_frames, 0, -1):
-        observation, actions = reset(), []
+        reset()
+        actions = []
         for goal in _driven(env, make_expert(start.generator), limit, start.move):
             actions.append(goal.action())
-            observation, *_, info = env.step(actions[-1])
-            if info["is_success"]:
+            succeeded, _ = env.drive(actions[-1])
+            if succeeded:
                 break
         else:
-            return observation, np.stack(actions)
+            return env.observe(), np.stack(actions)
     return reset(), np.zeros((0, ACTION_DIM), np.float32)
 
 

@@ -209,7 +209,9 @@ def _run(
     overrides = {} if recording.overrides is None else {"hidden_overrides": recording.overrides}
     observation, _ = env.reset(seed=recording.seed, options={"object_id": recording.object_id, **overrides})
     for action in recording.prefix:
-        observation, *_ = env.step(action)
+        env.drive(action)
+    if len(recording.prefix):
+        observation = env.observe()
     actions = recording.columns[schema.EXECUTED][:-1]  # the terminal row's was never sent
     seen, success = [observation_columns(observation)], False
     pictures = [env.render()] if look else []

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 
 import numpy as np
 
-from lerobot_adamanip.experts.primitives import Hand, Opening
-from lerobot_adamanip.keyframes import Feedback, Goal
+from lerobot_adamanip.experts.primitives import Frames, Hand, Opening
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
 from lerobot_adamanip.objects import PartAnnotation
 
 PULL_ANGLES = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
@@ -26,3 +26,24 @@ def pull_door(hand: Hand, handle: PartAnnotation, joint: str, tries: int = 1) ->
         if opening is not Opening.BLOCKED:
             break
     return opening
+
+
+def open_by_trial(hand: Hand, handle: PartAnnotation, unlock: Callable[[], Frames], *, unlock_first: bool) -> KeyFrames:
+    """Pulls the door; where that fails, unlocks it, and pulls again.
+
+    Args:
+        hand: that does it.
+        handle: of the door.
+        unlock: what is tried when a pull was blocked, until the hand is free again.
+        unlock_first: who takes over from a hand that has pulled in vain begins with this.
+    """
+    unlocking = unlock_first and not hand.is_ajar(handle, "door")
+    for number in range(MAX_ROUNDS + 1):
+        if not unlocking:
+            opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
+            if opening is Opening.DONE:
+                return
+            yield from hand.release()
+        unlocking = False
+        if not hand.is_ajar(handle, "door"):
+            yield from unlock()

@@ -5,7 +5,7 @@ Pull the door. If that fails, push the button, then pull again.
 
 from __future__ import annotations
 
-from lerobot_adamanip.experts.doors import MAX_ROUNDS, pull_door
+from lerobot_adamanip.experts.doors import MAX_ROUNDS, open_by_trial, pull_door
 from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import Frames, Hand, Opening, Parts
 from lerobot_adamanip.keyframes import KeyFrames, Phase
@@ -18,18 +18,12 @@ SEQUENCE = "pull door; if it is blocked: let go, push button with the closed han
 
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
-    handle = known.parts["handle"]
-    # Who takes over from a hand that has pulled in vain pushes first.
-    pushing = not hand.is_ajar(handle, "door") and hand.belief.blocked("door", until="button")
-    for number in range(MAX_ROUNDS + 1):
-        if not pushing:
-            opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
-            if opening is Opening.DONE:
-                return
-            yield from hand.release()
-        pushing = False
-        if not hand.is_ajar(handle, "door"):
-            yield from push_button(hand, known.parts["button"])
+    yield from open_by_trial(
+        hand,
+        known.parts["handle"],
+        lambda: push_button(hand, known.parts["button"]),
+        unlock_first=hand.belief.blocked("door", until="button"),
+    )
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:

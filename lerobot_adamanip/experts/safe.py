@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_adamanip.experts.doors import MAX_ROUNDS, pull_door
+from lerobot_adamanip.experts.doors import MAX_ROUNDS, open_by_trial, pull_door
 from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening, Parts
 from lerobot_adamanip.keyframes import FOLLOWED, KeyFrames, Phase
@@ -27,21 +27,15 @@ SEQUENCE = "pull door; if it is blocked: let go, turn knob one way at random, th
 
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Trial and error, as control flow. It never learns the hidden state."""
-    handle = known.parts["handle"]
-    # Who takes over from a hand that has turned the knob part of the way, or pulled in vain, turns it first.
+
+    def unlock() -> Frames:
+        first = hand.belief.way("knob", TURNED) or known.direction or int(hand.rng.choice([-1, 1]))
+        yield from turn_knob(hand, known.parts["knob"], (first, -first))
+        yield from hand.release()
+
+    # Who takes over from a hand that has turned the knob part of the way turns it on.
     blocked = hand.belief.blocked("door", until="knob")
-    turning = not hand.is_ajar(handle, "door") and (blocked or _turns(hand))
-    for number in range(MAX_ROUNDS + 1):
-        if not turning:
-            opening = yield from pull_door(hand, handle, "door", hand.trials if number == 0 else 1)
-            if opening is Opening.DONE:
-                return
-            yield from hand.release()
-        turning = False
-        if not hand.is_ajar(handle, "door"):
-            first = hand.belief.way("knob", TURNED) or known.direction or int(hand.rng.choice([-1, 1]))
-            yield from turn_knob(hand, known.parts["knob"], (first, -first))
-            yield from hand.release()
+    yield from open_by_trial(hand, known.parts["handle"], unlock, unlock_first=blocked or _turns(hand))
 
 
 def _turns(hand: Hand) -> bool:

@@ -56,9 +56,13 @@ class FakeEnv:
         self.pose = transform((0.3, 0.0, 0.2))
         self.feedback, self.labels = Feedback(self.pose, 1.0), KeyFrameLabels()
         self.steps = 0
-        return self._observation(), {"is_success": False}
+        return self.observe(), {"is_success": False}
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        opened, truncated = self.drive(action)
+        return self.observe(), 0.0, opened, truncated, {"is_success": opened}
+
+    def drive(self, action: np.ndarray) -> tuple[bool, bool]:
         time.sleep(self.delay)
         self.steps += 1
         pulls = bool(action[0] > 0.4 and action[schema.GRIPPER_DIM] < 0.5)
@@ -73,8 +77,7 @@ class FakeEnv:
             self.lid = float(action[0]) if pulls else self.lid
         self.feedback = Feedback(self.pose, float(action[-1]), Outcome.STALLED if stalled else Outcome.REACHED)
         self.opened = self.opened or (not self.locked and self.lid > OPEN_AT)
-        truncated = not self.opened and self.steps >= self.max_key_frames
-        return self._observation(), 0.0, self.opened, truncated, {"is_success": self.opened}
+        return self.opened, not self.opened and self.steps >= self.max_key_frames
 
     def part_positions(self) -> dict[str, float]:
         return {"lid": self.lid}
@@ -104,7 +107,7 @@ class FakeEnv:
     def close(self) -> None:
         pass
 
-    def _observation(self) -> dict[str, Any]:
+    def observe(self) -> dict[str, Any]:
         state = self.generator.normal(size=schema.STATE_DIM).astype(np.float32)
         state[:3] = self.pose[:3, 3]
         return {

@@ -11,6 +11,7 @@ import pytest
 from envs_helpers import in_fresh_process
 
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv, make_task
+from lerobot_env_adamanip.sim import rendering
 
 pytestmark = pytest.mark.sim
 NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
@@ -100,6 +101,21 @@ def test_pictures_on_demand_look_as_those_of_a_rendered_scene(task: Any) -> None
     assert taken.shape == rendered.shape
     assert np.abs(taken - rendered).mean() < 3.0  # a rendered scene's is larger and made smaller: smoother edges
     assert np.abs(taken.mean((0, 1)) - rendered.mean((0, 1))).max() < 0.5
+
+
+def test_pictures_are_the_same_without_the_table_of_reflections(monkeypatch: pytest.MonkeyPatch) -> None:
+    images = []
+    for pack in ("unlit", "as SAPIEN has it"):
+        if pack != "unlit":
+            assert rendering._unlit_pack() is not None  # this SAPIEN's shaders are written as we expect
+            monkeypatch.setattr(rendering, "_unlit_pack", lambda: None)
+        env = KeyframeEnv("safe", image_size=128, num_points=64)
+        try:
+            images.append(env.reset(seed=5)[0]["pixels"]["front"])
+        finally:
+            env.close()
+    assert images[0].std() > 10.0
+    np.testing.assert_array_equal(*images)
 
 
 def test_what_does_not_move_is_seen_as_if_it_were_cast_anew() -> None:

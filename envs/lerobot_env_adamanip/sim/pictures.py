@@ -19,7 +19,7 @@ from lerobot_adamanip.errors import no_vulkan_device
 from lerobot_env_adamanip.sim.building import add_visual
 from lerobot_env_adamanip.sim.camera import pinhole, take_image
 from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
-from lerobot_env_adamanip.sim.rendering import keep_shaders
+from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
 from lerobot_env_adamanip.sim.scene import Visible, add_lights
 from lerobot_env_adamanip.sim.triangles import robot_outlines
 
@@ -62,7 +62,7 @@ class PictureScene:
             if (component := components.get(link.entity.name)) is not None:
                 self._add(link.entity, component)
         add_lights(self._scene, shadow=False)
-        self._camera = Camera(camera, self._scene)
+        self._camera = Camera(without_reflections(camera), self._scene)
 
     def take(self) -> NDArray[np.uint8]:
         """Returns a picture (H, W, 3) of this moment."""

@@ -27,9 +27,7 @@ _SPLITS = 3
 """A link's silhouette is taken for that of 2^3 boxes around parts of it: few rays beside it are cast."""
 _BEHIND = 1e-3
 """What is nearer to the camera's plane than this cannot be projected [m]."""
-
-
-MARGIN = 0.01
+_EDGE = 0.01
 """What is nearer than this to a picture's edge counts as in it [m]."""
 
 
@@ -46,6 +44,12 @@ class PinholeCamera:
     pose: Pose
     size: int
     focal: float
+
+    @functools.cached_property
+    def world_to_camera(self) -> Pose:
+        """(4, 4)."""
+        inverse: Pose = np.linalg.inv(self.pose).astype(np.float64)
+        return inverse
 
     def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
         """Returns the directions (size^2, 3) of all pixels in scan order, camera frame; of depth 1 each.
@@ -64,10 +68,10 @@ class PinholeCamera:
             points: (N, 3) corners of its convex hull, in its own frame [m].
             pose: of the body in the world (4, 4).
         """
-        in_camera = np.linalg.inv(self.pose) @ pose
+        in_camera = self.world_to_camera @ pose
         x, y, z = (points @ in_camera[:3, :3].T + in_camera[:3, 3]).T
-        half = -z * (0.5 * self.size / self.focal) + MARGIN
-        beside = x > half, x < -half, y > half, y < -half, z > MARGIN
+        half = -z * (0.5 * self.size / self.focal) + _EDGE
+        beside = x > half, x < -half, y > half, y < -half, z > _EDGE
         return not any(side.all() for side in beside)
 
     def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -163,7 +167,7 @@ class RayScene:
 
     def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
         self._camera = camera
-        into_camera = np.linalg.inv(camera.pose)
+        into_camera = camera.world_to_camera
         self._rotation, self._shift = into_camera[:3, :3], into_camera[:3, 3]
         rays = camera.rays(beside)
         farthest = _farthest(camera, rays, workspace)

@@ -28,7 +28,7 @@ from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
 from lerobot_env_adamanip.sim.observation import SimObservation
 from lerobot_env_adamanip.sim.placement import Placement, draw_placement, randomization
-from lerobot_env_adamanip.sim.rendering import keep_shaders
+from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
 from lerobot_env_adamanip.sim.sensors import RenderedSensor
@@ -173,7 +173,8 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        return self._cameras(self._camera_sizes)
+        cameras = self._cameras(self._camera_sizes)
+        return [without_reflections(camera) for camera in cameras] if self.scene.can_render() else cameras
 
     def _camera(self, size: int) -> CameraConfig:
         """The front camera of this episode, for pictures of ``size`` [px]."""
