@@ -83,7 +83,7 @@ class Measured:
         self._clock, self._detail = clock, detail
         for name in ("execute", "observe", "reset", "_tick"):
             clock.watch(AdaManipTask, name, name)
-        clock.watch(KeyframeEnv, "_observe", "cloud")
+        clock.watch(KeyframeEnv, "observe" if hasattr(KeyframeEnv, "observe") else "_observe", "cloud")
         if detail:
             self._watch_parts()
 

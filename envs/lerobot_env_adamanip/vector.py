@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium as gym
 
 from lerobot_adamanip.errors import SimulatorError
+from lerobot_adamanip.jobs import preload
 
 Make = Callable[[], gym.Env[Any, Any]]
 Transition = tuple[Any, float, bool, bool, dict[str, Any]]
@@ -62,6 +63,7 @@ class LazyAsyncVectorEnv:
     """
 
     def __init__(self, makers: Sequence[Make]) -> None:
+        preload("lerobot_env_adamanip.preload")  # while whoever made this loads a policy
         self._makers = list(makers)
         self._env: gym.vector.AsyncVectorEnv | None = None
         self.num_envs = len(self._makers)

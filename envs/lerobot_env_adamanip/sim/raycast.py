@@ -260,9 +260,13 @@ def _within(slots: NDArray[np.int64], rectangles: NDArray[np.int64]) -> NDArray[
 
 def _farthest(camera: PinholeCamera, rays: NDArray[np.float64], workspace: Workspace) -> NDArray[np.float64]:
     """Depth at which each ray (N, 3) leaves the workspace [m]; 0 if it never is in it. -> (N,)."""
-    directions, eye = rays @ camera.pose[:3, :3].T, camera.pose[:3, 3]
+    directions, eye = np.ascontiguousarray(camera.pose[:3, :3] @ rays.T), camera.pose[:3, 3]
     lower, upper = np.asarray(workspace.lower) - _MARGIN, np.asarray(workspace.upper) + _MARGIN
+    enters, leaves = np.full(len(rays), -np.inf), np.full(len(rays), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (lower - eye) / directions, (upper - eye) / directions
-    enters, leaves = np.nanmax(np.minimum(one, other), axis=1), np.nanmin(np.maximum(one, other), axis=1)
+        for along, low, high in zip(directions, lower - eye, upper - eye, strict=True):
+            one, other = low / along, high / along
+            # A ray in one of the box's planes says nothing along that axis: NaN, which these pass over.
+            np.fmax(enters, np.minimum(one, other), out=enters)
+            np.fmin(leaves, np.maximum(one, other), out=leaves)
     return np.where((leaves > 0.0) & (leaves >= enters), leaves, 0.0)
