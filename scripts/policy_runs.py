@@ -6,7 +6,9 @@ with. One thing at a time: two cores are no more. For example, the default on va
     python scripts/policy_runs.py --category door,lamp --name default --episodes 100
     python scripts/policy_runs.py --category door --name wide --train=--policy.trunk_dim=512
     python scripts/policy_runs.py --category door --name corrected --corrections 5
+    python scripts/policy_runs.py --category suite --name one --steps 20000 --train=--policy.num_anchors=96
 
+``suite`` is one policy of all categories: their demonstrations merged, told what to do, each category counting alike.
 Models are chosen on ``--split validation``; ``test`` is for numbers that are reported. A table of all runs in ``--out``
 follows from their logs: ``python scripts/policy_runs.py --table``.
 """
@@ -28,11 +30,15 @@ from check_common import ROOT, count, list_of
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.metrics import count_tries, first_episodes
 from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.recovery import recovery
 from lerobot_adamanip.files import write_atomically
 
 BIN = Path(sys.executable).parent
+SUITE = "suite"
+SEVERAL_TASKS = ("--policy.use_instruction=true", "--policy.balance_tasks=true")
 OBJECTS = ("seen", "unseen", "novel")
 ENVIRONMENT = {**os.environ, "HF_HUB_OFFLINE": "1", "TOKENIZERS_PARALLELISM": "false"}
 
@@ -52,16 +58,22 @@ class Run:
     options: argparse.Namespace
 
     def collect(self) -> None:
-        """Records the demonstrations."""
-        if not _recorded(self.data):
-            given = self.options
-            self._run(
-                "collect", *self._recording(self.data, given.episodes_per_object), "--objects", given.train_objects
-            )
+        """Records the demonstrations, of all categories for the suite."""
+        if _recorded(self.data):
+            return
+        if self.category == SUITE:
+            parts = [Run(self.folder.parent / category, category, self.options) for category in CATEGORIES]
+            for part in parts:
+                part.collect()
+            self._merge("merge", [part.data for part in parts], self.data)
+            return
+        given = self.options
+        self._run("collect", *self._recording(self.data, given.episodes_per_object), "--objects", given.train_objects)
 
     def train(self) -> None:
         """Trains, on from the last checkpoint if there is one."""
-        begin = ["--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false", *self.options.train]
+        begin = ["--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false"]
+        begin += [*(SEVERAL_TASKS if self.category == SUITE else ()), *self.options.train]
         self._train("train", self.data, self.options.steps, begin)
 
     def correct(self) -> None:
@@ -73,19 +85,20 @@ class Run:
             policy = ("--policy", str(self.checkpoint("train")), "--objects", given.train_objects)
             self._run("correct", *self._recording(corrections, given.corrections), *policy)
         if not _recorded(both):
-            roots = [str(self.data), str(corrections)]
-            names = json.dumps([f"local/{Path(root).name}" for root in roots])
-            self._run(
-                "merge",
-                "lerobot-edit-dataset",
-                "--operation.type=merge",
-                "--new_repo_id=local/both",
-                f"--new_root={both}",
-                f"--operation.repo_ids={names}",
-                f"--operation.roots={json.dumps(roots)}",
-            )
+            self._merge("merge", [self.data, corrections], both)
         start = [f"--policy.path={self.checkpoint('train')}", "--policy.push_to_hub=false"]
         self._train("train_on", both, given.correction_steps, start)
+
+    def _merge(self, step: str, parts: list[Path], whole: Path) -> None:
+        self._run(
+            step,
+            "lerobot-edit-dataset",
+            "--operation.type=merge",
+            f"--new_repo_id=local/{whole.name}",
+            f"--new_root={whole}",
+            f"--operation.repo_ids={json.dumps([f'local/{part.name}' for part in parts])}",
+            f"--operation.roots={json.dumps([str(part) for part in parts])}",
+        )
 
     def evaluate(self, objects: str) -> None:
         """Evaluates on objects of a split; a log that was not finished is begun anew."""
@@ -99,7 +112,7 @@ class Run:
             "lerobot-eval",
             f"--policy.path={self.checkpoint('train_on' if given.corrections else 'train')}",
             "--policy.device=cpu",
-            f"--env.type=adamanip_{self.category}",
+            f"--env.type=adamanip{'' if self.category == SUITE else f'_{self.category}'}",
             f"--env.objects={objects}",
             f"--env.split={given.split}",
             f"--env.episode_log={log}",
@@ -177,25 +190,31 @@ def steps(folder: Path) -> list[dict[str, Any]]:
 
 
 def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
-    """Yields a row of numbers for each finished evaluation of a run."""
+    """Yields a row of numbers for each finished evaluation of a run, and each category in it."""
     minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"].startswith("train")) / 60
     for log in sorted(folder.glob("*-*.jsonl")):
         if not log.with_suffix(".done").exists():
             continue
-        records = sorted(read_log(log), key=lambda record: record.given_seed)[:episodes]
-        yield {"run": folder.name, "scenes": log.stem, **numbers(records), "train_minutes": round(minutes, 1)}
+        records = first_episodes(read_log(log), episodes)
+        for category in sorted({record.category for record in records}):
+            found = numbers([record for record in records if record.category == category])
+            where = {"run": folder.name, "category": category, "scenes": log.stem}
+            yield {**where, **found, "train_minutes": round(minutes, 1)}
 
 
 def numbers(records: list[EpisodeRecord]) -> dict[str, Any]:
-    """Returns successes, their interval, and tries that failed, of all episodes and of those that succeeded."""
+    """Returns successes, their interval, and what tries came to: wasted is beyond the best possible, per success."""
     won = [record for record in records if record.success]
+    tries, after = count_tries(records), recovery(records)
     low, high = wilson_interval(len(won), len(records))
     return {
         "episodes": len(records),
         "successes": len(won),
         "interval": [round(low, 3), round(high, 3)],
         "failed_tries": round(sum(record.failed_tries for record in records) / max(1, len(records)), 2),
-        "failed_tries_of_successes": round(sum(record.failed_tries for record in won) / max(1, len(won)), 2),
+        "wasted_tries": None if tries is None else round(tries.wasted, 2),
+        "repeated": f"{after.repeated.count}/{after.repeated.episodes}",
+        "something_new": {count: f"{rate.count}/{rate.episodes}" for count, rate in after.untried.items()},
         "key_frames_of_successes": round(sum(record.key_frames for record in won) / max(1, len(won)), 1),
     }
 
@@ -209,7 +228,7 @@ def say(text: str) -> None:
 def arguments() -> argparse.Namespace:
     """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--category", type=list_of(tuple(CATEGORIES)), default=tuple(CATEGORIES))
+    parser.add_argument("--category", type=list_of((*CATEGORIES, SUITE)), default=tuple(CATEGORIES))
     parser.add_argument("--name", default="default", help="of the setting; a run is NAME-CATEGORY (%(default)s)")
     parser.add_argument("--data", default="outputs/suite/{category}", help="of the demonstrations (%(default)s)")
     parser.add_argument("--out", type=Path, default=ROOT / "outputs" / "runs", help="folder of the runs (%(default)s)")

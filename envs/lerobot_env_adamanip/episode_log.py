@@ -111,6 +111,7 @@ class EpisodeMonitor:
             key_moved=any(not each.failed for each in tries if each.tried > 0),
             first_part=self._labeler.first_part,
             first_try_failed=bool(tries) and tries[0].failed,
+            try_sequence=tuple((each.tried, int(np.sign(each.sent)), each.failed) for each in tries),
             joints=self._task.joint_positions(),
             provenance=self._provenance,
         )

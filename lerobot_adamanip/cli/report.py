@@ -173,6 +173,8 @@ def print_tables(comparison: Comparison) -> None:
     console.print(_table(comparison, _success_rows(comparison)))
     console.print("\nFailed tries per success, and at best without seeing what is hidden", style="bold")
     console.print(_table(comparison, _tries_rows(comparison)))
+    console.print("\nAfter a try that failed", style="bold")
+    console.print(_table(comparison, _recovery_rows(comparison)))
     repeats = sum(summary.repeats for summary in summaries.values())
     if repeats:
         console.print(f"{repeats} repeated episodes were counted once, the last record of each.")
@@ -216,6 +218,14 @@ def _tries_rows(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
     for group in comparison.groups:
         if group.by in ("all", "category", "hidden"):
             yield group.label, [_tries(summary, group) for summary in comparison.summaries.values()]
+
+
+def _recovery_rows(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
+    found = [summary.recovery for summary in comparison.summaries.values()]
+    yield "the same again", [percent(each.repeated) for each in found]
+    for count in sorted({count for each in found for count in each.untried}):
+        name = f"something new after {count} that failed"
+        yield name, [percent(each.untried[count]) if count in each.untried else "-" for each in found]
 
 
 def _tries(summary: EvaluationSummary, group: Group) -> str:

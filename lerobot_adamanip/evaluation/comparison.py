@@ -81,6 +81,7 @@ def _summary(summary: EvaluationSummary) -> dict[str, Any]:
         "repeats": summary.repeats,
         "groups": groups,
         "tried_locked_first": asdict(summary.tried_locked_first),
+        "recovery": asdict(summary.recovery),
         "objects": {name: asdict(result) for name, result in summary.objects.items()},
         "fingerprints": summary.fingerprints,
         "versions": summary.versions,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from lerobot_adamanip.evaluation.groups import ALL, Boundaries, Group, group_records
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.recovery import Recovery, recovery
 from lerobot_adamanip.mechanisms import fixed_direction
 
 BEST_TRIES = {"locked": 1.0, "direction": 0.5, "mode": 1.0}
@@ -64,6 +65,7 @@ class EvaluationSummary:
         repeats: records dropped because the same episode came again later.
         groups: how each group went; `ALL` is always there, and first.
         tried_locked_first: of the episodes that started locked, those whose first try was a pull that failed.
+        recovery: what follows a try that failed.
         objects: per object id, in order.
         fingerprints, versions, mechanism_presets: what made the episodes; one each, unless evaluations were mixed.
     """
@@ -72,6 +74,7 @@ class EvaluationSummary:
     repeats: int
     groups: Mapping[Group, GroupResult]
     tried_locked_first: Rate
+    recovery: Recovery
     objects: Mapping[str, ObjectResult]
     fingerprints: tuple[str, ...]
     versions: tuple[str, ...]
@@ -171,6 +174,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         repeats=len(records) - len(kept),
         groups={group: group_result(chosen) for group, chosen in group_records(kept, boundaries).items()},
         tried_locked_first=rate(sum(map(tried_locked_first, locked)), len(locked)),
+        recovery=recovery(kept),
         objects=_by_object(kept),
         fingerprints=tuple(sorted({each.fingerprint for each in made})),
         versions=tuple(sorted({each.version for each in made})),

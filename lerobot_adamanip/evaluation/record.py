@@ -18,6 +18,8 @@ from lerobot_adamanip.seeds import SPLITS
 LABEL = r"[^\r\n\x00-\x1f\u2028\u2029]{1,100}"
 """What an evaluation may be called."""
 HiddenValue = bool | int | float
+TryMade = tuple[int, int, bool]
+"""A try: index of its joint in the mechanism's `joints`, sign of the way it was sent, whether it failed."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ class EpisodeRecord:
         key_moved: whether a try moved that other joint.
         first_part: name of the part of the first try, or None.
         first_try_failed: whether the first try failed.
+        try_sequence: each try in order.
         joints: name -> last position [rad or m].
         provenance: what made it.
     """
@@ -88,6 +91,7 @@ class EpisodeRecord:
     key_moved: bool
     first_part: str | None
     first_try_failed: bool
+    try_sequence: tuple[TryMade, ...]
     joints: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance
 
@@ -140,6 +144,10 @@ def _check_agreement(record: EpisodeRecord, category: str) -> None:
     if record.failed_tries > record.tries or record.tries > record.key_frames:
         counts = f"{record.failed_tries} failed, {record.tries} tries, {record.key_frames} key frames"
         raise ValueError(f"its counts contradict each other: {counts}")
+    failed = [fails for _, _, fails in record.try_sequence]
+    if (len(failed), sum(failed)) != (record.tries, record.failed_tries):
+        counts = f"{sum(failed)} of {len(failed)} failed, where {record.failed_tries} of {record.tries} did"
+        raise ValueError(f"'try_sequence' contradicts its counts: {counts}")
     if (record.first_part is None) != (record.tries == 0):
         raise ValueError(f"'first_part' is {record.first_part!r} after {record.tries} tries")
 
@@ -159,6 +167,15 @@ def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
     found: dict[str, HiddenValue] = checked_json.mapping(_WORD, values, 20)(name, value)
     checked_json.flag(f"{name}.locked", found.get("locked", False))
     return found
+
+
+def _try(name: str, value: object) -> TryMade:
+    joint, sign, failed = checked_json.listing(lambda _, entry: entry, 3, 3)(name, value)
+    return (
+        checked_json.integer(0, 20)(f"{name}[0]", joint),
+        checked_json.integer(-1, 1)(f"{name}[1]", sign),
+        checked_json.flag(f"{name}[2]", failed),
+    )
 
 
 _LONGEST = 200
@@ -182,6 +199,7 @@ _RECORD = checked_json.table(
         "key_moved": checked_json.flag,
         "first_part": checked_json.optional(_TEXT),
         "first_try_failed": checked_json.flag,
+        "try_sequence": checked_json.listing(_try, 0, 10_000),
         "joints": checked_json.mapping(_TEXT, checked_json.number(-1e9, 1e9), 50),
         "fingerprint": checked_json.text(r"[0-9a-f]{8,64}", "a hash"),
         "version": _TEXT,

@@ -39,6 +39,7 @@ def record(**changes: Any) -> EpisodeRecord:
         "key_moved": False,
         "first_part": "handle",
         "first_try_failed": failed > 0,
+        "try_sequence": ((0, 1, True),) * failed + ((0, 1, False),) * (changes.get("tries", failed + 1) - failed),
         "joints": {"door": 0.5, "knob": 0.0},
         "provenance": dataclasses.replace(MADE, **made),
     }

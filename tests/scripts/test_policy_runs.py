@@ -12,6 +12,8 @@ import policy_runs
 import pytest
 from policy_runs import Run, numbers, summary
 
+from lerobot_adamanip.categories import CATEGORIES
+
 
 class Commands:
     """Stands in for LeRobot's commands: writes what they would leave behind, and fails when told to."""
@@ -56,13 +58,13 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> Commands:
     return made
 
 
-def run_of(folder: Path, **changes: Any) -> Run:
+def run_of(folder: Path, category: str = "door", **changes: Any) -> Run:
     values = {
         "data": str(folder / "data" / "{category}"), "episodes_per_object": 2, "train_objects": "seen", "steps": 10,
         "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
         "corrections": 0, "correction_steps": 4,
     }  # fmt: skip
-    return Run(folder / "runs" / "default-door", "door", argparse.Namespace(**{**values, **changes}))
+    return Run(folder / "runs" / f"default-{category}", category, argparse.Namespace(**{**values, **changes}))
 
 
 def all_of(run: Run) -> None:
@@ -110,6 +112,18 @@ def test_a_policy_is_corrected_once_and_what_was_trained_on_is_evaluated(tmp_pat
     first, on = (next(word for word in call if word.startswith("--output_dir=")) for call in commands.called[1:5:3])
     assert commands.called[2][commands.called[2].index("--policy") + 1].startswith(first.partition("=")[2])
     assert commands.called[5][1].startswith(f"--policy.path={on.partition('=')[2]}")
+
+
+def test_the_suite_is_all_categories_in_one_and_is_told_what_to_do(tmp_path: Path, commands: Commands) -> None:
+    all_of(run_of(tmp_path, "bottle"))
+    for _ in range(2):
+        all_of(run_of(tmp_path, policy_runs.SUITE))
+    assert commands.names.count("adamanip") == len(CATEGORIES), "what is there is not recorded again"
+    merge, train, evaluation = commands.called[-3:]
+    roots = json.loads(next(word for word in merge if "roots" in word).partition("=")[2])
+    assert [Path(root).name for root in roots] == list(CATEGORIES)
+    assert {"--policy.use_instruction=true", "--policy.balance_tasks=true"} < set(train)
+    assert "--env.type=adamanip" in evaluation
 
 
 def test_numbers_of_no_episode_are_no_success() -> None:

@@ -115,6 +115,9 @@ class Bench:
             name: stage(f"actions, {name}", partial(self._act, root, name, number))
             for name, number in (("fast", 3 * repeats), *((("paper", 1),) if not self.quick else ()))
         }
+        results["action_against_diffusion"] = stage(
+            "actions, diffusion and fast in turns", partial(self._compare, root)
+        )
         results["seconds"] = round(time.monotonic() - begin, 1)
         return results
 
@@ -132,6 +135,14 @@ class Bench:
         from lerobot_adamanip.cli.bench import learning
 
         return learning.acting(root, preset, batch_sizes=(1, 10), repeats=repeats, device=self.device)
+
+    def _compare(self, root: Path) -> Any:
+        from lerobot_adamanip.cli.bench import learning
+
+        sizes, repeats = (1, 10), 7 if self.quick else 21
+        return learning.acting_against(
+            root, "diffusion", "fast", batch_sizes=sizes, repeats=repeats, device=self.device
+        )
 
 
 def finish(results: Results) -> Results:

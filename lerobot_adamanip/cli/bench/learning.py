@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import numpy as np
 import torch
 
 from lerobot_adamanip import lerobot_compat
-from lerobot_adamanip.cli.bench.timing import Stopwatch, median_ms, ratio, repeat_ms
+from lerobot_adamanip.cli.bench.timing import Stopwatch, compare_ms, median_ms, ratio, repeat_ms
 from lerobot_adamanip.demos.loading import open_dataset
 from lerobot_adamanip.schema import POINT_CLOUD
 
@@ -140,24 +142,34 @@ def _learn(policy: Any, batch: Batch, watch: Stopwatch, device: str) -> None:
 
 def acting(root: Path, preset: str, *, batch_sizes: tuple[int, ...], repeats: int, device: str) -> dict[str, float]:
     """Returns the time to an action [ms], for each batch size: processing and generating a chunk, none left over."""
+    act = actor(root, preset, device=device)
+    return {f"batch_{size}": repeat_ms(partial(act, size), repeats) for size in batch_sizes}
+
+
+def acting_against(
+    root: Path, before: str, after: str, *, batch_sizes: tuple[int, ...], repeats: int, device: str
+) -> dict[str, dict[str, float]]:
+    """Returns plain_ms, ms and speedup of preset ``after`` against ``before``, in turns, for each batch size."""
+    plain, fast = (actor(root, preset, device=device) for preset in (before, after))
+    return {f"batch_{size}": compare_ms(partial(plain, size), partial(fast, size), repeats) for size in batch_sizes}
+
+
+def actor(root: Path, preset: str, *, device: str) -> Callable[[int], None]:
+    """Returns what acts once, in as many environments as it is told."""
     policy, before, after, dataset = make_policy(root, preset, device=device)
     policy.eval()
     item = dataset[0]
-    times: dict[str, float] = {}
-    for batch_size in batch_sizes:
+
+    def act(batch_size: int) -> None:
         observation = {key: _repeated(item[key][-1], batch_size) for key in policy.config.input_features}
         observation[POINT_CLOUD] = enough_points(observation[POINT_CLOUD], policy.config.num_points)
-
-        def act(observation: Batch = observation) -> None:
-            # Forgetting the plan makes every call generate; the observation queue is filled by the first.
-            policy._planned.clear()
-            with torch.inference_mode():
-                after(policy.select_action(before(dict(observation))))
-            synchronise(device)
-
+        # The first action of an episode: nothing is remembered from another number of environments.
         policy.reset()
-        times[f"batch_{batch_size}"] = repeat_ms(act, repeats)
-    return times
+        with torch.inference_mode():
+            after(policy.select_action(before(observation)))
+        synchronise(device)
+
+    return act
 
 
 def _repeated(value: torch.Tensor, batch_size: int) -> torch.Tensor:

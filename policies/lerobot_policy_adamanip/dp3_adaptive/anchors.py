@@ -21,6 +21,7 @@ from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, STA
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
@@ -66,7 +67,8 @@ class AnchorNetwork(nn.Module):
         remembers = config.n_action_history_steps > 0
         self.memory = EventMemory(config.memory_dim) if remembers else None
         effort = config.feature_size(EFFORT) if config.use_effort else 0
-        seen = config.encoder_out_dim + 4 + effort + (config.memory_dim if remembers else 0)
+        told = INSTRUCTION_DIM if config.use_instruction else 0
+        seen = config.encoder_out_dim + 4 + effort + told + (config.memory_dim if remembers else 0)
         width = config.trunk_dim
         self.trunk = nn.Sequential(nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
@@ -126,8 +128,10 @@ class AnchorHead:
         body = [upwards(poses[:, -1]), poses[:, -1, 9:10]]
         if self.config.use_effort:
             body.append(window.observations[EFFORT][:, -1] / EFFORT_UNIT)
+        if self.config.use_instruction:
+            body.append(window.observations[INSTRUCTION][:, -1])
         steps = self.config.n_action_history_steps
-        happened = events(window.history, poses[:, -steps - 1 :], window.valid)
+        happened = events(window.history, poses[:, -steps - 1 :], window.valid, feedback=self.config.use_feedback)
         predicted: tuple[Tensor, Tensor] = model(
             point_features(points, POINT_UNIT, POINT_NEAR), torch.cat(body, dim=-1), happened
         )

@@ -80,3 +80,18 @@ def wrong_number_of_points(shape: tuple[int, ...], num_points: int) -> Configura
         allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
         hint=f"clouds of {num_points} points (--num-points, --env.num_points), or a policy trained with fewer",
     )
+
+
+def require_actions(config: DP3AdaptiveConfig) -> None:
+    """Refuses a dataset without actions, or with such as the head cannot draw."""
+    if config.action_feature is None:
+        raise ConfigurationError(
+            "The dataset has no actions.", got="no column `action`", allowed="demonstrations", hint="adamanip collect"
+        )
+    if config.head == "anchors" and not config.has_pose_layout:
+        raise ConfigurationError(
+            "The head anchors moves a tool, and these actions are no poses of one.",
+            got=f"action {tuple(config.action_feature.shape)}",
+            allowed="the ten pose numbers of the contract, in action and in state",
+            hint="--policy.preset=diffusion",
+        )

@@ -80,6 +80,13 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Look at the external joint torque too.
     use_effort: bool = False
 
+    # Be told what to do: the dataset's and the environment's instruction, for one policy of several tasks.
+    use_instruction: bool = False
+    # Training only: tasks count alike, however many rows the dataset has of each.
+    balance_tasks: bool = False
+
+    # Head anchors: remember what came of past actions, too: what was left undone, and the gripper reached.
+    use_feedback: bool = True
     # Head anchors: typical motions of the demonstrations that are told apart.
     num_anchors: int = 32
     # Head anchors: size of what is remembered of the last n_action_history_steps events.

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from lerobot_adamanip.schema import EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
+from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 from lerobot_policy_adamanip.encoders import make_encoder
 
@@ -33,6 +34,7 @@ class ActionDenoiser(nn.Module):
             config.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
         )
         body_dim = config.state_dim + (config.feature_size(EFFORT) if config.use_effort else 0)
+        body_dim += INSTRUCTION_DIM if config.use_instruction else 0
         past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)
         self.history = nn.Sequential(nn.Linear(past_dim, 128), nn.Mish(), nn.Linear(128, 64)) if past_dim else None
         condition_dim = config.n_obs_steps * (config.encoder_out_dim + body_dim) + (64 if past_dim else 0)
@@ -125,6 +127,8 @@ class DiffusionHead:
         body = [state[..., : self.config.state_dim]]
         if self.config.use_effort:
             body.append(observations[EFFORT])
+        if self.config.use_instruction:
+            body.append(observations[INSTRUCTION].expand(-1, state.shape[1], -1))
         # Dimensions that hardly vary in the demonstrations explode under MIN_MAX as soon as they do.
         body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
         return model.condition(points, torch.cat(body, dim=-1), past)

@@ -22,13 +22,15 @@ from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead, demonstrated_motions, fit_anchors
-from lerobot_policy_adamanip.dp3_adaptive.checks import wrong_number_of_points
+from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions, wrong_number_of_points
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
+from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 
 ACTION_IS_PAD = "action_is_pad"
+TASK_INDEX = "task_index"
 
 
 def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
@@ -69,20 +71,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         if config.use_amp:
             require_mixed_precision(config.device)
         config.validate_features()
-        if config.action_feature is None:
-            raise ConfigurationError(
-                "The dataset has no actions.",
-                got="no column `action`",
-                allowed="demonstrations",
-                hint="adamanip collect",
-            )
-        if config.head == "anchors" and not config.has_pose_layout:
-            raise ConfigurationError(
-                "The head anchors moves a tool, and these actions are no poses of one.",
-                got=f"action {tuple(config.action_feature.shape)}",
-                allowed="the ten pose numbers of the contract, in action and in state",
-                hint="--policy.preset=diffusion",
-            )
+        require_actions(config)
         if config.tcp_relative and not config.has_pose_layout:
             logging.getLogger(__name__).warning(
                 "State and action are not the ten pose numbers of the contract: tcp_relative, augmentation and "
@@ -115,10 +104,13 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         return policy
 
     def _meet_dataset(self, dataset_meta: Any) -> None:
+        self._task_weights: Tensor | None = None
         if dataset_meta is not None:
             from lerobot_adamanip.lerobot_compat import read_latest_only, skip_videos
 
             skip_videos(dataset_meta)
+            if self.config.balance_tasks:
+                self._task_weights = balanced_weights(dataset_meta)
             if self.config.head == "anchors":
                 read_latest_only(dataset_meta, POINT_CLOUD)
 
@@ -152,6 +144,9 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         actions, padded = batch[ACTION], batch[ACTION_IS_PAD]
         window = Window(self._observations(batch), actions[:, :past], ~padded[:, :past])
         losses, weights, told = self.head.loss(self._active_model(), window, actions[:, past:], ~padded[:, past:])
+        if self._task_weights is not None:
+            self._task_weights = self._task_weights.to(losses)
+            weights = weights * self._task_weights[batch[TASK_INDEX]]
         if reduction == "none":
             return losses, {}
         # In one piece: each number on its own would wait for a GPU once more.
@@ -250,6 +245,9 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         if cloud.shape[-2] < self.config.num_points:
             raise wrong_number_of_points(tuple(cloud.shape[-2:]), self.config.num_points)
         picked[POINT_CLOUD] = cloud[..., : self.config.num_points, :3]
+        if self.config.use_instruction:
+            # The same at every step of a window, so it has none of its own.
+            picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[STATE].dim() == 3 else batch[INSTRUCTION]
         return picked
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -71,6 +71,27 @@ def test_what_was_really_done_is_what_is_remembered(saved: tuple[Path, tuple[Any
     np.testing.assert_allclose(after(history[:, -1])[0], done, atol=1e-5)
 
 
+def test_what_it_might_do_is_asked_without_a_trace(saved: tuple[Path, tuple[Any, ...]]) -> None:
+    path, (*_, dataset) = saved
+    actor = TrainedPolicy(path)
+
+    def episode(asked: int) -> np.ndarray:
+        actor.reset(4)
+        done = []
+        for index in range(3):
+            state = torch.get_rng_state()
+            draws = actor.draws(observation(dataset, index), "open the safe", asked) if asked else None
+            torch.set_rng_state(state)
+            done.append(actor.act(observation(dataset, index), "open the safe"))
+            if draws is not None:
+                assert draws.shape == (asked, schema.ACTION_DIM)
+                assert len(np.unique(draws.round(4), axis=0)) > 1
+                np.testing.assert_allclose(draws[0], done[-1], atol=1e-5)  # the same draw
+        return np.stack(done)
+
+    np.testing.assert_array_equal(episode(8), episode(0))
+
+
 def test_a_folder_without_a_policy_is_one_clear_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="No policy is there"):
         policy_hash(tmp_path)

@@ -1,0 +1,137 @@
+"""One policy for several tasks: it is told what to do, and tasks count alike."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from lerobot.processor.converters import batch_to_transition, transition_to_batch
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_policy_adamanip.dp3_adaptive.memory import events
+from lerobot_policy_adamanip.dp3_adaptive.tasks import (
+    INSTRUCTION,
+    INSTRUCTION_DIM,
+    InstructionStep,
+    balanced_weights,
+    instruction_vector,
+)
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+HEADS: tuple[dict[str, Any], ...] = (
+    {"preset": "diffusion", "n_obs_steps": 2},
+    {
+        "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
+        "training_points": 24, "coarse_points": 32, "refinement_points": 16, "num_refinements": 1,
+    },
+)  # fmt: skip
+
+
+def test_instructions_are_told_apart_and_the_same_words_are_the_same() -> None:
+    texts = [category.instruction for category in CATEGORIES.values()]
+    vectors = [instruction_vector(text) for text in texts]
+    assert all(vector.shape == (INSTRUCTION_DIM,) for vector in vectors)
+    assert all(float(vector.norm()) == pytest.approx(1) for vector in vectors)
+    assert all(float(one @ other) < 0.9 for one, other in itertools.combinations(vectors, 2))
+    assert torch.equal(instruction_vector("Open the safe."), instruction_vector("open the safe"))
+    assert not instruction_vector("").any()
+
+
+@pytest.mark.parametrize("task", [None, [], [3]])
+def test_who_is_told_nothing_says_so(task: Any) -> None:
+    batch = {schema.STATE: torch.zeros(1, 24), "task": task}
+    with pytest.raises(ConfigurationError, match="nobody told it"):
+        InstructionStep()(batch_to_transition(batch))
+
+
+def test_one_text_and_a_list_of_one_are_the_same() -> None:
+    told = [
+        transition_to_batch(InstructionStep()(batch_to_transition({schema.STATE: torch.zeros(1, 24), "task": task})))
+        for task in ("open the safe", ["open the safe"])
+    ]
+    assert torch.equal(told[0][INSTRUCTION], told[1][INSTRUCTION])
+    assert told[0][INSTRUCTION].shape == (1, INSTRUCTION_DIM)
+
+
+@pytest.mark.parametrize("head", HEADS, ids=["diffusion", "anchors"])
+def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
+    make_tiny: MakeTiny, batch_of: Any, head: dict[str, Any]
+) -> None:
+    policy, before, _, dataset = make_tiny(**head, use_instruction=True)
+    policy.train()
+    loss, _ = policy(batch_of(dataset, before, 1, 5, 14))
+    loss.backward()
+    assert torch.isfinite(loss)
+    policy.eval()
+    item = dataset[5]
+    keys = (schema.POINT_CLOUD, schema.STATE)
+
+    def act(text: str) -> torch.Tensor:
+        policy.reset()
+        seen = before({**{key: item[key][-1][None] for key in keys}, "task": [text]})
+        shape = (1, policy.config.horizon, schema.ACTION_DIM)
+        return policy.select_action(dict(seen), noise=torch.full(shape, 0.3))
+
+    assert torch.equal(act("open the safe"), act("open the safe"))
+    assert not torch.equal(act("open the safe"), act("take the cap off the bottle"))
+
+
+def test_a_policy_that_is_told_nothing_looks_at_no_instruction(make_tiny: MakeTiny, batch_of: Any) -> None:
+    _, before, _, dataset = make_tiny(**HEADS[1])
+    assert INSTRUCTION not in batch_of(dataset, before, 1)
+
+
+# Tasks count alike --------------------------------------------------------------------------------------------------
+
+
+def _meta(*lengths: tuple[str, int]) -> Any:
+    names = sorted({name for name, _ in lengths})
+    episodes = {"tasks": [[name] for name, _ in lengths], "length": [length for _, length in lengths]}
+    return SimpleNamespace(episodes=episodes, get_task_index=names.index)
+
+
+def test_rows_of_a_rare_task_weigh_more_and_all_together_as_much_as_before() -> None:
+    lengths = (("a", 30), ("b", 10), ("a", 50), ("c", 30))
+    weights = balanced_weights(_meta(*lengths))
+    rows = torch.tensor([80.0, 10.0, 30.0])
+    shares = weights * rows
+    torch.testing.assert_close(shares, torch.full((3,), 40.0))
+    assert float(shares.sum()) == pytest.approx(float(rows.sum()))
+
+
+def test_the_loss_is_weighted_by_task(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(**HEADS[1], balance_tasks=True)
+    policy.eval()  # nothing drawn
+    batch = batch_of(dataset, before, 1, 5, 14)
+    each, _ = policy(batch, reduction="none")
+    assert float(policy._task_weights[0]) == pytest.approx(1.0)  # of one task alone nothing changes
+    policy._task_weights = torch.tensor([1.0, 3.0])
+    batch["task_index"] = torch.tensor([0, 1, 0])
+    weighed, _ = policy(batch)
+    assert float(weighed) == pytest.approx(float((each[0] + 3 * each[1] + each[2]) / 5), rel=1e-5)
+
+
+# What came of it ----------------------------------------------------------------------------------------------------
+
+
+def test_without_feedback_a_memory_holds_commands_alone() -> None:
+    draw = torch.Generator().manual_seed(3)
+    poses = torch.zeros(2, 4, 10)
+    poses[..., 3], poses[..., 7] = 1.0, 1.0
+    commands = poses[:, 1:].clone()
+    commands[..., :3] += 0.05 * torch.randn(2, 3, 3, generator=draw)
+    other = poses.clone()
+    other[:, -1, :3] += 0.02  # the arm went elsewhere than it was sent
+    valid = torch.ones(2, 3, dtype=torch.bool)
+    same = [events(commands, each, valid, feedback=False) for each in (poses, other)]
+    felt = [events(commands, each, valid) for each in (poses, other)]
+    assert torch.equal(*same)
+    assert not torch.equal(*felt)
+    assert same[0].shape == felt[0].shape
+    torch.testing.assert_close(same[0][..., :7], felt[0][..., :7])
