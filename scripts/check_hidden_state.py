@@ -73,10 +73,13 @@ class SeedResult:
     differences: tuple[str, ...]
 
 
-def frames_until_held(task: Any, seed: int, hidden: dict[str, Any], *, render: bool = True) -> list[Frame]:
+def frames_until_held(
+    task: Any, seed: int, hidden: dict[str, Any], *, look: bool = True, image: bool = True
+) -> list[Frame]:
     """Lets the adaptive expert take hold of the first part; all there is at reset and after each key frame.
 
-    ``cloud`` (M, 3) [m, base frame] and ``image`` (H, W, 3) are in the last frame only, and only if it is rendered.
+    ``cloud`` (M, 3) [m, base frame] and, if one is wanted, ``image`` (H, W, 3) are in the last frame only, and only if
+    somebody is to ``look``.
     """
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
     expert = make_expert(task.category, "adaptive", task.placement.annotations, generator=np.random.default_rng(seed))
@@ -85,9 +88,9 @@ def frames_until_held(task: Any, seed: int, hidden: dict[str, Any], *, render: b
         felt = task.execute(goal.action())
         frames.append(_frame(task))
         goal = expert.send(felt)
-    if render:
-        seen = task.observe()
-        frames[-1].update(cloud=seen.points_in_base, image=seen.image)
+    if look:
+        seen = task.observe(image=image)
+        frames[-1].update(cloud=seen.points_in_base, **({"image": seen.image} if image else {}))
     return frames
 
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.sim
 def test_no_point_of_a_cloud_comes_twice(simulator: OneSimulator, category: str) -> None:
     task = simulator.get(category, lambda: make_task(category))
     task.reset(seed=7)
-    points = task.observe().points_in_base
+    points = task.observe(image=False).points_in_base
     for wanted in (DEFAULT_NUM_POINTS, PAPER_NUM_POINTS):
         with warnings.catch_warnings():
             warnings.simplefilter("error", RepeatedPointsWarning)
@@ -33,21 +33,27 @@ def test_no_point_of_a_cloud_comes_twice(simulator: OneSimulator, category: str)
         assert len(np.unique(cloud, axis=0)) >= 0.995 * wanted
 
 
+def _observed(size: int, *, image: bool) -> Any:
+    task = make_task("pen", image_size=size)
+    try:
+        task.reset(seed=3)
+        parameters = task.views.camera_parameters()
+        assert (parameters.width, parameters.height) == (size, size)
+        assert parameters.intrinsics[0, 2] == pytest.approx(size / 2)
+        return task.observe(image=image)
+    finally:
+        task.close()
+
+
 def test_the_cloud_does_not_depend_on_the_images_size() -> None:
-    seen: list[Any] = []
-    for size in (64, 256, 400):
-        task = make_task("pen", image_size=size)
-        try:
-            task.reset(seed=3)
-            seen.append(task.observe())
-            assert seen[-1].image.shape == (size, size, 3)
-            parameters = task.views.camera_parameters()
-            assert (parameters.width, parameters.height) == (size, size)
-            assert parameters.intrinsics[0, 2] == pytest.approx(size / 2)
-        finally:
-            task.close()
+    seen = [_observed(size, image=False) for size in (64, 256, 400)]
     assert all(np.array_equal(each.points_in_base, seen[0].points_in_base) for each in seen)
-    small, large = (each.image.astype(float).mean((0, 1)) for each in (seen[0], seen[-1]))
+
+
+def test_images_of_any_size_show_the_same() -> None:
+    small, large = (_observed(size, image=True).image for size in (64, 400))
+    assert (small.shape, large.shape) == ((64, 64, 3), (400, 400, 3))
+    small, large = (image.astype(float).mean((0, 1)) for image in (small, large))
     np.testing.assert_allclose(small, large, atol=2.0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from typing import Any
 
@@ -17,6 +18,8 @@ from lerobot_adamanip.rotations import transform
 from lerobot_env_adamanip.keyframe_env import make_task
 
 pytestmark = pytest.mark.sim
+NO_VULKAN = "nonexistent" in os.environ.get("VK_DRIVER_FILES", "")
+"""In a process that is told to find no Vulkan device clouds have to do (scripts/nightly.sh)."""
 TELLTALE = {"door": (302, 307), "window": (301,)}
 """Seeds on which the joints, left free, tell the hidden state before anything is tried."""
 
@@ -43,9 +46,11 @@ def task(category: str, simulator: OneSimulator) -> Any:
 def test_nothing_shows_until_the_part_is_held(script: Any, task: Any, category: str) -> None:
     """Every number of arm, object and observation, to the bit, in every frame; cloud and image of the held one."""
     for seed in TELLTALE.get(category, (31,)):
-        first, *others = (script.frames_until_held(task, seed, hidden) for hidden in script.VARIANTS[category])
+        first, *others = (
+            script.frames_until_held(task, seed, hidden, image=not NO_VULKAN) for hidden in script.VARIANTS[category]
+        )
         assert len(first) >= 4  # reset, two approaches, the grasp
-        assert {"cloud", "image"} <= set(first[-1])
+        assert {"cloud"} | ({"image"} if not NO_VULKAN else set()) <= set(first[-1])
         for other in others:
             assert script.differences(first, other) == ()
 
@@ -55,7 +60,7 @@ def test_the_same_comparison_notices_joints_that_are_not_held(script: Any, task:
     task.holds_the_untried = False
     for seed in TELLTALE[category]:
         first, other = (
-            script.frames_until_held(task, seed, hidden, render=False) for hidden in script.VARIANTS[category]
+            script.frames_until_held(task, seed, hidden, look=False) for hidden in script.VARIANTS[category]
         )
         assert any("object positions" in found for found in script.differences(first, other))
 
