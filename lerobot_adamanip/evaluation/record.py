@@ -126,7 +126,8 @@ class EpisodeRecord:
         """Returns the record as a flat JSON object; ``category`` is written too, for other readers."""
         plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "provenance"}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
-        return {**plain, "category": self.category, **mappings, **asdict(self.provenance)}
+        sequence = [list(each) for each in self.try_sequence]
+        return {**plain, "category": self.category, "try_sequence": sequence, **mappings, **asdict(self.provenance)}
 
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import Any
 
 import pytest
@@ -69,3 +70,4 @@ def test_a_record_whose_sequence_contradicts_its_counts_is_refused() -> None:
         EpisodeRecord.from_json(content)
     whole = episode((*PULL, True), (*LEFT, False))
     assert EpisodeRecord.from_json(whole.to_json()) == whole
+    assert json.loads(json.dumps(whole.to_json())) == whole.to_json()
