@@ -58,10 +58,8 @@ def test_our_triangles_are_what_is_rendered(task: Any) -> None:
     for name, triangles in {**ours, **arm}.items():
         theirs = _rendered_triangles(entities[name])
         assert len(theirs) >= len(triangles) > 0, name
-        # SAPIEN leaves out a shift of 3 mm that the file of the fourth link states, and follows those of the others.
-        near = 3.1e-3 if name == "panda_link4" else 2e-6
         for edge in (np.min, np.max):
-            np.testing.assert_allclose(edge(triangles, (0, 1)), edge(theirs, (0, 1)), atol=near, err_msg=name)
+            np.testing.assert_allclose(edge(triangles, (0, 1)), edge(theirs, (0, 1)), atol=2e-6, err_msg=name)
         np.testing.assert_allclose(_area(triangles), _area(theirs), rtol=1e-4, err_msg=name)
 
 

@@ -29,6 +29,11 @@ def shapes_triangles(shapes: Iterable[Shape]) -> Triangles:
     return _joined(_placed(shape_triangles(shape), shape.pose_in_link) for shape in shapes if shape.visible)
 
 
+_UNMOVED = 0.01
+"""Assimp, by which SAPIEN reads files, takes a node's transform whose numbers are this near to the identity's for it:
+the Panda's fourth link is drawn 3 mm beside where its file has it."""
+
+
 def shape_triangles(shape: Shape) -> Triangles:
     """Returns a shape's surface, (N, 3, 3) [m] in its own frame; round ones have their axis along x."""
     if shape.kind == "box":
@@ -95,11 +100,22 @@ def _visual(urdf: Path, geometry: Geometry) -> Triangles:
         raise SimulatorError(
             "A robot's visual cannot be cast rays at.", got=f"{geometry.kind} in {urdf}", allowed="mesh, box"
         )
+    corners = _file_triangles(urdf.parent / geometry.mesh) * np.asarray(geometry.size)
+    return _placed(corners.astype(np.float32), geometry.pose)
+
+
+def _file_triangles(path: Path) -> NDArray[np.float64]:
+    """Returns a mesh file's triangles (N, 3, 3) where SAPIEN has them, in the file's unit."""
     import trimesh
 
-    whole = trimesh.load_scene(urdf.parent / geometry.mesh, process=False).to_mesh()
-    corners = np.asarray(whole.triangles, np.float64) * np.asarray(geometry.size)
-    return _placed(corners.astype(np.float32), geometry.pose)
+    scene, parts = trimesh.load_scene(path, process=False), []
+    for node in scene.graph.nodes_geometry:
+        pose, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        unmoved = np.abs(pose - np.eye(4)).max() <= _UNMOVED
+        corners = np.asarray(mesh.vertices if unmoved else trimesh.transform_points(mesh.vertices, pose), np.float64)
+        parts.append(corners[mesh.faces])
+    return np.concatenate(parts)
 
 
 def _placed(triangles: Triangles, pose: NDArray[np.float64]) -> Triangles:
