@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import functools
+import json
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -98,6 +101,29 @@ def test_the_environment_of_the_parent_is_as_before(tmp_path: Path) -> None:
     before = dict(os.environ)
     run(tmp_path, [1])
     assert dict(os.environ) == before
+
+
+WHO = """
+import functools, json, pathlib, sys
+from lerobot_adamanip import jobs
+if __name__ == "__main__":
+    if sys.argv[1] == "copied":
+        jobs.preload("jobs_helpers")
+    from jobs_helpers import session
+    with jobs.WorkerPool(functools.partial(session, pathlib.Path(sys.argv[2])), 1) as pool:
+        print(json.dumps([result.value for result in pool.run(["who"])]))
+"""
+
+
+def test_a_copy_has_imported_what_was_named_and_counts_with_one_thread(tmp_path: Path, start: str) -> None:
+    script = tmp_path / "who.py"
+    script.write_text(WHO)
+    path = os.pathsep.join([str(Path(__file__).parent / "demos"), *sys.path])
+    line = [sys.executable, str(script), start, str(tmp_path)]
+    done = subprocess.run(line, env={**os.environ, "PYTHONPATH": path}, check=True, capture_output=True, text=True)
+    ((imported_itself, threads),) = json.loads(done.stdout)
+    assert imported_itself == (start == "spawned")
+    assert threads == "1"
 
 
 @pytest.mark.parametrize(("count", "timeout"), [(0, 1.0), (1, 0.0), (1, float("nan"))])
