@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import torch
+from lerobot.configs.types import PipelineFeatureType, PolicyFeature
 from lerobot.lerobot_types import EnvTransition, TransitionKey
 from lerobot.processor import ProcessorStep, ProcessorStepRegistry
 from torch import Tensor
@@ -33,7 +34,8 @@ def instruction_vector(text: str) -> Tensor:
     for token in (*words, *(f"{one} {other}" for one, other in itertools.pairwise(words))):
         number = int.from_bytes(hashlib.blake2b(token.encode(), digest_size=8).digest(), "big")
         vector[number % INSTRUCTION_DIM] += 1.0 if number >> 63 else -1.0
-    return vector / vector.norm().clamp(min=1e-6)
+    unit: Tensor = vector / vector.norm().clamp(min=1e-6)
+    return unit
 
 
 @ProcessorStepRegistry.register("adamanip_instruction")
@@ -56,7 +58,9 @@ class InstructionStep(ProcessorStep):
         observation = {**(transition.get(TransitionKey.OBSERVATION) or {}), INSTRUCTION: vectors}
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: observation})
 
-    def transform_features(self, features: dict) -> dict:
+    def transform_features(
+        self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
+    ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
         """Features of the dataset stay as they are."""
         return features
 
