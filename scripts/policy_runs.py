@@ -90,15 +90,7 @@ class Run:
         self._train("train_on", both, given.correction_steps, start)
 
     def _merge(self, step: str, parts: list[Path], whole: Path) -> None:
-        self._run(
-            step,
-            "lerobot-edit-dataset",
-            "--operation.type=merge",
-            f"--new_repo_id=local/{whole.name}",
-            f"--new_root={whole}",
-            f"--operation.repo_ids={json.dumps([f'local/{part.name}' for part in parts])}",
-            f"--operation.roots={json.dumps([str(part) for part in parts])}",
-        )
+        self._run(step, "adamanip", "merge", *map(str, parts), "--out", str(whole))
 
     def evaluate(self, objects: str) -> None:
         """Evaluates on objects of a split; a log that was not finished is begun anew."""

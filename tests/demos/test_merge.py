@@ -1,0 +1,86 @@
+"""Datasets in one: nothing is lost, nothing else is changed, and LeRobot reads it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from lerobot.datasets import aggregate
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
+from lerobot_adamanip.demos.merge import merge
+from lerobot_adamanip.errors import AdaManipError
+
+
+@pytest.fixture(scope="module")
+def merged(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset merged with itself."""
+    out = tmp_path_factory.mktemp("merged") / "both"
+    assert merge([finished, finished], out) == 2 * load_check(finished)["total_episodes"]
+    return out
+
+
+def _rows(root: Path) -> dict[str, np.ndarray]:
+    table = pq.read_table(sorted((root / "data").glob("*/*.parquet"))).sort_by("index")
+    return {name: np.asarray(table[name].to_pylist()) for name in table.column_names}
+
+
+def test_rows_are_those_of_the_parts_in_order(finished: Path, merged: Path) -> None:
+    part, whole = _rows(finished), _rows(merged)
+    count, episodes = len(part["index"]), load_check(finished)["total_episodes"]
+    assert part[schema.POINT_CLOUD].ndim == 3
+    assert set(whole) == set(part)
+    for name, values in part.items():
+        shift = {"index": count, "episode_index": episodes}.get(name, 0)
+        np.testing.assert_array_equal(whole[name][:count], values, err_msg=name)
+        np.testing.assert_array_equal(whole[name][count:], values + shift if shift else values, err_msg=name)
+
+
+def test_columns_of_episodes_are_kept(finished: Path, merged: Path) -> None:
+    part, whole = episode_table(finished).to_pylist(), episode_table(merged).to_pylist()
+    kept = ("object_id", "seed", "hidden_state", "success", "start", "fingerprint")
+    assert [[row[name] for name in kept] for row in whole] == 2 * [[row[name] for name in kept] for row in part]
+
+
+def test_lerobot_reads_it_as_the_part(finished: Path, merged: Path) -> None:
+    part, whole = open_dataset(finished), open_dataset(merged)
+    assert len(whole) == 2 * len(part)
+    for index in (0, 3, len(part) - 1):
+        for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION, schema.EXECUTED):
+            np.testing.assert_array_equal(whole[len(part) + index][key], part[index][key])
+        assert whole[len(part) + index]["task"] == part[index]["task"]
+
+
+def test_statistics_of_poses_are_as_ours_have_them(finished: Path, merged: Path) -> None:
+    part, whole = (json.loads((root / "meta" / "stats.json").read_text()) for root in (finished, merged))
+    for name in ("min", "max", "mean"):
+        np.testing.assert_allclose(whole[schema.ACTION][name], part[schema.ACTION][name], atol=1e-6)
+
+
+def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(finished: Path, tmp_path: Path) -> None:
+    for parts, out, said in (
+        ([finished], tmp_path / "new", "nothing to merge"),
+        ([finished, tmp_path / "none"], tmp_path / "new", "none"),
+        ([finished, finished], tmp_path, "There is something"),
+    ):
+        with pytest.raises(AdaManipError, match=said):
+            merge(parts, out)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parts_of_different_columns_are_refused(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    infos = [load_check(finished), json.loads(json.dumps(load_check(finished)))]
+    infos[1]["features"][schema.POINT_CLOUD]["shape"] = [7, 3]
+    monkeypatch.setattr("lerobot_adamanip.demos.merge.load_check", lambda root: infos.pop(0))
+    with pytest.raises(AdaManipError, match="different features"):
+        merge([finished, finished], tmp_path / "new")
+
+
+def test_lerobot_is_left_as_it_was(merged: Path) -> None:
+    assert aggregate.to_parquet_one_row_group_per_episode.__module__ == "lerobot.datasets.io_utils"
