@@ -48,7 +48,7 @@ class PinholeCamera:
     @functools.cached_property
     def world_to_camera(self) -> Pose:
         """(4, 4)."""
-        inverse: Pose = np.linalg.inv(self.pose).astype(np.float64)
+        inverse: Pose = np.linalg.inv(self.pose).astype(np.float64, copy=False)
         return inverse
 
     def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
@@ -260,7 +260,7 @@ def _within(slots: NDArray[np.int64], rectangles: NDArray[np.int64]) -> NDArray[
 
 def _farthest(camera: PinholeCamera, rays: NDArray[np.float64], workspace: Workspace) -> NDArray[np.float64]:
     """Depth at which each ray (N, 3) leaves the workspace [m]; 0 if it never is in it. -> (N,)."""
-    directions, eye = np.ascontiguousarray(camera.pose[:3, :3] @ rays.T), camera.pose[:3, 3]
+    directions, eye = camera.pose[:3, :3] @ rays.T, camera.pose[:3, 3]
     lower, upper = np.asarray(workspace.lower) - _MARGIN, np.asarray(workspace.upper) + _MARGIN
     enters, leaves = np.full(len(rays), -np.inf), np.full(len(rays), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):

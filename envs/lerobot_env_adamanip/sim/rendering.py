@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import sapien
-from mani_skill.render.shaders import PREBUILT_SHADER_CONFIGS
+from mani_skill.render.shaders import PREBUILT_SHADER_CONFIGS, set_shader_pack
 from mani_skill.sensors.camera import CameraConfig
 
 _UNLIT = {
@@ -22,7 +22,6 @@ _UNLIT = {
     "composite0.frag": {"layout(set = 2, binding = 8) uniform sampler2D samplerBRDFLUT;": ""},
 }
 """File of SAPIEN's shader pack `minimal` -> what is written in it, and what instead."""
-_FORMATS = {"Color": "r8g8b8a8unorm", "ColorRaw": "r8g8b8a8unorm", "PositionSegmentation": "r16g16b16a16sint"}
 _kept: list[sapien.render.RenderSystem] = []
 atexit.register(_kept.clear)
 
@@ -45,10 +44,9 @@ def without_reflections(camera: CameraConfig) -> CameraConfig:
     """
     if camera.shader_pack != "minimal" or (pack := _unlit_pack()) is None:
         return camera
-    # The formats that ManiSkill sets for the pack by its name.
-    for name, layout in _FORMATS.items():
-        sapien.render.set_picture_format(name, layout)
-    return replace(camera, shader_config=replace(PREBUILT_SHADER_CONFIGS["minimal"], shader_pack=str(pack)))
+    minimal = PREBUILT_SHADER_CONFIGS["minimal"]
+    set_shader_pack(minimal)  # ManiSkill knows the formats of its pictures by the pack's name alone
+    return replace(camera, shader_config=replace(minimal, shader_pack=str(pack)))
 
 
 @functools.cache
