@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.observation import Observation, observation_columns
-
-if TYPE_CHECKING:
-    import torch
 
 Action = NDArray[np.float32]
 
@@ -63,8 +61,6 @@ class TrainedPolicy:
 
     def reset(self, seed: int) -> None:
         """Begins an episode; its draws follow from the seed."""
-        import torch
-
         torch.manual_seed(seed % 2**63)
         self._policy.reset()
         for pipeline in (self._before, self._after):
@@ -72,16 +68,12 @@ class TrainedPolicy:
 
     def act(self, observation: Observation, instruction: str) -> Action:
         """Returns the (10,) action, and remembers it where the policy has a memory."""
-        import torch
-
         with torch.inference_mode():
             action = self._after(self._policy.select_action(self._before(_batch(observation, instruction))))
         return np.asarray(action.squeeze(0).cpu(), np.float32)
 
     def draws(self, observation: Observation, instruction: str, count: int) -> NDArray[np.float32]:
         """Returns so many actions (count, 10) that it might take now; it remembers none of them."""
-        import torch
-
         with torch.inference_mode():
             batch = self._before(_batch(observation, instruction))
             found = [self._after(self._policy.predict_action_chunk(batch)[:, 0]) for _ in range(count)]
@@ -89,8 +81,6 @@ class TrainedPolicy:
 
     def executed(self, action: Action) -> None:
         """Replaces the latest action in the policy's memory, where it has one."""
-        import torch
-
         if hasattr(self._policy, "replace_latest"):
             self._policy.replace_latest(self._normalized(torch.from_numpy(action)[None]))
 
@@ -109,8 +99,6 @@ class TrainedPolicy:
 
 def _batch(observation: Observation, instruction: str) -> dict[str, Any]:
     """One observation as a batch of one, as a dataset's row would come."""
-    import torch
-
     batch: dict[str, Any] = {"task": [instruction]}
     for key, value in observation_columns(observation).items():
         tensor = torch.from_numpy(value)[None]

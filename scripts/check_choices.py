@@ -14,7 +14,7 @@ import itertools
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,11 @@ from check_common import Progress, count, header
 from numpy.typing import NDArray
 
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.evaluation.labels import CLOSED, KeyFrameMotion, find_try, joint_ranges
+from lerobot_adamanip.evaluation.labels import CLOSED, JointRange, KeyFrameMotion, find_try, joint_ranges
+from lerobot_adamanip.evaluation.recovery import failed_since_motion
 from lerobot_adamanip.files import write_atomically
-from lerobot_adamanip.rotations import matrix_from_rotation_6d, transform
-from lerobot_adamanip.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_adamanip.schema import GRIPPER_DIM
 from lerobot_adamanip.trained_policy import TrainedPolicy
 
 FLIPPED: dict[str, tuple[Any, ...]] = {"locked": (False, True), "direction": (-1, 1), "mode": (0, 1, 2)}
@@ -51,7 +52,7 @@ class Tally:
     repeated: Counter[int] = field(default_factory=Counter)
     episodes: dict[str, list[int]] = field(default_factory=dict)
 
-    def add(self, failed: set[Choice], choices: list[Choice]) -> None:
+    def add(self, failed: Set[Choice], choices: list[Choice]) -> None:
         """Counts the draws of one key frame."""
         words = self.draws.setdefault(len(failed), Counter())
         words.update("no try" if each is None else f"{each[0]} {'+' if each[1] > 0 else '-'}" for each in choices)
@@ -73,12 +74,10 @@ class Tally:
         return {"after": rows, "episodes": self.episodes}
 
 
-def choice(env: Any, action: NDArray[np.float32], was_closed: bool) -> Choice:
-    """Returns what an action (10,) would try from where the hand is."""
-    goal = transform(action[POSITION_DIMS], matrix_from_rotation_6d(action[ROTATION_DIMS].astype(np.float64)))
-    frame = KeyFrameMotion(env.feedback, was_closed, goal, float(action[GRIPPER_DIM]))
-    task = env._running()
-    found = find_try(frame, env.annotations, joint_ranges(task.obj), env.part_positions())
+def choice(env: Any, action: NDArray[np.float32], was_closed: bool, ranges: Mapping[str, JointRange]) -> Choice:
+    """Returns what an action (10,) would try from where the hand is; ``ranges`` as `joint_ranges` has them."""
+    frame = KeyFrameMotion(env.feedback, was_closed, *pose_from_vector(action))
+    found = find_try(frame, env.annotations, ranges, env.part_positions())
     return None if found is None else (found.joint, int(np.sign(found.sent)))
 
 
@@ -93,18 +92,19 @@ def play(env: Any, actor: TrainedPolicy, seed: int, overrides: dict[str, Any], *
     """Plays one episode, and draws at each of its key frames."""
     observation, _ = env.reset(seed=seed, options={"hidden_overrides": overrides})
     actor.reset(seed)
-    failed: set[Choice] = set()
+    ranges = joint_ranges(env._running().obj)
+    failed: frozenset[Choice] = frozenset()
     closed, success = False, False
     for _ in range(env.max_key_frames):
         draws = actor.draws(observation, env.task_description, samples)
-        tally.add(failed, [choice(env, action, closed) for action in draws])
+        tally.add(failed, [choice(env, action, closed, ranges) for action in draws])
         action = actor.act(observation, env.task_description)
         observation, _, done, truncated, _ = env.step(action)
         closed = bool(action[GRIPPER_DIM] < CLOSED)
         labels = env.labels
         if labels.tried >= 0:
             tried = (env.joint_names[labels.tried], int(np.sign(labels.sent)))
-            failed = failed | {tried} if labels.failed else set()
+            failed = failed_since_motion(failed, tried, bool(labels.failed))
         success = success or done
         if done or truncated:
             break

@@ -30,10 +30,8 @@ from check_common import ROOT, count, list_of
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.metrics import count_tries, first_episodes
-from lerobot_adamanip.evaluation.rates import wilson_interval
+from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.recovery import recovery
 from lerobot_adamanip.files import write_atomically
 
 BIN = Path(sys.executable).parent
@@ -196,19 +194,22 @@ def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
 
 def numbers(records: list[EpisodeRecord]) -> dict[str, Any]:
     """Returns successes, their interval, and what tries came to: wasted is beyond the best possible, per success."""
-    won = [record for record in records if record.success]
-    tries, after = count_tries(records), recovery(records)
-    low, high = wilson_interval(len(won), len(records))
+    found = summarise(records)
+    all_of_it, after = found.overall, found.recovery
     return {
-        "episodes": len(records),
-        "successes": len(won),
-        "interval": [round(low, 3), round(high, 3)],
+        "episodes": all_of_it.success.episodes,
+        "successes": all_of_it.success.count,
+        "interval": [round(all_of_it.success.low, 3), round(all_of_it.success.high, 3)],
         "failed_tries": round(sum(record.failed_tries for record in records) / max(1, len(records)), 2),
-        "wasted_tries": None if tries is None else round(tries.wasted, 2),
+        "wasted_tries": _rounded(all_of_it.tries and all_of_it.tries.wasted, 2),
         "repeated": f"{after.repeated.count}/{after.repeated.episodes}",
         "something_new": {count: f"{rate.count}/{rate.episodes}" for count, rate in after.untried.items()},
-        "key_frames_of_successes": round(sum(record.key_frames for record in won) / max(1, len(won)), 1),
+        "key_frames_of_successes": _rounded(all_of_it.key_frames_of_successes, 1),
     }
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
 
 
 def say(text: str) -> None:

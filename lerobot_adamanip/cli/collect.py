@@ -26,7 +26,6 @@ from lerobot_adamanip.hub.publish import publish, require_hub_name
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
 from lerobot_adamanip.options import EnvironmentOptions, require_known
-from lerobot_adamanip.trained_policy import TrainedPolicy, policy_hash
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -192,7 +191,7 @@ class Collect:
             trials=self.trials,
             late_starts=self.late_starts,
             keep_failed=self.keep_failed,
-            policy="" if self.policy is None else policy_hash(self.policy),
+            policy=self._policy_hash(),
             expert_share=1.0 if self.policy is None else self.expert_share,
             seed=self.seed,
         )
@@ -216,9 +215,19 @@ class Collect:
         with show_progress(_STAGES, every_stage=True) as listener, contextlib.redirect_stdout(sys.stderr):
             return collect(self.root, spec, self._factories(), options, listener)
 
+    def _policy_hash(self) -> str:
+        if self.policy is None:
+            return ""
+        from lerobot_adamanip.trained_policy import policy_hash  # with torch, which nobody else waits for
+
+        return policy_hash(self.policy)
+
     def _factories(self) -> Factories:
-        made, policy = factories(), self.policy
-        return made if policy is None else dataclasses.replace(made, actor=functools.partial(TrainedPolicy, policy))
+        if self.policy is None:
+            return factories()
+        from lerobot_adamanip.trained_policy import TrainedPolicy
+
+        return dataclasses.replace(factories(), actor=functools.partial(TrainedPolicy, self.policy))
 
     def _print(self, summary: CollectSummary) -> None:
         if self.json:

@@ -30,6 +30,7 @@ from lerobot_adamanip.demos.prepare import (
     video_encoder,
 )
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
+from lerobot_adamanip.demos.statistics import fix_statistics
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.jobs import JobResult, WorkerError
 
@@ -184,15 +185,7 @@ def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str
 
 
 def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:
-    from lerobot.datasets.io_utils import load_stats, write_stats
-
-    stats = load_stats(root)
-    if stats is None:
-        raise DatasetError(
-            "LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json", hint="lerobot 0.6.1"
-        )
-    # Sorted, because LeRobot's order changes from run to run.
-    write_stats(dict(sorted(schema.fix_pose_statistics(stats).items())), root)
+    fix_statistics(root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in _JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(_cameras([record["camera"] for record in records]))

@@ -1,4 +1,4 @@
-"""Several datasets in one: LeRobot's aggregation, with a writer that knows clouds, and statistics as ours have them."""
+"""Several datasets in one: LeRobot's aggregation, told of clouds, and statistics as ours have them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
 
-from lerobot_adamanip import files, schema
+from lerobot_adamanip import files
 from lerobot_adamanip.demos.loading import load_check
+from lerobot_adamanip.demos.statistics import fix_statistics
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
-_WRITER = "to_parquet_one_row_group_per_episode"
+_READ = "update_data_df"
 
 
 def merge(roots: Sequence[Path], out: Path, *, repo_id: str | None = None) -> int:
@@ -78,70 +77,41 @@ def _features(info: dict[str, Any]) -> dict[str, Any]:
 
 def _aggregate(parts: Sequence[Path], out: Path, repo_id: str) -> None:
     from lerobot.datasets.aggregate import aggregate_datasets
-    from lerobot.datasets.io_utils import load_stats, write_stats
 
     names = [f"local/{part.name}" for part in parts]
-    with _clouds_written():
+    with _clouds_readable():
         aggregate_datasets(names, repo_id, roots=list(parts), aggr_root=out)
-    write_stats(dict(sorted(schema.fix_pose_statistics(load_stats(out)).items())), out)
+    fix_statistics(out)
 
 
 @contextlib.contextmanager
-def _clouds_written() -> Iterator[None]:
-    """Inside, LeRobot's aggregation writes columns of two dimensions, which its own writer (0.6.1) stumbles over."""
+def _clouds_readable() -> Iterator[None]:
+    """Inside, LeRobot's aggregation takes columns of two dimensions, which version 0.6.1 reads and cannot write."""
     from lerobot.datasets import aggregate
 
-    plain = getattr(aggregate, _WRITER, None)
+    plain = getattr(aggregate, _READ, None)
     if plain is None:
         import lerobot
 
         raise ConfigurationError(
-            "This LeRobot writes datasets otherwise.",
-            got=f"lerobot {lerobot.__version__}, without {_WRITER}",
+            "This LeRobot merges datasets otherwise.",
+            got=f"lerobot {lerobot.__version__}, without {_READ}",
             allowed="lerobot 0.6.1",
             hint="pip install 'lerobot==0.6.1'",
         )
 
-    read = aggregate.update_data_df
+    def update(frame: Any, *arguments: Any) -> Any:
+        return plain(type(frame)({name: _lists(frame[name]) for name in frame.columns}), *arguments)
 
-    def plainly(frame: Any, *arguments: Any) -> Any:
-        # The datasets library's type of arrays is not one that pandas can compare or concatenate.
-        columns = {name: _objects(frame[name]) for name in frame.columns}
-        return read(type(frame)(columns), *arguments)
-
-    def write(frame: Any, path: Path) -> None:
-        from lerobot.datasets.io_utils import write_table_one_row_group_per_episode
-
-        flat = [name for name in frame.columns if not _is_nested(frame[name])]
-        table = pa.Table.from_pandas(frame[flat], preserve_index=False)
-        for place, name in enumerate(frame.columns):
-            if name not in flat:
-                table = table.add_column(place, name, _nested(np.stack([np.stack(cell) for cell in frame[name]])))
-        write_table_one_row_group_per_episode(table, path)
-
-    setattr(aggregate, _WRITER, write)
-    aggregate.update_data_df = plainly
+    setattr(aggregate, _READ, update)
     try:
         yield
     finally:
-        setattr(aggregate, _WRITER, plain)
-        aggregate.update_data_df = read
+        setattr(aggregate, _READ, plain)
 
 
-def _objects(column: Any) -> Any:
-    """A column of numpy's types as it is, any other as objects."""
-    return column if isinstance(column.dtype, np.dtype) else type(column)(list(column.array), dtype=object)
-
-
-def _is_nested(column: Any) -> bool:
-    first = column.iloc[0] if len(column) else None
-    return isinstance(first, np.ndarray) and (first.ndim > 1 or first.dtype == object)
-
-
-def _nested(values: NDArray[Any]) -> pa.Array:
-    """(R, N, D) -> a column of R lists of N lists of D."""
-    rows, points, numbers = values.shape
-    inner = pa.ListArray.from_arrays(
-        np.arange(0, rows * points + 1, dtype=np.int32) * numbers, pa.array(values.ravel())
-    )
-    return pa.ListArray.from_arrays(np.arange(rows + 1, dtype=np.int32) * points, inner)
+def _lists(column: Any) -> Any:
+    """A column of the datasets library's arrays as lists of rows, which pandas and Arrow know; any other as it is."""
+    if isinstance(column.dtype, np.dtype):
+        return column
+    return type(column)([list(cell) for cell in column.array], dtype=object)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from lerobot_adamanip.evaluation.rates import Rate, rate
@@ -39,16 +39,19 @@ def recovery(records: Iterable[EpisodeRecord]) -> Recovery:
     )
 
 
-def _decisions(sequence: Iterable[TryMade]) -> Iterable[tuple[set[tuple[int, int]], tuple[int, int], tuple[int, int]]]:
+def failed_since_motion[Try](failed: frozenset[Try], tried: Try, fails: bool) -> frozenset[Try]:
+    """Returns what has failed since something last gave way, after one more try."""
+    return failed | {tried} if fails else frozenset()
+
+
+def _decisions(
+    sequence: Iterable[TryMade],
+) -> Iterator[tuple[frozenset[tuple[int, int]], tuple[int, int], tuple[int, int]]]:
     """Yields, for each try after a failed one: what has failed by then, the latest of it, and what is tried."""
-    failed: set[tuple[int, int]] = set()
+    failed: frozenset[tuple[int, int]] = frozenset()
     latest: tuple[int, int] | None = None
     for joint, sign, fails in sequence:
-        if latest is not None:
-            yield set(failed), latest, (joint, sign)
-        if fails:
-            failed.add((joint, sign))
-            latest = (joint, sign)
-        else:
-            failed.clear()
-            latest = None
+        tried = joint, sign
+        if failed and latest is not None:
+            yield failed, latest, tried
+        failed, latest = failed_since_motion(failed, tried, fails), tried

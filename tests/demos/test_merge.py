@@ -83,4 +83,4 @@ def test_parts_of_different_columns_are_refused(
 
 
 def test_lerobot_is_left_as_it_was(merged: Path) -> None:
-    assert aggregate.to_parquet_one_row_group_per_episode.__module__ == "lerobot.datasets.io_utils"
+    assert aggregate.update_data_df.__module__ == aggregate.__name__

@@ -18,9 +18,10 @@ from lerobot.processor import (
 )
 from torch import Tensor
 
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.tasks import InstructionStep
+from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, instruction_vector
 from lerobot_policy_adamanip.rotations import orthonormal_6d
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
@@ -111,6 +112,31 @@ class OrthonormaliseStep(ProcessorStep):
 
     def transform_features(self, features: Features) -> Features:
         """Shapes stay."""
+        return features
+
+
+@ProcessorStepRegistry.register("adamanip_instruction")
+@dataclass
+class InstructionStep(ProcessorStep):
+    """Adds the instruction as `instruction_vector` to the observation, (B, 64)."""
+
+    def __call__(self, transition: EnvTransition) -> EnvTransition:
+        """Returns a transition with it; raises `ConfigurationError` if nobody says what is to be done."""
+        told = (transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}).get("task")
+        texts = [told] if isinstance(told, str) else list(told or ())
+        if not texts or not all(isinstance(text, str) for text in texts):
+            raise ConfigurationError(
+                "This policy is told what to do, and nobody told it.",
+                got=f"task {told!r}",
+                allowed="an instruction for each observation of the batch",
+                hint="a batch with a list of texts under `task`, as LeRobot's datasets and lerobot-eval give it",
+            )
+        vectors = torch.stack([instruction_vector(text) for text in texts])
+        observation = {**(transition.get(TransitionKey.OBSERVATION) or {}), INSTRUCTION: vectors}
+        return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: observation})
+
+    def transform_features(self, features: Features) -> Features:
+        """Features of the dataset stay as they are."""
         return features
 
 

@@ -7,16 +7,10 @@ import hashlib
 import itertools
 import re
 from collections import Counter
-from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import torch
-from lerobot.configs.types import PipelineFeatureType, PolicyFeature
-from lerobot.lerobot_types import EnvTransition, TransitionKey
-from lerobot.processor import ProcessorStep, ProcessorStepRegistry
 from torch import Tensor
-
-from lerobot_adamanip.errors import ConfigurationError
 
 INSTRUCTION = "observation.instruction"
 INSTRUCTION_DIM = 64
@@ -36,33 +30,6 @@ def instruction_vector(text: str) -> Tensor:
         vector[number % INSTRUCTION_DIM] += 1.0 if number >> 63 else -1.0
     unit: Tensor = vector / vector.norm().clamp(min=1e-6)
     return unit
-
-
-@ProcessorStepRegistry.register("adamanip_instruction")
-@dataclass
-class InstructionStep(ProcessorStep):
-    """Adds the instruction as `instruction_vector` to the observation, (B, 64)."""
-
-    def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with it; raises `ConfigurationError` if nobody says what is to be done."""
-        told = (transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}).get("task")
-        texts = [told] if isinstance(told, str) else list(told or ())
-        if not texts or not all(isinstance(text, str) for text in texts):
-            raise ConfigurationError(
-                "This policy is told what to do, and nobody told it.",
-                got=f"task {told!r}",
-                allowed="an instruction for each observation of the batch",
-                hint="a batch with a list of texts under `task`, as LeRobot's datasets and lerobot-eval give it",
-            )
-        vectors = torch.stack([instruction_vector(text) for text in texts])
-        observation = {**(transition.get(TransitionKey.OBSERVATION) or {}), INSTRUCTION: vectors}
-        return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: observation})
-
-    def transform_features(
-        self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
-    ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
-        """Features of the dataset stay as they are."""
-        return features
 
 
 def balanced_weights(dataset_meta: Any) -> Tensor:

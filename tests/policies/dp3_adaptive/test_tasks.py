@@ -15,10 +15,10 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_policy_adamanip.dp3_adaptive.memory import events
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import InstructionStep
 from lerobot_policy_adamanip.dp3_adaptive.tasks import (
     INSTRUCTION,
     INSTRUCTION_DIM,
-    InstructionStep,
     balanced_weights,
     instruction_vector,
 )
