@@ -37,7 +37,8 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    # Values of the options below that are not given: fast (two CPU cores) or paper (its table of parameters).
+    # Values of the options below that are not given: fast (two CPU cores), diffusion (its head at that size), dp3 (3D
+    # Diffusion Policy, without a memory) or paper (its table of parameters).
     preset: str = "fast"
     # Set by itself: the preset that the values were taken from. A checkpoint keeps its values, so also its preset.
     values_from: str | None = None
@@ -47,35 +48,35 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Set by itself: name and shape of the action, from the dataset.
     output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
 
-    # What draws the next actions: anchors, typical motions corrected, or diffusion, as in the paper
-    # (fast anchors, diffusion diffusion, paper diffusion).
+    # What draws the next actions: anchors, typical motions corrected, or diffusion, as in the paper (fast anchors,
+    # diffusion diffusion, dp3 diffusion, paper diffusion).
     head: str = from_preset()
 
-    # Observed steps, the present one included; the head anchors looks at one (fast 1, diffusion 1, paper 4).
+    # Observed steps, the present one included; the head anchors looks at one (fast 1, diffusion 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
-    # Past actions that the policy is conditioned on; 0 for none (fast 16, diffusion 8, paper 4).
+    # Past actions that the policy is conditioned on; 0 for none (fast 16, diffusion 8, dp3 0, paper 4).
     n_action_history_steps: int = from_preset()
-    # Actions generated at once (fast 1, diffusion 4, paper 4).
+    # Actions generated at once (fast 1, diffusion 4, dp3 4, paper 4).
     horizon: int = from_preset()
-    # Of those, executed before the next are generated (fast 1, diffusion 1, paper 2).
+    # Of those, executed before the next are generated (fast 1, diffusion 1, dp3 3, paper 2).
     n_action_steps: int = from_preset()
 
     # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 1024, diffusion
-    # 512, paper 4096).
+    # 512, dp3 1024, paper 4096).
     num_points: int = from_preset()
-    # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, diffusion mlp,
-    # paper pointnet2).
+    # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, diffusion mlp, dp3
+    # mlp, paper pointnet2).
     encoder: str = from_preset()
-    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, paper 64 128
-    # 256 512).
+    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, dp3 64 128
+    # 256, paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
-    # Features that a cloud is condensed to (fast 128, diffusion 128, paper 128).
+    # Features that a cloud is condensed to (fast 128, diffusion 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
-    # Points also relative to the tool, history and chunk in positions relative to it (fast True, diffusion True,
-    # paper False). Takes effect where state and action are poses, named as this project's datasets name them.
+    # Points also relative to the tool, history and chunk in positions relative to it (fast True, diffusion True, dp3
+    # False, paper False). Takes effect where state and action are poses, named as this project's datasets name them.
     tcp_relative: bool = from_preset()
-    # Proprioception: pose, which is tool pose and gripper, or full, joints too (fast pose, diffusion pose, paper
-    # full).
+    # Proprioception: pose, which is tool pose and gripper, or full, joints too (fast pose, diffusion pose, dp3 full,
+    # paper full).
     proprioception: str = from_preset()
     # Look at the external joint torque too.
     use_effort: bool = False
@@ -104,33 +105,33 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # ... and the standard deviation of the noise on them [m].
     point_noise_std: float = 0.002
 
-    # Channels of the U-Net's levels; it halves the chunk between levels (fast 128 256, diffusion 128 256, paper 256
-    # 512 1024).
+    # Channels of the U-Net's levels; it halves the chunk between levels (fast 128 256, diffusion 128 256, dp3 512
+    # 1024 2048, paper 256 512 1024).
     down_dims: tuple[int, ...] = from_preset()
-    # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, paper 5).
+    # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, dp3 5, paper 5).
     kernel_size: int = from_preset()
     # Groups of the U-Net's group normalisation; divides every one of down_dims.
     n_groups: int = 8
-    # Size of the diffusion step's embedding (fast 64, diffusion 64, paper 256).
+    # Size of the diffusion step's embedding (fast 64, diffusion 64, dp3 128, paper 256).
     diffusion_step_embed_dim: int = from_preset()
     # Whether the condition scales features besides shifting them (FiLM).
     use_film_scale_modulation: bool = True
     # Compute the U-Net's activations again in the backward pass: less memory, more time.
     gradient_checkpointing: bool = False
 
-    # Sampler: DDPM or DDIM (fast DDIM, diffusion DDIM, paper DDPM).
+    # Sampler: DDPM or DDIM (fast DDIM, diffusion DDIM, dp3 DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
     # Diffusion steps in training.
     num_train_timesteps: int = 100
-    # Denoising steps per chunk at run time (fast 10, diffusion 10, paper 100).
+    # Denoising steps per chunk at run time (fast 10, diffusion 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
     # Noise schedule, as diffusers names it.
     beta_schedule: str = "squaredcos_cap_v2"
     # What the U-Net predicts: epsilon, the noise, or sample, the clean action as in DP3 (fast sample, diffusion
-    # sample, paper epsilon).
+    # sample, dp3 sample, paper epsilon).
     prediction_type: str = from_preset()
     # Bound of an action while sampling: normalised units, or 0.15 m where tcp_relative holds (fast 6.0, diffusion
-    # 6.0, paper 1.0).
+    # 6.0, dp3 1.0, paper 1.0).
     clip_sample_range: float = from_preset()
 
     # The averaged weights' decay at step n is 1 - (1 + n)^-ema_power ...
@@ -138,15 +139,16 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # ... but at most this.
     ema_max: float = 0.9999
 
-    # Training only: scenes are shifted by up to this along each axis [m] (fast 0.0, diffusion 0.03, paper 0.0) ...
+    # Training only: scenes are shifted by up to this along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper
+    # 0.0) ...
     augmentation_translation: float = from_preset()
     # ... and turned by up to this about the vertical [rad]; joint positions do not follow (fast 0.0, diffusion 0.1,
-    # paper 0.0) ...
+    # dp3 0.0, paper 0.0) ...
     augmentation_yaw: float = from_preset()
     # ... through this point: x, y, z [m], robot base frame.
     augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
-    # Training only: standard deviation of noise on the history, normalised units (fast 0.0, diffusion 0.02, paper
-    # 0.0).
+    # Training only: standard deviation of noise on the history, normalised units (fast 0.0, diffusion 0.02, dp3 0.0,
+    # paper 0.0).
     history_noise_std: float = from_preset()
 
     # Set by itself: whether state and action are poses, from the dataset's names.
@@ -163,15 +165,15 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Licence of a published policy, as the Hub names it.
     license: str | None = "apache-2.0"
 
-    # Learning rate of AdamW (fast 0.001, diffusion 0.0005, paper 0.0001).
+    # Learning rate of AdamW (fast 0.001, diffusion 0.0005, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
-    # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, paper 1e-06).
+    # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, dp3 1e-06, paper 1e-06).
     optimizer_weight_decay: float = from_preset()
     # Decay rates of AdamW's averages.
     optimizer_betas: tuple[float, float] = (0.95, 0.999)
     # Schedule of the learning rate, as diffusers names it.
     scheduler_name: str = "cosine"
-    # Steps until the full learning rate (fast 100, diffusion 100, paper 500).
+    # Steps until the full learning rate (fast 100, diffusion 100, dp3 500, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
     def __post_init__(self) -> None:

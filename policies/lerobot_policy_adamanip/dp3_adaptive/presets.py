@@ -24,6 +24,16 @@ PRESETS: dict[str, dict[str, Any]] = {
         "optimizer_lr": 1e-3, "optimizer_weight_decay": 1e-4,
     },
     "diffusion": DIFFUSION,
+    "dp3": {
+        "head": "diffusion",
+        "num_points": 1024, "encoder": "mlp", "encoder_dims": (64, 128, 256), "encoder_out_dim": 64,
+        "tcp_relative": False, "proprioception": "full",
+        "n_obs_steps": 2, "n_action_history_steps": 0, "horizon": 4, "n_action_steps": 3,
+        "down_dims": (512, 1024, 2048), "kernel_size": 5, "diffusion_step_embed_dim": 128,
+        "noise_scheduler_type": "DDIM", "prediction_type": "sample", "num_inference_steps": 10,
+        "augmentation_translation": 0.0, "augmentation_yaw": 0.0, "history_noise_std": 0.0,
+        "clip_sample_range": 1.0, "optimizer_lr": 1e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 500,
+    },
     "paper": {
         "head": "diffusion",
         "num_points": 4096, "encoder": "pointnet2", "encoder_dims": (64, 128, 256, 512), "encoder_out_dim": 128,
@@ -35,8 +45,16 @@ PRESETS: dict[str, dict[str, Any]] = {
         "clip_sample_range": 1.0, "optimizer_lr": 1e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 500,
     },
 }  # fmt: skip
-"""``fast``: trains and acts on two CPU cores. ``paper``: the paper's table of parameters; its batch size of 64 is not
-the policy's to set: ``--batch_size=64``. What the table does not say (schedules, widths) is as in the paper's code."""
+"""``fast``: trains and acts on two CPU cores.
+
+``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, which remembers no action.
+``--policy.down_dims='[128,256,384]'`` makes it the release's Simple DP3, which a CPU can train. It differs in that the
+state has no layers of its own, and in that a chunk begins at the present step, not one before: as many actions of it
+are executed.
+
+``paper``: the paper's table of parameters; its batch size of 64 is not the policy's to set: ``--batch_size=64``. What
+the table does not say (schedules, widths) is as in the paper's code.
+"""
 
 
 def from_preset() -> Any:

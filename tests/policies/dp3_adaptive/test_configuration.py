@@ -46,6 +46,13 @@ def test_the_papers_preset_has_the_papers_numbers() -> None:
     assert config.get_optimizer_preset().weight_decay == 1e-6
 
 
+def test_dp3_has_the_numbers_of_its_release_and_sees_no_past_action() -> None:
+    config = DP3AdaptiveConfig(preset="dp3", device="cpu")
+    assert (config.n_obs_steps, config.horizon, config.n_action_steps) == (2, 4, 3)
+    assert config.action_delta_indices == [0, 1, 2, 3]
+    assert config.observation_delta_indices == [-1, 0]
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_fills_what_was_left_open_and_nothing_else(preset: str) -> None:
     given = {"num_points": 77, "optimizer_lr": 3e-3, "augmentation_yaw": 0.5, "n_action_history_steps": 0}
