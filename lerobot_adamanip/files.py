@@ -54,14 +54,17 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
 
 
 @contextlib.contextmanager
-def locked(folder: Path, busy: str, hint: str) -> Iterator[None]:
-    """Keeps other processes out of a folder; raises `DatasetError` that says ``busy`` if one is in it."""
+def locked(folder: Path, busy: str, hint: str) -> Iterator[int]:
+    """Keeps other processes out of a folder; raises `DatasetError` that says ``busy`` if one is in it.
+
+    Yields the lock's file descriptor: a process that inherits it keeps others out, too, whatever becomes of this one.
+    """
     with open(folder / "lock", "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise DatasetError(busy, got=folder, allowed="one at a time", hint=hint) from error
-        yield
+        yield lock.fileno()
 
 
 def sync(path: Path) -> None:

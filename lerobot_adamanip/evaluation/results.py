@@ -6,22 +6,20 @@ A file in ``results/`` is one JSON object; `scripts/make_results.py` makes table
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import __version__, checked_json
+from lerobot_adamanip import checked_json
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
 from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
+from lerobot_adamanip.evaluation.origin import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.files import write_atomically
-from lerobot_adamanip.fingerprint import versions
 
 KINDS = ("expert", "policy")
 OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
@@ -115,7 +113,7 @@ def make_result(
     scenes: str | None,
     seconds: float | None = None,
 ) -> ResultFile:
-    """Returns a result with what is known here filled in: commit, versions, machine.
+    """Returns a result with what is known here filled in: its origin and the machine.
 
     Args:
         rows: at least one.
@@ -127,16 +125,12 @@ def make_result(
         scenes: their split.
         seconds: it took.
     """
-    commit, changed = _commit()
     return ResultFile(
         kind=kind,
         title=title,
         command=check_command(command),
-        commit=commit,
-        changed=changed,
         fingerprint=fingerprint,
-        version=__version__,
-        versions=dict(versions()),
+        **asdict(present_origin()),
         machine=machine_class(),
         scenes=scenes,
         seeds=(min(seeds), max(seeds)),
@@ -211,40 +205,14 @@ def rows_of_records(records: Sequence[EpisodeRecord], subject: str) -> list[Resu
     return rows
 
 
-def machine_class() -> dict[str, int | bool]:
-    """Returns how many cores this process may use and whether PyTorch has a GPU; nothing that names the machine."""
-    import torch
-
-    return {"cores": len(os.sched_getaffinity(0)), "gpu": torch.cuda.is_available()}
-
-
 def _row_order(preset: str, category: str, objects: str) -> tuple[str, int, int]:
     return preset, tuple(CATEGORIES).index(category), OBJECT_SPLITS.index(objects)
 
 
-def _commit() -> tuple[str | None, bool]:
-    """Commit of the repository this file stands in, and whether its tracked files differ from it."""
-
-    def git(*words: str) -> str | None:
-        here = Path(__file__).parent
-        try:
-            done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=False, timeout=20)
-        except (OSError, subprocess.TimeoutExpired):
-            return None
-        return done.stdout.strip() if done.returncode == 0 else None
-
-    commit = git("rev-parse", "HEAD")
-    if commit is None or git("ls-files", "--error-unmatch", Path(__file__).name) is None:
-        return None, False  # installed, perhaps inside somebody else's repository
-    return commit, bool(git("status", "--porcelain", "--untracked-files=no"))
-
-
-_LINE = checked_json.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
-_HASH = checked_json.text(r"[0-9a-f]{8,64}", "a hash")
 _COUNT = checked_json.integer(0, 10**9)
 _ROW = checked_json.table(
     {
-        "subject": _LINE,
+        "subject": LINE,
         "preset": checked_json.text(r"[a-z_]{1,30}", "a preset's name"),
         "category": checked_json.choice(tuple(CATEGORIES)),
         "objects": checked_json.choice(OBJECT_SPLITS),
@@ -252,21 +220,18 @@ _ROW = checked_json.table(
         "successes": _COUNT,
         "key_frames": checked_json.optional(checked_json.number(0, 10**6)),
         "failed_tries": checked_json.optional(checked_json.number(0, 10**6)),
-        "hidden": checked_json.optional(checked_json.mapping(_LINE, checked_json.listing(_COUNT, 2, 2), 100)),
+        "hidden": checked_json.optional(checked_json.mapping(LINE, checked_json.listing(_COUNT, 2, 2), 100)),
     }
 )
 _RESULT = checked_json.table(
     {
         "schema": checked_json.integer(1, 1),
         "kind": checked_json.choice(KINDS),
-        "title": _LINE,
+        "title": LINE,
         "command": checked_json.text(r"[^\r\n`]{1,2000}", "one line without backquotes"),
-        "commit": checked_json.optional(_HASH),
-        "changed": checked_json.flag,
-        "fingerprint": _HASH,
-        "version": checked_json.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version"),
-        "versions": checked_json.mapping(_LINE, _LINE, 30),
-        "machine": checked_json.table({"cores": checked_json.integer(1, 10**5), "gpu": checked_json.flag}),
+        **ORIGIN,
+        "fingerprint": HASH,
+        "machine": MACHINE,
         "scenes": checked_json.optional(checked_json.choice(("test", "validation", "train"))),
         "seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
         "seconds": checked_json.optional(checked_json.number(0, 10**9)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.results import OBJECT_SPLITS, ResultFile, ResultRow
 
 START, END = "<!-- results -->", "<!-- /results -->"
@@ -75,7 +75,7 @@ def source_line(name: str, result: ResultFile) -> str:
     commit = "no commit" if result.commit is None else f"commit {result.commit[:10]}"
     commit += " with changes" if result.changed else ""
     cores, gpu = result.machine["cores"], "a GPU" if result.machine["gpu"] else "no GPU"
-    taken = "" if result.seconds is None else f", {_duration(result.seconds)}"
+    taken = "" if result.seconds is None else f", {duration_text(result.seconds)}"
     made = f"{commit}, version {result.version}, fingerprint `{result.fingerprint}`"
     scenes = f"{_scenes(result)}, seeds {result.seeds[0]} to {result.seeds[1]}"
     return f"`{result.command}`; {made}; {scenes}; {cores} cores, {gpu}{taken}. From `results/{name}`."
@@ -89,7 +89,8 @@ def _scenes(result: ResultFile) -> str:
     return "scenes of no split" if result.scenes is None else f"{result.scenes} scenes"
 
 
-def _duration(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
+    """Returns ``90 s``, ``45 min`` or ``3.2 h``."""
     return (
         f"{seconds:.0f} s"
         if seconds < 120
@@ -109,7 +110,7 @@ def _expert_table(rows: Sequence[ResultRow]) -> str:
     ]
     if len(names) > 1:
         lines.append(("all", [_cell(rows, column) for column in columns]))
-    return _markdown(["", *titles], [[name.replace("_", " "), *cells] for name, cells in lines])
+    return markdown_table(["", *titles], [[name.replace("_", " "), *cells] for name, cells in lines])
 
 
 def _cell(rows: Iterable[ResultRow], column: tuple[str, str, str]) -> str:
@@ -133,15 +134,25 @@ def _policy_table(rows: Sequence[ResultRow]) -> str:
         mine = [row for row in rows if (row.subject, row.preset, row.category) == (subject, preset, category)]
         by_split = {row.objects: row for row in mine}
         name = f"{subject} ({preset})" if several else subject
-        cells = [_interval(by_split[split]) if split in by_split else "-" for split in splits]
+        cells = [_success(by_split[split]) if split in by_split else "-" for split in splits]
         lines.append([name, category.replace("_", " "), *cells, _hidden(mine)])
-    return _markdown(["policy", "category", *(f"{split} objects" for split in splits), "by what is hidden"], lines)
+    return markdown_table(["policy", "category", *(f"{split} objects" for split in splits), "by what is hidden"], lines)
 
 
-def _interval(row: ResultRow) -> str:
-    share = rate(row.successes, row.episodes)
-    assert share.rate is not None  # a row has an episode at least
-    return f"{row.successes}/{row.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
+def interval_text(share: Rate) -> str:
+    """Returns ``36/40: 90 % [76.9, 96.0]``; ``-`` of no episodes."""
+    if share.rate is None:
+        return "-"
+    return f"{share.count}/{share.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
+
+
+def _success(row: ResultRow) -> str:
+    return interval_text(rate(row.successes, row.episodes))
+
+
+def is_half_of_range(name: str) -> bool:
+    """Whether a hidden value's name is that of a half of a continuous range, whose boundary is one evaluation's own."""
+    return any(sign in name for sign in _CONTINUOUS)
 
 
 def _hidden(rows: Iterable[ResultRow]) -> str:
@@ -149,11 +160,12 @@ def _hidden(rows: Iterable[ResultRow]) -> str:
     counts: dict[str, tuple[int, int]] = {}
     for row in rows:
         for name, (count, episodes) in (row.hidden or {}).items():
-            if not any(sign in name for sign in _CONTINUOUS):
+            if not is_half_of_range(name):
                 before = counts.get(name, (0, 0))
                 counts[name] = (before[0] + count, before[1] + episodes)
     return ", ".join(f"{name} {count}/{episodes}" for name, (count, episodes) in sorted(counts.items())) or "-"
 
 
-def _markdown(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Returns a table of Markdown."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ["---"] * len(titles), *rows))

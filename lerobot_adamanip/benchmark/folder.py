@@ -1,0 +1,110 @@
+"""Where a benchmark lives: what its steps produce, what is known of each step, and the results.
+
+A step counts as done once its note says so: written, atomically, after its command has ended well.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip import checked_json, files
+from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.plan import COLLECT, EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step
+from lerobot_adamanip.benchmark.result import STEP_COST, StepCost
+from lerobot_adamanip.benchmark.training import last_checkpoint
+from lerobot_adamanip.demos.collection import manifest_path
+from lerobot_adamanip.errors import DatasetError
+
+
+@dataclass(frozen=True)
+class BenchmarkFolder:
+    """The folder of one scale of a benchmark.
+
+    Attributes:
+        root: in which commands run.
+    """
+
+    root: Path
+
+    @property
+    def cells(self) -> Path:
+        """Folder of the result files."""
+        return self.root / "cells"
+
+    def result(self, cell: Cell) -> Path:
+        """Result file of a cell, whether or not it is there."""
+        return self.cells / f"{cell.name}.json"
+
+    def log(self, step: Step) -> Path:
+        """What a step's command has said."""
+        return self._note(step).with_suffix(".log")
+
+    def product(self, step: Step) -> Path:
+        """Folder of what a step produces."""
+        return self.root / step.product
+
+    def make(self) -> None:
+        """Makes the folders."""
+        for name in ("steps", *FOLDERS.values()):
+            (self.root / name).mkdir(parents=True, exist_ok=True)
+        self.cells.mkdir(exist_ok=True)
+        for folder in (self.cells, self.root / "steps"):
+            files.remove_temporaries(folder)
+
+    def begin(self, step: Step) -> None:
+        """Takes note that a step's command is about to run."""
+        self._write(step, {"begun": self._begun(step) + 1})
+
+    def finish(self, step: Step, seconds: float, machine: Mapping[str, int | bool]) -> None:
+        """Takes note that a step's command has ended well."""
+        cost = StepCost(begun=max(1, self._begun(step)), seconds=round(seconds, 1), machine=machine)
+        self._write(step, asdict(cost))
+
+    def cost(self, step: Step) -> StepCost | None:
+        """Returns what a step took; None if it has not been done."""
+        note = self._read(step)
+        return StepCost(**note) if "seconds" in note else None
+
+    def is_done(self, step: Step) -> bool:
+        """Whether a step has been done, and what it produced is still there."""
+        product = self.product(step)
+        made = {
+            COLLECT: manifest_path(product),
+            TRAIN: last_checkpoint(product),
+            EVALUATE: product / EPISODE_LOG,
+        }
+        return self.cost(step) is not None and made[step.kind].exists()
+
+    def is_begun(self, step: Step) -> bool:
+        """Whether a step has been begun, and perhaps is done."""
+        return self._begun(step) > 0
+
+    def _begun(self, step: Step) -> int:
+        begun: int = self._read(step).get("begun", 0)
+        return begun
+
+    def _note(self, step: Step) -> Path:
+        return self.root / "steps" / f"{step.kind}-{step.key}.json"
+
+    def _write(self, step: Step, note: Mapping[str, object]) -> None:
+        files.write_atomically(self._note(step), (json.dumps(note) + "\n").encode())
+
+    def _read(self, step: Step) -> dict[str, Any]:
+        path = self._note(step)
+        if not path.exists():
+            return {}
+        try:
+            found: dict[str, Any] = _NOTE("the note", checked_json.read(path))
+        except ValueError as error:
+            raise DatasetError(
+                "The note of a step is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
+            ) from error
+        return found
+
+
+_BEGUN = checked_json.table({"begun": checked_json.integer(1, 10**6)})
+_NOTE = checked_json.either(STEP_COST, _BEGUN)

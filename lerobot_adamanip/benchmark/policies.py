@@ -1,0 +1,92 @@
+"""What this installation knows of the policies that a benchmark's methods name: whether they can be made, their code.
+
+Imports LeRobot with all its policies' configurations, when it is asked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import io
+import logging
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.benchmark.declaration import Method
+from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.fingerprint import code_hash
+
+
+@dataclass(frozen=True)
+class Policies:
+    """What was found.
+
+    Attributes:
+        code: method -> hash of its policy's code.
+        unavailable: method -> why it cannot be run here.
+    """
+
+    code: Mapping[str, str] = field(default_factory=dict)
+    unavailable: Mapping[str, str] = field(default_factory=dict)
+
+
+def find_policies(methods: Mapping[str, Method]) -> Policies:
+    """Looks for the policy of each method, and whether its options can be."""
+    import lerobot.policies  # noqa: F401  (registers LeRobot's own)
+    from lerobot.configs.policies import PreTrainedConfig
+    from lerobot.utils.import_utils import register_third_party_plugins
+
+    register_third_party_plugins()
+    known: Mapping[str, type[Any]] = PreTrainedConfig.get_known_choices()
+    code, unavailable = dict[str, str](), dict[str, str]()
+    for name, method in methods.items():
+        if method.policy not in known:
+            unavailable[name] = f"no policy {method.policy!r} is installed"
+        elif reason := _refusal(known[method.policy], method.options):
+            unavailable[name] = reason
+        else:
+            code[name] = policy_hash(Path(inspect.getfile(known[method.policy])))
+    return Policies(code, unavailable)
+
+
+def policy_hash(configuration: Path) -> str:
+    """Returns a hash of a policy's code: the folder of its configuration, and what its package's policies share.
+
+    Args:
+        configuration: file that the policy's configuration is in.
+    """
+    folder = configuration.parent
+    shared = folder.parent.glob("*.py") if (folder.parent / "__init__.py").exists() else ()
+    # What a package's __init__ imports grows with each policy, and decides nothing of the others.
+    return code_hash([folder, *(path for path in shared if path.name != "__init__.py")])
+
+
+def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:
+    """Returns why a policy cannot have these options; empty if it can."""
+    import draccus
+
+    said = io.StringIO()
+    arguments = ["--device=cpu", *(f"--{option.removeprefix('--policy.')}" for option in options)]
+    try:
+        with _quiet(), contextlib.redirect_stderr(said):
+            draccus.parse(config_class=kind, args=arguments)
+    except SystemExit:  # how argparse refuses an option it does not know, after saying so
+        return said.getvalue().strip().rpartition("error: ")[2]
+    except AdaManipError as error:
+        return " ".join(str(error).split())
+    except draccus.utils.DraccusException as error:
+        return " ".join(str(error.__cause__ or error).split())
+    return ""
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps configurations from telling of the device that they have been given."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)

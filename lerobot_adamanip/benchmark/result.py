@@ -1,0 +1,188 @@
+"""The result file of a cell: its numbers with what made them; times and machines apart, for they differ every time."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip import checked_json
+from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.declaration import NAME, OBJECT_SPLITS, TITLE
+from lerobot_adamanip.benchmark.numbers import Numbers
+from lerobot_adamanip.benchmark.plan import FOLDERS, Step
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.evaluation.origin import HASH, MACHINE, ORIGIN, Origin
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.results import check_command
+from lerobot_adamanip.files import write_atomically
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepDone:
+    """A step behind a result.
+
+    Attributes:
+        key: of what it made.
+        command: as typed in the benchmark's folder.
+    """
+
+    key: str
+    command: str
+
+    @classmethod
+    def of(cls, step: Step) -> StepDone:
+        """Takes note of a step."""
+        return cls(key=step.key, command=shlex.join((*step.command, *step.aside)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepCost:
+    """What a step took; shared by all cells that need it.
+
+    Attributes:
+        begun: how often it was begun, by interruptions.
+        seconds: the last time, from where it went on.
+        machine: as `machine_class` tells it.
+    """
+
+    begun: int
+    seconds: float
+    machine: Mapping[str, int | bool]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellResult:
+    """What a result file holds.
+
+    Attributes:
+        cell: which one.
+        title: what tables call its method.
+        package: distribution that declared the method; empty for the declaration itself.
+        scale: name.
+        options: `lerobot_adamanip.benchmark.plan.options_key` of what was declared.
+        steps: by kind, in order; the last one's key is the cell's.
+        fingerprint: of the code that decided the episodes.
+        origin: commit and versions.
+        scene_seeds: the first scene's and the last one's.
+        numbers: what came of it.
+        costs: by kind of step; all that is not the same every time.
+    """
+
+    cell: Cell
+    title: str
+    package: str
+    scale: str
+    options: str
+    steps: Mapping[str, StepDone]
+    fingerprint: str
+    origin: Origin
+    scene_seeds: tuple[int, int]
+    numbers: Numbers
+    costs: Mapping[str, StepCost]
+
+    @property
+    def key(self) -> str:
+        """Of everything that decided it."""
+        return tuple(self.steps.values())[-1].key
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        return {
+            "schema": SCHEMA,
+            "cell": asdict(self.cell),
+            "title": self.title,
+            "package": self.package,
+            "scale": self.scale,
+            "options": self.options,
+            "steps": {kind: asdict(step) for kind, step in self.steps.items()},
+            "fingerprint": self.fingerprint,
+            **asdict(self.origin),
+            "scene_seeds": list(self.scene_seeds),
+            "numbers": self.numbers.to_json(),
+            "costs": {kind: asdict(cost) for kind, cost in self.costs.items()},
+        }
+
+
+def scene_seeds_of(records: Sequence[EpisodeRecord]) -> tuple[int, int]:
+    """Returns the first and the last seed that an evaluation gave its scenes."""
+    seeds = [record.given_seed for record in records]
+    return min(seeds), max(seeds)
+
+
+def write_cell(path: Path, result: CellResult) -> None:
+    """Writes a result file; what it holds is checked as if somebody else had written it."""
+    content = result.to_json()
+    parse_cell(json.loads(json.dumps(content)))
+    write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def read_cell(path: Path) -> CellResult:
+    """Reads a result file; raises `DatasetError` if it is none."""
+    try:
+        return parse_cell(checked_json.read(path))
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            "Not a result of a benchmark.", got=f"{path}: {error}", allowed="what `adamanip benchmark` writes",
+            hint=f"remove {path.name}, and run the benchmark again",
+        ) from error  # fmt: skip
+
+
+def read_cells(folder: Path) -> list[CellResult]:
+    """Reads all result files of a folder, in order of their names; raises `DatasetError` for one that is none."""
+    return [read_cell(path) for path in sorted(folder.glob("*.json"))]
+
+
+def parse_cell(content: object) -> CellResult:
+    """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
+    found = _CELL_RESULT("the result", content)
+    del found["schema"]
+    origin = Origin(**{name: found.pop(name) for name in ORIGIN})
+    cell, scene_seeds = Cell(**found.pop("cell")), found.pop("scene_seeds")
+    steps = {kind: StepDone(**step) for kind, step in found.pop("steps").items()}
+    costs = {kind: StepCost(**cost) for kind, cost in found.pop("costs").items()}
+    if not steps:
+        raise ValueError("steps is empty")
+    for step in steps.values():
+        check_command(step.command)
+    return CellResult(
+        cell=cell, origin=origin, steps=steps, costs=costs, scene_seeds=(scene_seeds[0], scene_seeds[1]), **found
+    )
+
+
+_LINE = checked_json.text(r"[^\r\n`]{1,4000}", "one line without backquotes")
+_KIND = checked_json.choice(tuple(FOLDERS))
+STEP_COST = checked_json.table(
+    {"begun": checked_json.integer(1, 10**6), "seconds": checked_json.number(0, 10**9), "machine": MACHINE}
+)
+"""Check of a `StepCost`."""
+_CELL_RESULT = checked_json.table(
+    {
+        "schema": checked_json.integer(SCHEMA, SCHEMA),
+        "cell": checked_json.table(
+            {
+                "method": NAME,
+                "category": checked_json.choice(tuple(CATEGORIES)),
+                "objects": checked_json.choice(OBJECT_SPLITS),
+                "seed": checked_json.integer(0, 2**31),
+                "trials": checked_json.optional(checked_json.integer(0, 1000)),
+            }
+        ),
+        "title": TITLE,
+        "package": checked_json.text(r"[\w.-]{0,100}", "a distribution's name, or nothing"),
+        "scale": NAME,
+        "options": HASH,
+        "steps": checked_json.mapping(_KIND, checked_json.table({"key": HASH, "command": _LINE}), 3),
+        **ORIGIN,
+        "fingerprint": HASH,
+        "scene_seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
+        "numbers": Numbers.from_json,
+        "costs": checked_json.mapping(_KIND, STEP_COST, 3),
+    }
+)

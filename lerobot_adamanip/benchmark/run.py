@@ -1,0 +1,189 @@
+"""Running a benchmark: each cell's missing steps, one after the other, until its result is written.
+
+Whatever ends it, at any moment, the same call goes on with the step it was in, and writes the same results: collections
+and trainings resume, a half-finished evaluation is begun anew.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from lerobot_adamanip import files
+from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.command import Runner, run_command
+from lerobot_adamanip.benchmark.declaration import Declaration
+from lerobot_adamanip.benchmark.folder import BenchmarkFolder
+from lerobot_adamanip.benchmark.numbers import Numbers
+from lerobot_adamanip.benchmark.plan import COLLECT, EPISODE_LOG, EVALUATE, TRAIN, Code, Step, option, options_key, plan
+from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, scene_seeds_of, write_cell
+from lerobot_adamanip.benchmark.training import resuming, trained_steps
+from lerobot_adamanip.errors import AdaManipError, DatasetError
+from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.metrics import first_episodes
+from lerobot_adamanip.evaluation.origin import Origin
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+
+DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
+"""States of a cell. Stale: its result is of other code or other options. Begun: one of its steps is, or is done."""
+_WORDS = {COLLECT: "collecting", TRAIN: "training", EVALUATE: "evaluating"}
+
+
+class StepError(AdaManipError, RuntimeError):
+    """A command of a benchmark has failed."""
+
+
+@dataclass(frozen=True)
+class CellState:
+    """How far a cell is.
+
+    Attributes:
+        cell: which one.
+        state: see `DONE` and the others.
+        reason: why it is unavailable or has failed, else empty.
+        result: what its file holds, if there is one.
+    """
+
+    cell: Cell
+    state: str
+    reason: str = ""
+    result: CellResult | None = None
+
+
+@dataclass
+class BenchmarkRun:
+    """A scale of a benchmark in a folder.
+
+    Attributes:
+        declaration, scale: what is measured.
+        folder: where.
+        code: that decides results.
+        origin: of the results.
+        machine: kind of this one, see `machine_class`.
+        unavailable: method -> why it cannot be run here.
+        collect_options: of ``adamanip collect``, deciding nothing: workers, cluster.
+        runner: runs commands.
+        say: told what begins.
+    """
+
+    declaration: Declaration
+    scale: str
+    folder: BenchmarkFolder
+    code: Code
+    origin: Origin
+    machine: Mapping[str, int | bool]
+    unavailable: Mapping[str, str] = field(default_factory=dict)
+    collect_options: tuple[str, ...] = ()
+    runner: Runner = run_command
+    say: Callable[[str], None] = lambda text: None
+    _failed: dict[str, str] = field(default_factory=dict)
+
+    def state(self, cell: Cell) -> CellState:
+        """Returns how far a cell is; runs nothing."""
+        path = self.folder.result(cell)
+        result = read_cell(path) if path.exists() else None
+        if reason := self.unavailable.get(cell.method):
+            return CellState(cell, UNAVAILABLE, reason, result)
+        step = self._plan(cell)
+        if result is not None:
+            return CellState(cell, DONE if result.key == step.key else STALE, result=result)
+        begun = any(self.folder.is_begun(each) for each in step.chain())
+        return CellState(cell, BEGUN if begun else MISSING)
+
+    def run(self, cells: Sequence[Cell]) -> Iterator[CellState]:
+        """Runs what is missing of each cell, and yields what it is then; a cell that fails keeps no other from it.
+
+        Raises:
+            DatasetError: another benchmark is at work in the folder.
+        """
+        self.folder.make()
+        busy = "A benchmark, or a command that one has left behind, is at work here."
+        with files.locked(self.folder.root, busy, "wait for its end, or another --out") as lock:
+            for number, cell in enumerate(cells, start=1):
+                yield self._finished(cell, lock, f"[{number}/{len(cells)}] {cell.name}")
+
+    def _finished(self, cell: Cell, lock: int, label: str) -> CellState:
+        before = self.state(cell)
+        if before.state in (DONE, UNAVAILABLE):
+            return before
+        step = self._plan(cell)
+        try:
+            self._ensure(step, lock, label)
+        except StepError as error:
+            return CellState(cell, FAILED, str(error), before.result)
+        write_cell(self.folder.result(cell), self._result(cell, step))
+        return self.state(cell)
+
+    def _plan(self, cell: Cell) -> Step:
+        return plan(cell, self.declaration, self.scale, self.code)
+
+    def _ensure(self, step: Step, lock: int, label: str) -> None:
+        """Does a step, and before it what it needs, unless it is done."""
+        if self.folder.is_done(step):
+            return
+        if step.needs is not None:
+            self._ensure(step.needs, lock, label)
+        if step.key in self._failed:
+            raise StepError(self._failed[step.key])
+        self.say(f"{label}: {_WORDS[step.kind]}")
+        begin = time.perf_counter()
+        self.folder.begin(step)
+        try:
+            self._do(step, lock)
+        except StepError as error:
+            self._failed[step.key] = str(error)
+            raise
+        self.folder.finish(step, time.perf_counter() - begin, self.machine)
+
+    def _do(self, step: Step, lock: int) -> None:
+        if command := self._command(step):
+            log = self.folder.log(step)
+            status = self.runner(command, folder=self.folder.root, log=log, lock=lock)
+            if status:
+                raise StepError(f"{command[0]} ended with status {status}: {log.relative_to(self.folder.root)}")
+        if step.kind == EVALUATE:
+            self._records(step)
+
+    def _command(self, step: Step) -> list[str]:
+        """Returns the command that does a step from where it is; empty if there is nothing left to do."""
+        product, whole = self.folder.product(step), [*step.command, *step.aside]
+        if step.kind == COLLECT:
+            return [*whole, *self.collect_options]
+        if step.kind == TRAIN and (behind := trained_steps(product)):
+            wanted = int(option(step.command, "--steps"))
+            return [] if behind >= wanted else resuming(step.product, wanted)
+        # LeRobot refuses a folder without a checkpoint, and half a log of episodes would count as a whole one.
+        files.remove_tree(product)
+        return whole
+
+    def _records(self, step: Step) -> list[EpisodeRecord]:
+        """Returns the episodes of an evaluation; raises `StepError` if they are not those that were to be run."""
+        wanted = int(option(step.command, "--eval.n_episodes"))
+        try:
+            records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), wanted)
+        except DatasetError as error:
+            raise StepError(str(error)) from error
+        fingerprints = {record.provenance.fingerprint for record in records}
+        if len(records) != wanted or fingerprints != {self.code.episodes}:
+            raise StepError(
+                f"The evaluation {step.key} is not what was asked for: {len(records)} episodes of the code "
+                f"{', '.join(fingerprints)}, not {wanted} of {self.code.episodes}."
+            )
+        return records
+
+    def _result(self, cell: Cell, step: Step) -> CellResult:
+        method, records, steps = self.declaration.methods[cell.method], self._records(step), list(step.chain())
+        return CellResult(
+            cell=cell,
+            title=method.title,
+            package=method.package,
+            scale=self.scale,
+            options=options_key(cell, self.declaration, self.scale),
+            steps={each.kind: StepDone.of(each) for each in steps},
+            fingerprint=self.code.episodes,
+            origin=self.origin,
+            scene_seeds=scene_seeds_of(records),
+            numbers=Numbers.of(records),
+            costs={each.kind: cost for each in steps if (cost := self.folder.cost(each)) is not None},
+        )
