@@ -150,7 +150,7 @@ def _training(cell: Cell, method: Method, scale: Scale, collected: Step, code: C
 def _evaluation(
     cell: Cell, method: Method, scale: Scale, code: Code, *, like: Demonstrations, training: Step | None
 ) -> Step:
-    """Returns the evaluation in scenes that are ``like`` the demonstrations, of a policy that is trained or needs none."""
+    """Returns the evaluation of a policy that is trained, or needs no training, in scenes ``like`` demonstrations."""
     made = (f"--policy.type={method.policy}", *method.options)
     trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()

@@ -1,0 +1,278 @@
+"""Running a benchmark: each step once, shared where it can be, and on from wherever it was killed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import random
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmark_helpers import (
+    CODE,
+    FakeRunner,
+    benchmark,
+    cells_of,
+    content,
+    declared,
+    results,
+    run_all,
+    with_scale,
+)
+
+from lerobot_adamanip import files
+from lerobot_adamanip.benchmark.command import run_command
+from lerobot_adamanip.benchmark.plan import Code
+from lerobot_adamanip.benchmark.result import read_cell
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+
+DEATHS = 20
+TRAINED = ["adamanip", "lerobot-train", "lerobot-eval", "lerobot-eval"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The results of a benchmark that was never interrupted."""
+    folder = tmp_path_factory.mktemp("whole")
+    states = run_all(benchmark(folder / "out", FakeRunner(folder)))
+    assert [each.state for each in states] == ["done"] * 6
+    return results(folder / "out")
+
+
+def test_cells_share_demonstrations_and_trainings(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(tmp_path / "out", runner))
+    assert runner.programs == ["lerobot-eval", "lerobot-eval", *TRAINED, *TRAINED]
+    run_all(benchmark(tmp_path / "out", runner))
+    assert len(runner.called) == 10, "nothing is done twice"
+
+
+def test_a_result_says_what_made_it(tmp_path: Path) -> None:
+    made = benchmark(tmp_path / "out", FakeRunner(tmp_path))
+    run_all(made)
+    found = read_cell(tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json")
+    assert list(found.steps) == ["collect", "train", "evaluate"]
+    assert f"--dataset.root=demonstrations/{found.steps['collect'].key} " in found.steps["train"].command
+    assert "--seed=1000" in found.steps["train"].command
+    assert found.scene_seeds == (1000, 1004)
+    numbers = found.numbers
+    assert numbers.success.episodes == 5
+    assert sum(numbers.key_frames.values()) == numbers.success.count
+    assert sum(episodes for name, (_, episodes) in numbers.hidden.items() if name.endswith("locked")) == 5
+    assert (found.fingerprint, found.origin) == (CODE.episodes, made.origin)
+    assert {cost.begun for cost in found.costs.values()} == {1}
+    assert found.costs["train"].machine == {"cores": 2, "gpu": False}
+    text = (tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json").read_text()
+    assert str(tmp_path) not in text
+
+
+# Kills ------------------------------------------------------------------------------------------------------------
+
+
+def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "") -> bool:
+    """Runs the benchmark in a process that is killed; returns whether it was.
+
+    By its runner; or after some seconds; or as soon as a file of that name is written in its folder.
+    """
+
+    def kill() -> None:
+        while log and not list(root.rglob(log)):
+            time.sleep(0.001)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    child = os.fork()
+    if child == 0:
+        if seconds or log:
+            threading.Timer(seconds, kill).start()
+        status = 1
+        try:
+            run_all(benchmark(root, runner))
+            status = 0
+        finally:
+            os._exit(status)
+    _, waited = os.waitpid(child, 0)
+    status = os.waitstatus_to_exitcode(waited)
+    assert status in (0, -signal.SIGKILL), status
+    return status != 0
+
+
+def wait_for_the_orphan(root: Path) -> None:
+    """The command of a killed benchmark goes on, and keeps the next one out until it ends."""
+    end = time.monotonic() + 30
+    while time.monotonic() < end:
+        try:
+            with files.locked(root, "busy", ""):
+                return
+        except DatasetError:
+            time.sleep(0.005)
+    raise AssertionError("the folder stays locked")
+
+
+@pytest.mark.parametrize(
+    "moment",
+    [
+        "collect:1", "collect:5", "evaluate:1", "evaluate:4",
+        "train:2",  # before it has a checkpoint
+        "train:5",  # half of one
+        "train:7",  # without a link to the last one
+        "train:9", "train:14", "train:20",
+    ],
+)  # fmt: skip
+def test_a_death_in_any_step_changes_no_result(tmp_path: Path, whole: dict[str, Any], moment: str) -> None:
+    root = tmp_path / "out"
+    assert killed(root, FakeRunner(tmp_path, die=moment))
+    wait_for_the_orphan(root)
+    run_all(benchmark(root, FakeRunner(tmp_path)))
+    assert results(root) == whole
+    step = moment.partition(":")[0]
+    begun = [json.loads(path.read_text())["begun"] for path in (root / "steps").glob(f"{step}-*.json")]
+    assert sorted(begun)[-2:] == [1, 2], "it was killed in that step"
+
+
+def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, Any]) -> None:
+    drawn, deaths, benchmarks = random.Random(0), 0, 0
+    while deaths < DEATHS:
+        root, runner = tmp_path / str(benchmarks), FakeRunner(tmp_path, pause=0.004)
+        root.mkdir()
+        while killed(root, runner, seconds=drawn.uniform(0.01, 0.5)):
+            deaths += 1
+            wait_for_the_orphan(root)
+        assert results(root) == whole
+        benchmarks += 1
+    assert benchmarks > 1, "each of them was killed before it had begun"
+
+
+def test_a_training_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
+    root = tmp_path / "out"
+    assert killed(root, FakeRunner(tmp_path, die="train:9"))
+    wait_for_the_orphan(root)
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(root, runner))
+    (resumed,) = [command for command in runner.called if "--resume=true" in command]
+    assert resumed[-1] == "--steps=8"
+    begun = [cost.begun for cost in (read_cell(p).costs["train"] for p in (root / "cells").glob("ours*"))]
+    assert sorted(begun) == [1, 1, 2, 2]
+
+
+def test_a_command_that_is_left_behind_keeps_others_out(tmp_path: Path) -> None:
+    root, runner = tmp_path / "out", FakeRunner(tmp_path, pause=0.2)
+    assert killed(root, runner, log="episodes.jsonl")
+    with pytest.raises(DatasetError, match="left behind"):
+        run_all(benchmark(root, runner))
+    wait_for_the_orphan(root)
+
+
+# What changes and what fails --------------------------------------------------------------------------------------
+
+
+def test_states_are_told_without_running(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    made = benchmark(tmp_path / "out", runner)
+    assert {made.state(cell).state for cell in cells_of(made)} == {"missing"}
+    assert not (tmp_path / "out").exists()
+    assert killed(tmp_path / "out", FakeRunner(tmp_path, die="train:1"))
+    assert [made.state(cell).state for cell in cells_of(made)] == ["done"] * 2 + ["begun"] * 2 + ["missing"] * 2
+    assert runner.called == []
+
+
+def test_other_options_and_other_code_make_a_result_stale_and_it_is_made_again(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(tmp_path / "out", runner))
+    for made in (
+        benchmark(tmp_path / "out", runner, with_scale(steps=9)),
+        benchmark(tmp_path / "out", runner, code=Code("e" * 16, CODE.episodes, CODE.policies)),
+    ):
+        states = [made.state(cell).state for cell in cells_of(made)]
+        assert states == ["done"] * 2 + ["stale"] * 4, "a policy without training has no such options"
+    longer, before = benchmark(tmp_path / "out", runner, with_scale(steps=9)), len(runner.called)
+    assert {each.state for each in run_all(longer)} == {"done"}
+    again = runner.programs[before:]
+    assert again == [program for program in TRAINED if program != "adamanip"] * 2, "the demonstrations are the same"
+
+
+def test_what_is_not_available_is_left_out_with_its_reason(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    made = benchmark(tmp_path / "out", runner, unavailable={"ours_on_static": "not installed"})
+    states = run_all(made)
+    left = [each for each in states if each.state == "unavailable"]
+    assert [(each.cell.method, each.reason) for each in left] == [("ours_on_static", "not installed")] * 2
+    assert len(results(tmp_path / "out")) == 4
+
+
+def test_a_step_that_fails_is_tried_once_and_keeps_no_other_cell_from_running(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    runner.failing = "lerobot-train"
+    states = run_all(benchmark(tmp_path / "out", runner))
+    assert [each.state for each in states] == ["done"] * 2 + ["failed"] * 4
+    assert states[2].reason.startswith("lerobot-train ended with status 7: steps/train-")
+    assert runner.programs.count("lerobot-train") == 2
+    runner.failing = ""
+    assert {each.state for each in run_all(benchmark(tmp_path / "out", runner))} == {"done"}
+
+
+def test_a_log_of_other_code_or_too_few_episodes_is_no_result(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    changed = dataclasses.replace(CODE, episodes="f" * 16)
+    states = run_all(benchmark(tmp_path / "out", runner, code=changed))
+    assert {each.state for each in states} == {"failed"}
+    assert f"not 5 of {'f' * 16}" in states[0].reason
+    assert results(tmp_path / "out") == {}
+    fewer = content()["methods"]
+    fewer["untrained"]["evaluate"] = ["--eval.batch_size=1", "--eval.n_episodes=4"]
+    states = run_all(benchmark(tmp_path / "fewer", runner, declared(methods=fewer)))
+    assert states[0].result is not None
+    assert states[0].result.numbers.success.episodes == 4, "a method's own options win"
+
+
+def test_collecting_is_told_what_decides_nothing(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(tmp_path / "out", runner, collect_options=("--workers=3",)))
+    assert runner.called[2][-1] == "--workers=3"
+    other = FakeRunner(tmp_path)
+    run_all(benchmark(tmp_path / "other", other))
+    assert results(tmp_path / "out") == results(tmp_path / "other")
+
+
+# Programs ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    code = "import os, sys; print(os.getcwd(), os.environ['HF_HUB_OFFLINE']); sys.exit(3)"
+    with files.locked(tmp_path, "busy", "") as lock:
+        status = run_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=log, lock=lock)
+    assert status == 3
+    assert log.read_text() == f"{tmp_path} 1\n"
+
+
+def test_an_interruption_ends_the_program(tmp_path: Path) -> None:
+    def interrupt() -> None:
+        end = time.monotonic() + 30
+        while not (tmp_path / "log").read_text() and time.monotonic() < end:
+            time.sleep(0.01)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    code = "import time; print('begun', flush=True); time.sleep(60)"
+    (tmp_path / "log").touch()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    threading.Thread(target=interrupt).start()
+    begin = time.monotonic()
+    try:
+        with files.locked(tmp_path, "busy", "") as lock, pytest.raises(KeyboardInterrupt):
+            run_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=tmp_path / "log", lock=lock)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert time.monotonic() - begin < 40
+    with files.locked(tmp_path, "the program still runs", ""):
+        pass
+
+
+def test_a_missing_program_is_one_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="lerobot-dance"):
+        run_command(["lerobot-dance"], folder=tmp_path, log=tmp_path / "log", lock=0)
