@@ -1,5 +1,6 @@
 """Writes docs/results.md and the README's results from results/*.json: ``python scripts/make_results.py [--check]``.
 
+Results of `adamanip benchmark` are those of results/benchmark/SCALE/*.json; they have their part of docs/results.md.
 Numbers of another fingerprint than the present code's do not reach the README; docs/results.md marks them.
 """
 
@@ -7,9 +8,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Container
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
+from lerobot_adamanip.benchmark.declaration import read_declaration
+from lerobot_adamanip.benchmark.report import make_report
+from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
@@ -24,11 +29,19 @@ def read_results(folder: Path) -> dict[str, ResultFile]:
     return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
 
 
-def documents(folder: Path, present: Container[str]) -> dict[Path, str]:
+def benchmark_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
+    """Yields the part of docs/results.md of each scale that the paper's declaration has results of."""
+    declaration = read_declaration()
+    for scale in declaration.scales:
+        if results := read_cells(folder / "benchmark" / scale):
+            yield benchmark_page(make_report(results, declaration, scale, present), level=2)
+
+
+def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     """Returns document -> what it has to say."""
     results = read_results(folder)
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(results, present))
-    return {PAGE: results_page(results, present), README: readme}
+    return {PAGE: "\n".join((results_page(results, present), *benchmark_pages(folder, present))), README: readme}
 
 
 def main() -> int:

@@ -28,6 +28,7 @@ from typing import Any
 
 from check_common import ROOT, count, list_of
 
+from lerobot_adamanip.benchmark.training import last_checkpoint, resuming, trained_steps
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
@@ -114,21 +115,19 @@ class Run:
 
     def checkpoint(self, training: str) -> Path:
         """Folder of the last weights of a training."""
-        return self.folder / training / "checkpoints" / "last" / "pretrained_model"
+        return last_checkpoint(self.folder / training)
 
     def _recording(self, root: Path, episodes: int) -> list[str]:
         count = ("--episodes-per-object", str(episodes), "--workers", "2")
         return ["adamanip", "collect", "--category", self.category, "--root", str(root), "--no-images", *count]
 
     def _train(self, name: str, data: Path, wanted: int, begin: list[str]) -> None:
-        given, weights = self.options, self.checkpoint(name)
-        state = weights.parent / "training_state" / "training_step.json"
-        done = json.loads(state.read_text(encoding="utf-8"))["step"] if state.exists() else 0
+        given, folder = self.options, self.folder / name
+        done = trained_steps(folder)
         if done >= wanted:
             return
         if done:
-            resume = [f"--config_path={weights / 'train_config.json'}", "--resume=true"]
-            self._run(name, "lerobot-train", *resume, f"--steps={wanted}")
+            self._run(name, *resuming(folder, wanted))
             return
         self._run(
             name,
@@ -142,7 +141,7 @@ class Run:
             "--log_freq=200",
             "--num_workers=0",
             f"--seed={given.seed}",
-            f"--output_dir={self.folder / name}",
+            f"--output_dir={folder}",
         )
 
     @property

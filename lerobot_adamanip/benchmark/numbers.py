@@ -77,7 +77,7 @@ class Numbers:
 
     @classmethod
     def from_json(cls, name: str, content: object) -> Numbers:
-        """A check of `checked_json`: returns the numbers in decoded JSON, or raises ValueError that names what is wrong."""
+        """Returns the numbers in decoded JSON; raises ValueError that names what is wrong with them."""
         found = _NUMBERS(name, content)
         recovered, tries = found["recovery"], found["tries"]
         made = cls(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from lerobot_adamanip.categories import CATEGORIES
 
 SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
@@ -35,7 +37,9 @@ SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
     ),
 }  # fmt: skip
 """Method -> (success, deviation) [%] of each category in the order of `CATEGORIES`, from the table "Success Rates of
-Different Methods". Of what the deviations are, and on which objects and poses, the paper does not say."""
+Different Methods". Of what the deviations are, and in which scenes, the paper does not say."""
+PAPER_OBJECTS = "seen"
+"""Split of objects beside which they stand: the released code is tested on the objects it is trained on."""
 TRIALS_CATEGORY = "bottle"
 SUCCESS_BY_TRIALS = (87.14, 93.64, 75.71, 65.71, 57.14, 41.43, 44.28)
 """Success [%] after 0, 1, ... 6 repeated trials in the demonstrations, from the table "Effects of Repeated Adaptive
@@ -47,7 +51,7 @@ def reported(method: str | None, category: str) -> tuple[float, float] | None:
     return SUCCESS[method][tuple(CATEGORIES).index(category)] if method in SUCCESS else None
 
 
-def reported_mean(method: str | None) -> float | None:
-    """Returns a method's mean success over the nine categories [%]; None where the paper has no such row."""
-    values = SUCCESS.get(method or "", ())
-    return sum(success for success, _ in values) / len(values) if values else None
+def reported_mean(method: str | None, categories: Collection[str]) -> float | None:
+    """Returns a method's mean success over some categories [%]; None where the paper has no such row."""
+    found = [value for category in categories if (value := reported(method, category)) is not None]
+    return sum(success for success, _ in found) / len(found) if found else None

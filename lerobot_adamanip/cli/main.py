@@ -48,6 +48,9 @@ COMMANDS = {
     "report": Entry(
         "lerobot_adamanip.cli.report:Report", "success rates with intervals, trials and plots of an evaluation"
     ),
+    "benchmark": Entry(
+        "lerobot_adamanip.cli.benchmark:Benchmark", "train and test methods side by side, beside the paper's table"
+    ),
     "bench": Entry(
         "lerobot_adamanip.cli.bench.command:Bench", "measure collection, simulation, observation, training and action"
     ),

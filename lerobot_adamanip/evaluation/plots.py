@@ -14,6 +14,7 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MAX_BARS = 24
 """Groups that a picture has room for."""
@@ -33,14 +34,11 @@ def cumulative_rates(records: Sequence[EpisodeRecord]) -> list[Rate]:
 
 def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: Path) -> None:
     """Draws success by group beside success over episodes, with 95 % intervals, one colour per label, to ``path``."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     comparison = compare(evaluations)
     width = max(10.5, 5 + 0.32 * len(_drawn(comparison.groups)) * max(2, len(evaluations)))
-    figure = Figure(figsize=(width, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)  # no display, and no global state of pyplot's
+    figure = new_figure(width, 4.6)
     bars, curve = figure.subplots(1, 2, width_ratios=(width - 4.8, 4.8))
     _draw_bars(bars, comparison)
     for label, records in evaluations.items():
@@ -51,12 +49,38 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
         curve.fill_between(counts, low, high, alpha=0.15, color=line.get_color(), linewidth=0)
     curve.set(xlabel="episodes", ylabel="success so far [%]", ylim=(0, 103))
     curve.xaxis.set_major_locator(MaxNLocator(integer=True))
-    for axes in (bars, curve):
+    save_figure(figure, "Success with 95 % Wilson intervals", path)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Returns a figure of this size [inch] that needs no display, and nothing of pyplot's global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save_figure(figure: Figure, title: str, path: Path) -> None:
+    """Gives all axes of a figure the same looks, and writes it to ``path``, whose folder is made if it is missing."""
+    for axes in figure.axes:
         axes.grid(axis="y", alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle("Success with 95 % Wilson intervals", fontsize=11)
+    figure.suptitle(title, fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
+
+
+def heights_and_errors(rates: Sequence[Rate]) -> tuple[list[float], list[list[float]]]:
+    """Returns rates [%], and how far their intervals reach below and above, as matplotlib takes them.
+
+    A rate of no episodes has no bar, and no interval that would look like a measurement.
+    """
+    heights = [100 * (each.rate or 0.0) for each in rates]
+    below = [height - 100 * each.low if each.episodes else 0.0 for height, each in zip(heights, rates, strict=True)]
+    above = [100 * each.high - height if each.episodes else 0.0 for height, each in zip(heights, rates, strict=True)]
+    return heights, [below, above]
 
 
 def _drawn(groups: Sequence[Group]) -> list[Group]:
@@ -74,11 +98,8 @@ def _draw_bars(axes: Axes, comparison: Comparison) -> None:
     for index, (label, summary) in enumerate(summaries.items()):
         rates = [summary.success(group) for group in groups]
         places = [x + (index - (len(summaries) - 1) / 2) * width for x in range(len(groups))]
-        values = [100 * (r.rate or 0.0) for r in rates]
-        # A group without episodes has no bar, and no interval that would look like a measurement.
-        below = [v - 100 * r.low if r.episodes else 0.0 for v, r in zip(values, rates, strict=True)]
-        above = [100 * r.high - v if r.episodes else 0.0 for v, r in zip(values, rates, strict=True)]
-        axes.bar(places, values, 0.92 * width, yerr=[below, above], capsize=3, label=label, ecolor="0.25")
+        values, errors = heights_and_errors(rates)
+        axes.bar(places, values, 0.92 * width, yerr=errors, capsize=3, label=label, ecolor="0.25")
         for x, r in zip(places, rates, strict=True):
             if r.episodes:
                 text, color = f"{r.count}/{r.episodes}", "white" if (r.rate or 0.0) > 0.15 else "black"

@@ -32,6 +32,8 @@ from lerobot_adamanip.benchmark.plan import Code
 from lerobot_adamanip.benchmark.result import read_cell
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
+# What is forked here runs nothing of the threads that other tests' libraries have left.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 DEATHS = 20
 TRAINED = ["adamanip", "lerobot-train", "lerobot-eval", "lerobot-eval"]
 

@@ -1,0 +1,239 @@
+"""What result files amount to: numbers of a method's trainings together, and what was not reached. Pure functions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from lerobot_adamanip.benchmark.cells import Cell, all_cells
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
+from lerobot_adamanip.benchmark.numbers import Numbers, pooled
+from lerobot_adamanip.benchmark.paper import reported, reported_mean
+from lerobot_adamanip.benchmark.plan import options_key
+from lerobot_adamanip.benchmark.result import CellResult, StepCost
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.rates import Difference, difference
+
+type Place = tuple[str, int | None, str, str]
+"""Method, trials (None in the table), category, split of objects: where a number stands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A method.
+
+    Attributes:
+        name, title: as declared, or as its results say where it is declared no more.
+        paper: what the paper calls it; empty if it is not in the paper.
+        package: that declares it; empty for the declaration itself.
+    """
+
+    name: str
+    title: str
+    paper: str = ""
+    package: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A number of the table: all trainings of a method in one category and split of objects.
+
+    Attributes:
+        numbers: of their episodes together.
+        seeds: of the trainings that there are results of.
+        wanted: how many there should be.
+        other_code: whether some are of other code than the present.
+        other_options: whether some are of other options than are declared.
+    """
+
+    numbers: Numbers
+    seeds: tuple[int, ...]
+    wanted: int
+    other_code: bool
+    other_options: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkReport:
+    """All that result files say of one scale.
+
+    Attributes:
+        scale: name.
+        reference: method that the others are compared with.
+        rows: declared ones first.
+        categories, splits: in the order of the tables.
+        trials: numbers of the curve over trials, in order.
+        entries: the numbers there are.
+        missing: cells that are declared and have no result.
+        unavailable: method -> why it cannot be run here, where that was asked.
+        results: that all of it is made of.
+    """
+
+    scale: str
+    reference: str
+    rows: tuple[Row, ...]
+    categories: tuple[str, ...]
+    splits: tuple[str, ...]
+    trials: tuple[int, ...]
+    entries: Mapping[Place, Entry]
+    missing: tuple[Cell, ...]
+    unavailable: Mapping[str, str]
+    results: tuple[CellResult, ...]
+
+    def entry(self, method: str, category: str, objects: str, trials: int | None = None) -> Entry | None:
+        """Returns a number; None if there is none."""
+        return self.entries.get((method, trials, category, objects))
+
+    def mean(self, method: str, objects: str, within: int | None = None) -> float | None:
+        """Returns a method's mean success over the categories, each counting alike; None unless there are all of them.
+
+        Args:
+            method: name.
+            objects: split.
+            within: count only what was opened within so many key frames.
+        """
+        numbers = self.numbers(method, self.categories, (objects,))
+        if len(numbers) < len(self.categories):
+            return None
+        rates = [each.success if within is None else each.opened_within(within) for each in numbers]
+        return sum(each.count / each.episodes for each in rates) / len(rates)
+
+    def to_reference(self, method: str, categories: Sequence[str], objects: str) -> Difference | None:
+        """Returns the reference's success less a method's, episodes of the categories together.
+
+        None where one of them lacks a number.
+        """
+        both = [self.numbers(name, categories, (objects,)) for name in (self.reference, method)]
+        if any(len(each) < len(categories) for each in both):
+            return None
+        first, second = (pooled(each).success for each in both)
+        return difference(first, second)
+
+    def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Numbers]:
+        """Returns what numbers there are of a method in these categories and splits of objects."""
+        places = itertools.product(categories, splits)
+        return [found.numbers for place in places if (found := self.entry(method, *place)) is not None]
+
+    def costs(self) -> dict[str, list[StepCost]]:
+        """Returns kind of step -> what each took; steps that several cells share are there once."""
+        found: dict[str, dict[str, StepCost]] = {}
+        for result in self.results:
+            for kind, cost in result.costs.items():
+                found.setdefault(kind, {})[result.steps[kind].key] = cost
+        return {kind: list(costs.values()) for kind, costs in found.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        paper_names = {row.name: row.paper for row in self.rows}
+        return {
+            "scale": self.scale,
+            "reference": self.reference,
+            "methods": [
+                {**asdict(row), "means": self._means(row.name), "paper_mean": reported_mean(row.paper, self.categories)}
+                for row in self.rows
+            ],
+            "entries": [self._entry_json(place, entry, paper_names[place[0]]) for place, entry in self.entries.items()],
+            "missing": [{**asdict(cell), "reason": self.unavailable.get(cell.method, "")} for cell in self.missing],
+            "seconds": {kind: round(sum(each.seconds for each in costs), 1) for kind, costs in self.costs().items()},
+            "fingerprints": sorted({result.fingerprint for result in self.results}),
+            "commits": sorted({result.origin.commit or "" for result in self.results} - {""}),
+        }
+
+    def _means(self, method: str) -> dict[str, float | None]:
+        return {objects: self.mean(method, objects) for objects in self.splits}
+
+    def _entry_json(self, place: Place, entry: Entry, paper: str) -> dict[str, Any]:
+        method, trials, category, objects = place
+        gap = self.to_reference(method, (category,), objects) if trials is None and method != self.reference else None
+        rest = {name: value for name, value in vars(entry).items() if name != "numbers"}
+        return {
+            "method": method,
+            "trials": trials,
+            "category": category,
+            "objects": objects,
+            **rest,
+            **entry.numbers.to_json(),
+            "difference": None if gap is None else asdict(gap),
+            "paper": reported(paper, category) if trials is None else None,
+        }
+
+
+def make_report(
+    results: Sequence[CellResult],
+    declaration: Declaration,
+    scale: str,
+    present: Collection[str],
+    unavailable: Mapping[str, str] | None = None,
+) -> BenchmarkReport:
+    """Makes a report of result files.
+
+    Args:
+        results: of any cells, declared or not.
+        declaration: what was to be measured.
+        scale: name.
+        present: fingerprints of the present code.
+        unavailable: method -> why it cannot be run here, if that has been asked.
+    """
+    cells = all_cells(declaration, scale)
+    found: dict[Place, list[CellResult]] = {}
+    for result in results:
+        found.setdefault(_place(result.cell), []).append(result)
+    declared = {_place(cell) for cell in cells}
+    entries = {
+        place: _entry(several, [cell for cell in cells if _place(cell) == place], declaration, scale, present)
+        for place, several in found.items()
+    }
+    there = {result.cell for result in results}
+    places = declared | set(found)
+    return BenchmarkReport(
+        scale=scale,
+        reference=declaration.reference,
+        rows=tuple(_rows(declaration, results)),
+        categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
+        splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
+        trials=tuple(sorted({place[1] for place in places if place[1] is not None})),
+        entries=entries,
+        missing=tuple(cell for cell in cells if cell not in there),
+        unavailable=dict(unavailable or {}),
+        results=tuple(results),
+    )
+
+
+def _place(cell: Cell) -> Place:
+    return cell.method, cell.trials, cell.category, cell.objects
+
+
+def _entry(
+    several: Sequence[CellResult],
+    wanted: Sequence[Cell],
+    declaration: Declaration,
+    scale: str,
+    present: Collection[str],
+) -> Entry:
+    options = {cell: options_key(cell, declaration, scale) for cell in wanted}
+    return Entry(
+        numbers=pooled(result.numbers for result in several),
+        seeds=tuple(sorted(result.cell.seed for result in several)),
+        wanted=len(wanted),
+        other_code=any(result.fingerprint not in present for result in several),
+        # Of a method that is not declared here nobody knows which options it should have.
+        other_options=any(options.get(result.cell, result.options) != result.options for result in several),
+    )
+
+
+def _rows(declaration: Declaration, results: Iterable[CellResult]) -> Iterable[Row]:
+    for name, method in declaration.methods.items():
+        yield Row(name=name, title=method.title, paper=method.paper, package=method.package)
+    others = {
+        result.cell.method: Row(name=result.cell.method, title=result.title, package=result.package)
+        for result in results
+        if result.cell.method not in declaration.methods
+    }
+    yield from others.values()
+
+
+def _in_order(names: Iterable[str], chosen: Iterable[str]) -> tuple[str, ...]:
+    wanted = set(chosen)
+    return tuple(name for name in names if name in wanted)

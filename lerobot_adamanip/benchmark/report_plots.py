@@ -1,0 +1,150 @@
+"""A benchmark's report as pictures. Matplotlib is imported when one is drawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lerobot_adamanip.benchmark.numbers import pooled
+from lerobot_adamanip.benchmark.paper import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
+from lerobot_adamanip.benchmark.report import BenchmarkReport, Row
+from lerobot_adamanip.evaluation.plots import heights_and_errors, new_figure, save_figure
+from lerobot_adamanip.evaluation.rates import Rate
+from lerobot_adamanip.schema import MAX_KEY_FRAMES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_COLUMNS = 3
+
+
+def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
+    """Draws what there is to draw into a folder; returns the pictures."""
+    if not report.results:
+        return []
+    drawn = [_plot_success, _plot_key_frames, _plot_wasted, *((_plot_trials,) if report.trials else ())]
+    return [plot(report, folder) for plot in drawn]
+
+
+def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
+    """Bars with intervals by method and category, a panel for each split of objects, the paper's values as lines."""
+    figure = new_figure(_bars_width(report), 3.4 * len(report.splits))
+    panels: Any = figure.subplots(len(report.splits), 1, squeeze=False)[:, 0]
+    for axes, objects in zip(panels, report.splits, strict=True):
+        for number, row in enumerate(report.rows):
+            found = [report.numbers(row.name, (category,), (objects,)) for category in report.categories]
+            places, width = _places(report, number)
+            _draw_success(
+                axes, [(x, each[0].success) for x, each in zip(places, found, strict=True) if each], width, number
+            )
+            _mark_missing(axes, [x for x, each in zip(places, found, strict=True) if not each])
+            for x, category in zip(places, report.categories, strict=True):
+                paper = reported(row.paper, category) if objects == PAPER_OBJECTS else None
+                if paper is not None:
+                    axes.plot([x - width / 2, x + width / 2], [paper[0]] * 2, "--", color="black", linewidth=1.0)
+        _name_categories(axes, report)
+        axes.set(ylabel=f"success [%], {objects} objects", ylim=(0, 103))
+    _legend_of_all(figure, report.rows)
+    path = folder / "success.png"
+    save_figure(figure, "Success with 95 % Wilson intervals; dashes: in the paper", path)
+    return path
+
+
+def _draw_success(axes: Axes, bars: Sequence[tuple[float, Rate]], width: float, number: int) -> None:
+    places, (heights, errors) = [x for x, _ in bars], heights_and_errors([success for _, success in bars])
+    axes.bar(places, heights, 0.92 * width, color=f"C{number}")
+    axes.errorbar(places, heights, errors, fmt="none", capsize=1.5, ecolor="0.25", linewidth=0.8)
+
+
+def _mark_missing(axes: Axes, places: Sequence[float]) -> None:
+    """Says where there is no number: a bar of no height would look like one."""
+    for x in places:
+        axes.text(x, 0, "no number", rotation=90, fontsize=6, color="0.5", ha="center", va="bottom")
+
+
+def _bars_width(report: BenchmarkReport) -> float:
+    """Width of a figure [inch] with a bar for each method and category."""
+    return max(8.0, 3 + 0.16 * len(report.rows) * len(report.categories))
+
+
+def _places(report: BenchmarkReport, number: int) -> tuple[list[float], float]:
+    """Returns where the bars of a method stand, one for each category, and how much room each has."""
+    width = 0.85 / len(report.rows)
+    shift = (number - (len(report.rows) - 1) / 2) * width
+    return [x + shift for x in range(len(report.categories))], width
+
+
+def _plot_key_frames(report: BenchmarkReport, folder: Path) -> Path:
+    """Share opened within a number of key frames, a panel for each category, all splits of objects together."""
+    rows = math.ceil(len(report.categories) / _COLUMNS)
+    figure = new_figure(11.0, 2.9 * rows)
+    panels: Any = list(figure.subplots(rows, _COLUMNS, squeeze=False, sharey=True).flat)
+    for axes, category in zip(panels, report.categories, strict=False):
+        for number, row in enumerate(report.rows):
+            if found := report.numbers(row.name, (category,), report.splits):
+                numbers = pooled(found)
+                shares = [100 * (numbers.opened_within(k).rate or 0.0) for k in range(MAX_KEY_FRAMES + 1)]
+                axes.plot(range(MAX_KEY_FRAMES + 1), shares, label=row.title, color=f"C{number}", linewidth=1.5)
+        axes.set_title(category.replace("_", " "), fontsize=9)
+        axes.set(ylim=(0, 103), xlabel="key frames spent", ylabel="opened [%]")
+    for axes in panels[len(report.categories) :]:
+        axes.set_visible(False)
+    _legend_of_all(figure, report.rows)
+    path = folder / "key_frames.png"
+    save_figure(figure, "Success against key frames spent", path)
+    return path
+
+
+def _legend_of_all(figure: Any, rows: Sequence[Row]) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color=f"C{number}", label=row.title) for number, row in enumerate(rows)]
+    figure.legend(handles=lines, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+
+
+def _plot_wasted(report: BenchmarkReport, folder: Path) -> Path:
+    """Bars of failed tries per success beyond the best possible, by method and category."""
+    figure = new_figure(_bars_width(report), 3.6)
+    axes = figure.subplots()
+    for number, row in enumerate(report.rows):
+        places, width = _places(report, number)
+        found = [report.numbers(row.name, (category,), report.splits) for category in report.categories]
+        tries = [pooled(each).tries if each else None for each in found]
+        bars = [(x, each.wasted) for x, each in zip(places, tries, strict=True) if each is not None]
+        axes.bar([x for x, _ in bars], [wasted for _, wasted in bars], 0.92 * width, color=f"C{number}")
+        _mark_missing(axes, [x for x, each in zip(places, tries, strict=True) if each is None])
+    axes.axhline(0, color="0.3", linewidth=0.8)
+    _name_categories(axes, report)
+    axes.set(ylabel="wasted tries per success")
+    _legend_of_all(figure, report.rows)
+    path = folder / "wasted_tries.png"
+    save_figure(figure, "Failed tries per success beyond the best possible", path)
+    return path
+
+
+def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
+    """Success against failed trials in the demonstrations, with intervals, beside the paper's."""
+    figure = new_figure(6.5, 4.0)
+    axes = figure.subplots()
+    curves = sorted({(place[0], place[2], place[3]) for place in report.entries if place[1] is not None})
+    for method, category, objects in curves:
+        found = [(k, report.entry(method, category, objects, k)) for k in report.trials]
+        points = [(k, each.numbers.success) for k, each in found if each is not None]
+        heights, errors = heights_and_errors([success for _, success in points])
+        label = f"{category.replace('_', ' ')}, {objects} objects"
+        axes.errorbar([k for k, _ in points], heights, errors, marker="o", capsize=3, label=label)
+    axes.plot(
+        range(len(SUCCESS_BY_TRIALS)), SUCCESS_BY_TRIALS, "--", color="black", label=f"{TRIALS_CATEGORY}, the paper"
+    )
+    axes.set(xlabel="failed trials in the demonstrations", ylabel="success [%]", ylim=(0, 103))
+    axes.legend(frameon=False, fontsize=8)
+    path = folder / "trials.png"
+    save_figure(figure, "Success with 95 % Wilson intervals", path)
+    return path
+
+
+def _name_categories(axes: Axes, report: BenchmarkReport) -> None:
+    names = [category.replace("_", " ") for category in report.categories]
+    axes.set_xticks(range(len(names)), names, fontsize=8)

@@ -1,0 +1,216 @@
+"""`adamanip benchmark`: train and test the methods of a declaration, and write their table."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from lerobot_adamanip.benchmark.cells import Cell, Selection, select_cells
+from lerobot_adamanip.benchmark.declaration import PAPER, Declaration, read_declaration, with_packages
+from lerobot_adamanip.benchmark.folder import BenchmarkFolder
+from lerobot_adamanip.benchmark.plan import Code
+from lerobot_adamanip.benchmark.policies import find_policies
+from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
+from lerobot_adamanip.benchmark.report_plots import plot_report
+from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.benchmark.run import FAILED, BenchmarkRun, CellState
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.demos.cluster import require_usable
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.origin import machine_class, present_origin
+from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.tables import interval_text
+from lerobot_adamanip.files import write_atomically
+
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+_ON_THE_CLUSTER = (
+    "The cluster collects demonstrations. Trainings and evaluations run on this machine, one after the other: for "
+    "several machines give each other --methods or --categories, and copy their cells/*.json into one folder."
+)
+
+
+@dataclass
+class Benchmark:
+    """Trains and tests methods category by category, and writes a table of them, beside the paper's.
+
+    Runs `adamanip collect`, `lerobot-train` and `lerobot-eval`, one at a time, and only what is missing: after Ctrl-C,
+    a crash or a power cut the same command goes on, and comes to the same results. See docs/benchmark.md.
+    """
+
+    scale: str = "cpu"
+    """How much of everything: smoke shows that all of it runs, cpu is for two cores, full for a GPU."""
+
+    config: Path | None = None
+    """Declaration of methods, demonstrations and scales (TOML), instead of the paper's table."""
+
+    out: Path = Path("outputs/benchmark")
+    """Folder of everything it makes; results are in OUT/SCALE/cells, the table in OUT/SCALE/report."""
+
+    methods: str = ""
+    """Only these: names separated by commas."""
+
+    categories: str = ""
+    """Only these: names separated by commas."""
+
+    splits: str = ""
+    """Only tests on these objects: of seen, unseen, novel, separated by commas."""
+
+    seeds: str = ""
+    """Only trainings of these seeds, separated by commas."""
+
+    list_cells: Annotated[bool, tyro.conf.arg(name="list")] = False
+    """Only list the cells, and how far each is; run nothing."""
+
+    report: bool = False
+    """Only write the table, of the results there are; run nothing."""
+
+    workers: int = 2
+    """Processes that collect demonstrations; with --cluster actors, 0: one per CPU. Does not change a result."""
+
+    cluster: str | None = None
+    """Ray cluster that collects the demonstrations: HOST:PORT, auto or local. The rest runs on this machine."""
+
+    insecure_cluster: bool = False
+    """Use a cluster that demands no token: whoever reaches its ports runs code on it."""
+
+    json: bool = False
+    """Print one JSON object. Progress goes to stderr."""
+
+    def run(self) -> int:
+        """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
+        declaration = with_packages(read_declaration(self.config or PAPER))
+        cells = select_cells(declaration, self.scale, self._selection())
+        if self.list_cells and self.report:
+            raise ConfigurationError(
+                "Two things at once.", got="--list and --report", allowed="one of them", hint="--list"
+            )
+        if self.cluster is not None:
+            require_usable(self.cluster, insecure=self.insecure_cluster)
+        with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
+            made = self._benchmark(declaration)
+            try:
+                states = [made.state(cell) for cell in cells] if self._runs_nothing() else run_cells(made, cells)
+            except KeyboardInterrupt:
+                command = shlex.join(["adamanip", *sys.argv[1:]])
+                print(f"Interrupted. What is done is kept. To go on:\n  {command}")
+                return EXIT_INTERRUPTED
+            written = {} if self.list_cells else write_report(make_benchmark_report(made), made.folder.root / "report")
+        self._print(states, written)
+        return 1 if any(each.state == FAILED for each in states) else 0
+
+    def _runs_nothing(self) -> bool:
+        return self.list_cells or self.report
+
+    def _selection(self) -> Selection:
+        seeds = _names(self.seeds)
+        if not all(seed.isdecimal() for seed in seeds):
+            raise ConfigurationError("Not a seed.", got=self.seeds, allowed="whole numbers", hint="--seeds 1000,1001")
+        return Selection(
+            methods=_names(self.methods),
+            categories=_names(self.categories),
+            splits=_names(self.splits),
+            seeds=tuple(map(int, seeds)),
+        )
+
+    def _benchmark(self, declaration: Declaration) -> BenchmarkRun:
+        from lerobot_env_adamanip.fingerprint import environment_fingerprint, present_fingerprint
+
+        policies = find_policies(declaration.methods)
+        if self.cluster is not None:
+            print(_ON_THE_CLUSTER)
+        return BenchmarkRun(
+            declaration=declaration,
+            scale=self.scale,
+            folder=BenchmarkFolder((self.out / self.scale).absolute()),
+            code=Code(present_fingerprint(), environment_fingerprint(), policies.code),
+            origin=present_origin(),
+            machine=machine_class(),
+            unavailable=policies.unavailable,
+            collect_options=self._collect_options(),
+            say=lambda text: print(text, flush=True),
+        )
+
+    def _collect_options(self) -> tuple[str, ...]:
+        cluster = () if self.cluster is None else (f"--cluster={self.cluster}",)
+        return (f"--workers={self.workers}", *cluster, *(("--insecure-cluster",) if self.insecure_cluster else ()))
+
+    def _print(self, states: Sequence[CellState], written: dict[str, str]) -> None:
+        if self.json:
+            print(json.dumps({"scale": self.scale, "cells": [_state_json(each) for each in states], **written}))
+            return
+        width = max(len(each.cell.name) for each in states)
+        for each in states:
+            if self.list_cells or each.state == FAILED:
+                print(f"{each.cell.name:<{width}}  {each.state:<11}  {_told(each)}".rstrip())
+        counts = Counter(each.state for each in states)
+        print(f"{len(states)} cells: {', '.join(f'{count} {state}' for state, count in counts.items())}")
+        for what, path in written.items():
+            print(f"{what}: {path}")
+
+
+def run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
+    """Runs what is missing of the cells; tells progress on stderr."""
+    states = []
+    with _terminable(), show_progress({"cells": "cells"}) as progress:
+        for number, state in enumerate(made.run(cells), start=1):
+            states.append(state)
+            progress("cells", number, len(cells))
+    return states
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Lets SIGTERM end this process in order, so that the command it waits for ends, too."""
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def make_benchmark_report(made: BenchmarkRun) -> BenchmarkReport:
+    """Returns the report of all results in a benchmark's folder."""
+    results = read_cells(made.folder.cells)
+    return make_report(results, made.declaration, made.scale, {made.code.episodes}, made.unavailable)
+
+
+def write_report(report: BenchmarkReport, folder: Path) -> dict[str, str]:
+    """Writes a report as Markdown, JSON and pictures; returns what it has written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table, numbers = folder / "benchmark.md", folder / "benchmark.json"
+    write_atomically(table, benchmark_page(report).encode())
+    write_atomically(numbers, (json.dumps(report.to_json(), indent=1) + "\n").encode())
+    pictures = {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
+    return {"table": str(table), "numbers": str(numbers), **pictures}
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+
+
+def _state_json(state: CellState) -> dict[str, Any]:
+    success = None if state.result is None else state.result.numbers.success
+    return {
+        "name": state.cell.name,
+        **asdict(state.cell),
+        "state": state.state,
+        "reason": state.reason,
+        "success": None if success is None else asdict(success),
+    }
+
+
+def _told(state: CellState) -> str:
+    """The reason, or the success, of a cell."""
+    success = rate(0, 0) if state.result is None else state.result.numbers.success
+    return state.reason or (interval_text(success) if success.episodes else "")

@@ -1,0 +1,115 @@
+"""Declarations: the paper's is complete, mistakes are one message that names the field."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmark_helpers import SCALE, content, declared
+
+from lerobot_adamanip.benchmark.declaration import PAPER, parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.paper import SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError
+
+
+def test_the_papers_declaration_has_every_method_of_the_paper() -> None:
+    found = read_declaration()
+    assert {method.paper for method in found.methods.values()} - {""} == set(SUCCESS)
+    assert set(found.scales) == {"smoke", "cpu", "full"}
+    assert found.scale("cpu").categories == tuple(CATEGORIES)
+    assert found.scale("cpu").episodes >= 50
+    assert found.trials is not None
+    assert found.trials.numbers == tuple(range(len(SUCCESS_BY_TRIALS)))
+
+
+def test_the_papers_methods_learn_from_what_the_paper_trained_them_on() -> None:
+    found = read_declaration()
+    experts = {
+        name: found.demonstrations[method.demonstrations].expert
+        for name, method in found.methods.items()
+        if method.paper in ("ACT", "DP3", "Ours w/o adaptive", "Ours")
+    }
+    assert experts == {"act": "static", "dp3": "static", "dp3_adaptive_on_static": "static", "dp3_adaptive": "adaptive"}
+    without, ours = found.methods["dp3_adaptive_on_static"], found.methods["dp3_adaptive"]
+    assert (without.policy, without.options) == (ours.policy, ours.options)
+
+
+def test_the_papers_numbers_are_of_all_categories_and_their_means_are_its_order() -> None:
+    assert {len(values) for values in SUCCESS.values()} == {len(CATEGORIES)}
+    means = {name: reported_mean(name, CATEGORIES) or 0.0 for name in SUCCESS}
+    order = ["Ours", "Ours w/o adaptive", "DP3", "ACT", "AdaAfford", "VAT-Mart", "Sampling"]
+    assert sorted(means, key=lambda name: -means[name]) == order
+    assert reported("Ours", "microwave") == (100.0, 0.0)
+    assert reported(None, "safe") is None
+    assert reported_mean("", ["safe"]) is None
+
+
+def changed(path: str, value: Any) -> dict[str, Any]:
+    """The declaration with one value changed, ``None`` for left out."""
+    made = content()
+    *folders, name = path.split("/")
+    inner = made
+    for folder in folders:
+        inner = inner[folder]
+    inner[name] = value
+    if value is None:
+        del inner[name]
+    return made
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("reference", "theirs", "reference is 'theirs'"),
+        ("methods/ours/demonstrations", "some", "methods.ours.demonstrations is 'some'"),
+        ("methods/ours/policy", None, "methods.ours lacks policy"),
+        ("methods/ours/polciy", "act", "methods.ours has an unknown field 'polciy'"),
+        ("methods/ours/options", ["--steps=3"], "an option --policy.NAME=VALUE"),
+        ("methods/ours/train", ["steps"], "an option --NAME=VALUE"),
+        ("methods/ours/steps", {"huge": 3}, "methods.ours.steps is 'huge'"),
+        ("methods/ours/paper", "ours", "paper is 'ours'"),
+        ("methods/ours/title", "a | b", "title is 'a | b'"),
+        ("methods/Ours", {}, "a name of small letters"),
+        (f"scales/{SCALE}/episodes", 0, "episodes is 0"),
+        (f"scales/{SCALE}/episodes", None, f"scales.{SCALE} lacks episodes"),
+        (f"scales/{SCALE}/categories", ["teapot"], "'teapot'"),
+        (f"scales/{SCALE}/splits", ["external"], "'external'"),
+        (f"scales/{SCALE}/seeds", [], "seeds is []"),
+        ("demonstrations/static/expert", "clever", "expert is 'clever'"),
+        ("demonstrations/static/trials", 0, "trials is 0"),
+        ("trials", {"method": "ours"}, "trials lacks numbers"),
+        ("nonsense", 1, "unknown field 'nonsense'"),
+    ],
+)
+def test_a_mistake_is_named(path: str, value: Any, message: str) -> None:
+    with pytest.raises(ValueError) as error:  # noqa: PT011  (the text is what matters)
+        parse_declaration(changed(path, value))
+    assert message in str(error.value)
+
+
+def test_a_file_that_is_no_declaration_is_one_error(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    for text in ("reference = ", "reference = 'x'"):
+        path.write_text(text)
+        with pytest.raises(ConfigurationError, match=r"Not a declaration of a benchmark\.\n  got:     .*mine\.toml"):
+            read_declaration(path)
+    with pytest.raises(ConfigurationError, match="Not a declaration"):
+        read_declaration(tmp_path / "absent.toml")
+    with pytest.raises(ConfigurationError, match="Unknown scale"):
+        declared().scale("huge")
+
+
+def test_what_is_left_out_has_the_defaults_of_adamanip_collect() -> None:
+    from lerobot_adamanip.cli.collect import Collect
+
+    made, collect = declared().demonstrations["adaptive"], Collect(Path("root"))
+    for name in ("expert", "trials", "late_starts", "num_points", "poses", "mechanism_preset"):
+        assert getattr(made, name) == getattr(collect, name)
+
+
+def test_the_declaration_is_part_of_the_package() -> None:
+    assert PAPER.parent.name == "benchmark"
+    assert tomllib.loads(PAPER.read_text(encoding="utf-8"))["reference"] == "dp3_adaptive"

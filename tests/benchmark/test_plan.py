@@ -1,0 +1,252 @@
+"""Cells as declared; keys that change with what decides a result, and with nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tyro
+from benchmark_helpers import CODE, SCALE, content, declared, with_scale
+
+from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
+from lerobot_adamanip.benchmark.declaration import Declaration, read_declaration
+from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, TRAIN, Code, Step, option, options_key, plan
+from lerobot_adamanip.benchmark.policies import policy_hash
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.errors import ConfigurationError
+
+CURVE = {
+    "method": "ours", "numbers": [0, 1, 3], "none": "static", "categories": ["safe"], "splits": ["seen"],
+    "scales": [SCALE],
+}  # fmt: skip
+
+
+def cell(method: str = "ours", objects: str = "seen", **changes: Any) -> Cell:
+    return Cell(**{"method": method, "category": "safe", "objects": objects, "seed": 1000, **changes})
+
+
+def steps(declaration: Declaration | None = None, code: Code = CODE, which: Cell | None = None) -> dict[str, Step]:
+    found = plan(which or cell(), declaration or declared(), SCALE, code)
+    return {step.kind: step for step in found.chain()}
+
+
+def keys(**given: Any) -> dict[str, str]:
+    return {kind: step.key for kind, step in steps(**given).items()}
+
+
+def changed_kinds(**given: Any) -> set[str]:
+    before, after = keys(), keys(**given)
+    return {kind for kind in before if before[kind] != after[kind]}
+
+
+# Cells ------------------------------------------------------------------------------------------------------------
+
+
+def test_cells_are_all_combinations_each_once() -> None:
+    declaration = read_declaration()
+    for scale, chosen in declaration.scales.items():
+        cells = all_cells(declaration, scale)
+        table = [each for each in cells if each.trials is None]
+        assert len(table) == len(declaration.methods) * len(chosen.categories) * len(chosen.splits) * len(chosen.seeds)
+        assert len({each.name for each in cells}) == len(cells)
+        curve = [each for each in cells if each.trials is not None]
+        assert len(curve) == (0 if scale == "smoke" else 7 * 2 * len(chosen.seeds))
+    cpu = all_cells(declaration, "cpu")
+    assert sum(each.trials is None for each in cpu) == 8 * 9 * 2, "the table that was asked for"
+
+
+def test_a_category_is_finished_before_the_next_begins() -> None:
+    order = [each.category for each in all_cells(read_declaration(), "cpu") if each.trials is None]
+    assert list(dict.fromkeys(order)) == list(CATEGORIES)
+    assert order == sorted(order, key=list(CATEGORIES).index)
+
+
+def test_filters_choose_among_what_is_declared() -> None:
+    declaration = read_declaration()
+    wanted = Selection(methods=("act", "dp3"), categories=("safe",), splits=("seen",), seeds=(1000,))
+    chosen = select_cells(declaration, "cpu", wanted)
+    assert [each.name for each in chosen] == ["act-safe-seen-1000", "dp3-safe-seen-1000"]
+    assert select_cells(declaration, "cpu", Selection()) == all_cells(declaration, "cpu")
+
+
+@pytest.mark.parametrize(
+    ("selection", "message"),
+    [
+        (Selection(methods=("dp4",)), "Unknown method"),
+        (Selection(categories=("teapot",)), "Unknown category"),
+        (Selection(splits=("external",)), "Unknown split of objects"),
+        (Selection(seeds=(7,)), "has no such cells"),
+        (Selection(splits=("novel",)), "splits seen, unseen"),
+    ],
+)
+def test_unknown_names_are_one_error(selection: Selection, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        select_cells(read_declaration(), "cpu", selection)
+
+
+# Commands ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["act", "dp3_adaptive_on_static", "dp3_adaptive"])
+def test_collecting_is_a_command_of_ours(name: str) -> None:
+    declaration = read_declaration()
+    command = steps_of(declaration, name)[COLLECT].command
+    made = tyro.cli(Collect, args=command[2:], config=(tyro.conf.FlagCreatePairsOff,))
+    wanted = declaration.demonstrations[declaration.methods[name].demonstrations]
+    assert (made.expert, made.trials, made.late_starts) == (wanted.expert, wanted.trials, wanted.late_starts)
+    assert made.images == bool(wanted.image_size)
+    objects = len(made.spec().objects)
+    assert 0 <= made.episodes_per_object * objects - declaration.scale("cpu").demonstrations < objects
+    assert not made.root.is_absolute()
+
+
+def steps_of(declaration: Declaration, name: str) -> dict[str, Step]:
+    return {each.kind: each for each in plan(cell(name), declaration, "cpu", CODE).chain()}
+
+
+def test_the_tests_are_those_of_the_demonstrations_objects_poses_and_points() -> None:
+    declaration = with_scale(objects="0:3")
+    for objects, said in (("seen", "0:3"), ("unseen", "unseen")):
+        command = steps(declaration, which=cell(objects=objects))[EVALUATE].command
+        assert option(command, "--env.objects") == said
+        assert option(command, "--env.split") == "test"
+    pictures = declared(demonstrations={"adaptive": {"image_size": 96, "num_points": 512}, "static": {}})
+    command = steps(pictures)[EVALUATE].command
+    assert (option(command, "--env.image_size"), option(command, "--env.num_points")) == ("96", "512")
+
+
+def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
+    methods = content()["methods"]
+    methods["untrained"]["options"] = ["--policy.luck=0.5"]
+    found = steps(declared(methods=methods), which=cell("untrained"))
+    assert set(found) == {EVALUATE}
+    assert {"--policy.type=luck", "--policy.luck=0.5"} < set(found[EVALUATE].command)
+
+
+def test_options_of_a_method_win() -> None:
+    methods = content()["methods"]
+    methods["ours"] |= {"train": ["--batch_size=7"], "evaluate": ["--env.episode_length=15"], "steps": {SCALE: 3}}
+    found = steps(declared(methods=methods))
+    assert (option(found[TRAIN].command, "--batch_size"), option(found[TRAIN].command, "--steps")) == ("7", "3")
+    assert option(found[EVALUATE].command, "--env.episode_length") == "15"
+
+
+def test_a_path_of_this_machine_is_refused_before_anything_runs(tmp_path: Path) -> None:
+    methods = content()["methods"]
+    methods["ours"]["options"] = [f"--policy.backbone={tmp_path}/weights"]
+    with pytest.raises(ConfigurationError, match="must run elsewhere"):
+        steps(declared(methods=methods))
+
+
+# Keys -------------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_step_reads_is_what_another_made() -> None:
+    found = steps()
+    assert option(found[COLLECT].command, "--root") == option(found[TRAIN].command, "--dataset.root")
+    assert option(found[EVALUATE].command, "--policy.path").startswith(option(found[TRAIN].command, "--output_dir"))
+    assert all(found[kind].key in found[kind].product for kind in found)
+
+
+EVERYTHING, TRAINING, TEST = {COLLECT, TRAIN, EVALUATE}, {TRAIN, EVALUATE}, {EVALUATE}
+
+
+@pytest.mark.parametrize(
+    ("scale", "kinds"),
+    [
+        ({"demonstrations": 7}, EVERYTHING), ({"objects": "0:3"}, EVERYTHING), ({"steps": 9}, TRAINING),
+        ({"batch_size": 3}, TRAINING), ({"device": "cuda"}, TRAINING), ({"episodes": 6}, TEST),
+        ({"environments": 1}, TEST), ({"save_every": 1}, set()), ({"categories": ["door"]}, set()),
+        ({"seeds": [5, 6]}, set()),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_keys_follow_the_scale(scale: dict[str, Any], kinds: set[str]) -> None:
+    assert changed_kinds(declaration=with_scale(**scale)) == kinds
+
+
+@pytest.mark.parametrize(
+    ("method", "kinds"),
+    [
+        ({"demonstrations": "static"}, EVERYTHING), ({"policy": "act"}, TRAINING), ({"train": ["--x=1"]}, TRAINING),
+        ({"options": ["--policy.preset=fast"]}, TRAINING), ({"evaluate": ["--x=1"]}, TEST),
+        ({"title": "Other"}, set()), ({"paper": "ACT"}, set()),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_keys_follow_the_method(method: dict[str, Any], kinds: set[str]) -> None:
+    methods = content()["methods"]
+    methods["ours"] |= method
+    assert changed_kinds(declaration=declared(methods=methods)) == kinds
+
+
+@pytest.mark.parametrize(
+    ("code", "kinds"),
+    [
+        ({"demonstrations": "e" * 16}, EVERYTHING),
+        ({"policies": {**CODE.policies, "ours": "e" * 16}}, TRAINING),
+        ({"policies": {**CODE.policies, "untrained": "e" * 16}}, set()),
+        ({"episodes": "e" * 16}, TEST),
+    ],
+    ids=str,
+)
+def test_keys_follow_the_code(code: dict[str, Any], kinds: set[str]) -> None:
+    assert changed_kinds(code=dataclasses.replace(CODE, **code)) == kinds
+
+
+def test_keys_follow_the_cell() -> None:
+    assert changed_kinds(which=cell(seed=1001)) == TRAINING
+    assert changed_kinds(which=cell(objects="unseen")) == TEST
+    assert changed_kinds(which=cell(category="bottle")) == EVERYTHING
+
+
+def test_a_policy_without_training_has_its_code_in_its_test() -> None:
+    other = dataclasses.replace(CODE, policies={**CODE.policies, "untrained": "e" * 16})
+    assert keys(which=cell("untrained")) != keys(which=cell("untrained"), code=other)
+
+
+def test_the_curve_over_trials_shares_what_the_table_has() -> None:
+    declaration = declared(trials=CURVE)
+    table = keys(declaration=declaration)
+    assert keys(declaration=declaration, which=cell(trials=1)) == table
+    none = keys(declaration=declaration, which=cell(trials=0))
+    assert none[COLLECT] == keys(declaration=declaration, which=cell("ours_on_static"))[COLLECT]
+    three = steps(declaration, which=cell(trials=3))
+    assert option(three[COLLECT].command, "--trials") == "3"
+    assert three[COLLECT].key not in (table[COLLECT], none[COLLECT])
+
+
+def test_the_options_key_knows_no_code() -> None:
+    before = options_key(cell(), declared(), SCALE)
+    assert before == options_key(cell(), declared(), SCALE)
+    assert before != options_key(cell(), with_scale(steps=9), SCALE)
+    assert before not in keys().values()
+
+
+# Code of policies -------------------------------------------------------------------------------------------------
+
+
+def test_a_policys_code_is_its_folder_and_what_its_package_shares(tmp_path: Path) -> None:
+    package = tmp_path / "policies"
+    files = ("__init__.py", "shared.py", "mine/__init__.py", "mine/configuration.py", "mine/model.py", "other/model.py")
+    for name in files:
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text("x = 1\n")
+    (tmp_path / "unrelated.py").write_text("x = 1\n")
+
+    def found() -> str:
+        return policy_hash(package / "mine" / "configuration.py")
+
+    before = found()
+    for name in ("policies/other/model.py", "policies/__init__.py", "unrelated.py"):
+        (tmp_path / name).write_text("x = 2\n")
+        assert found() == before, name
+    (package / "mine" / "model.py").write_text("x = 1  # a comment\n")
+    assert found() == before
+    for name in ("shared.py", "mine/model.py"):
+        (package / name).write_text("x = 3\n")
+        assert found() != before, name
+        before = found()

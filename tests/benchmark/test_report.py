@@ -1,0 +1,267 @@
+"""Reports from files alone: what there is, beside the paper's; what is missing or of other code is marked."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, content, declared, run_all
+from PIL import Image
+from records import record
+
+from lerobot_adamanip.benchmark.declaration import Declaration
+from lerobot_adamanip.benchmark.numbers import Numbers, pooled
+from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
+from lerobot_adamanip.benchmark.report_plots import plot_report
+from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.evaluation.rates import difference, rate
+
+TRIALS = {
+    "method": "ours", "numbers": [0, 1, 2], "none": "static", "categories": ["bottle"], "splits": ["seen"],
+    "scales": [SCALE],
+}  # fmt: skip
+
+
+def wide() -> Declaration:
+    scale = {**content()["scales"][SCALE], "categories": ["bottle", "safe"], "seeds": [1, 2]}
+    return declared(scales={SCALE: scale}, trials=TRIALS)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Result files of a benchmark of two categories, two seeds and a curve over trials."""
+    folder = tmp_path_factory.mktemp("report")
+    run_all(benchmark(folder / "out", FakeRunner(folder), wide()))
+    return folder / "out" / "cells"
+
+
+@pytest.fixture
+def cells(whole: Path, tmp_path: Path) -> Path:
+    """A copy of them, and nothing else."""
+    return Path(shutil.copytree(whole, tmp_path / "cells"))
+
+
+def report_of(cells: Path, **changes: Any) -> BenchmarkReport:
+    return make_report(read_cells(cells), wide(), SCALE, {CODE.episodes}, **changes)
+
+
+def rows_of(page: str, heading: str) -> dict[str, list[str]]:
+    """First cell -> the others, of the table under a heading."""
+    body = page[page.index(f"## {heading}\n") :]
+    lines = re.findall(r"^\|(.*)\|$", body[: body.find("\n## ", 5)], re.MULTILINE)
+    rows = [[cell.strip() for cell in line.split("|")] for line in lines]
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_trainings_are_counted_together(cells: Path) -> None:
+    report = report_of(cells)
+    entry = report.entry("ours", "safe", "seen")
+    assert entry is not None
+    one, two = (read_cell(cells / f"ours-safe-seen-{seed}.json").numbers.success for seed in (1, 2))
+    assert entry.numbers.success == rate(one.count + two.count, one.episodes + two.episodes)
+    assert entry.seeds == (1, 2)
+    shares = [each.numbers.success.rate for name in ("bottle", "safe") if (each := report.entry("ours", name, "seen"))]
+    assert report.mean("ours", "seen") == pytest.approx(sum(share or 0.0 for share in shares) / 2)
+
+
+def test_the_table_stands_beside_the_papers(cells: Path) -> None:
+    rows = rows_of(benchmark_page(report_of(cells)), "Success on seen objects")
+    assert rows[""] == ["bottle", "safe", "mean"]
+    found = report_of(cells).entry("ours", "bottle", "seen")
+    assert found is not None
+    assert rows["Ours"][0].startswith(f"{found.numbers.success.count}/{found.numbers.success.episodes}: ")
+    assert rows["*Ours*"] == ["*95.1 ± 9.7*", "*61.2 ± 33.3*", "*78.2*"]
+    assert rows["*Sampling*"] == ["*17.4 ± 9.7*", "*15.7 ± 11.9*", "*16.5*"]
+    unseen = rows_of(benchmark_page(report_of(cells)), "Success on unseen objects")
+    assert "*Ours*" not in unseen, "the paper tests on the objects it trains on"
+
+
+def test_the_order_of_the_means_stands_beside_the_papers(cells: Path) -> None:
+    report = report_of(cells)
+    means = {title: report.mean(name, "seen") for name, title in (("untrained", "Untrained"), ("ours", "Ours"))}
+    ours = " > ".join(sorted(means, key=lambda title: -(means[title] or 0.0)))
+    assert f"Order of the means: {ours}. In the paper: Ours > Untrained." in benchmark_page(report)
+
+
+def test_differences_are_those_of_the_rates(cells: Path) -> None:
+    report = report_of(cells)
+    ours, static = (report.entry(name, "safe", "unseen") for name in ("ours", "ours_on_static"))
+    assert ours is not None
+    assert static is not None
+    gap = difference(ours.numbers.success, static.numbers.success)
+    assert report.to_reference("ours_on_static", ("safe",), "unseen") == gap
+    row = rows_of(benchmark_page(report), "Ours less the others on unseen objects, in points")["Ours on static"]
+    assert row[1].strip("*") == f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+
+
+def test_curves_over_trials_and_key_frames(cells: Path) -> None:
+    report = report_of(cells)
+    page = benchmark_page(report)
+    trials = rows_of(page, "Success against failed trials in the demonstrations")
+    assert trials[""] == ["0", "1", "2"]
+    assert trials["*the paper, bottle*"] == ["*87.1*", "*93.6*", "*75.7*"]
+    table = report.entry("ours", "bottle", "seen")
+    one = report.entry("ours", "bottle", "seen", trials=1)
+    assert table is not None
+    assert one is not None
+    assert one.numbers == table.numbers, "one trial is what the table has"
+    budgets = rows_of(page, "Success within a number of key frames")
+    assert budgets["mean over the categories"] == ["objects", "5", "10", "15", "25", "45"]
+    within = [table.numbers.opened_within(k).count for k in range(46)]
+    assert within == sorted(within)
+    assert (within[0], within[-1]) == (0, table.numbers.success.count)
+
+
+def test_hidden_values_and_tries_are_told(cells: Path) -> None:
+    page = benchmark_page(report_of(cells))
+    hidden = rows_of(page, "By what is hidden")
+    assert {"safe: locked", "safe: unlocked", "bottle: direction +1", "bottle: direction -1"} <= set(hidden)
+    assert not any("knob_range" in name for name in hidden), "halves of a range are one evaluation's own"
+    assert re.fullmatch(r"[+-]\d\.\d\d", rows_of(page, "Failed tries per success beyond the best possible")["Ours"][1])
+    assert "Ours" in rows_of(page, "After a try that failed")
+
+
+def test_a_missing_cell_is_marked_and_never_guessed(cells: Path) -> None:
+    for name in ("ours_on_static-bottle-seen-1", "ours_on_static-bottle-seen-2", "ours-safe-seen-2"):
+        (cells / f"{name}.json").unlink()
+    report = report_of(cells)
+    rows = rows_of(benchmark_page(report), "Success on seen objects")
+    assert rows["Ours on static"][0] == "not run"
+    assert rows["Ours on static"][2] == "-", "a mean of one category is none"
+    assert rows["Ours"][1].endswith("(1 of 2 trainings)")
+    gaps = rows_of(benchmark_page(report), "Ours less the others on seen objects, in points")["Ours on static"]
+    assert (gaps[0], gaps[2]) == ("-", "-")
+    assert "Declared and not reached: 3 cells." in benchmark_page(report)
+    assert [cell["category"] for cell in report.to_json()["missing"]] == ["bottle", "bottle", "safe"]
+
+
+def test_what_cannot_be_run_is_marked_with_its_reason(cells: Path) -> None:
+    for path in cells.glob("untrained-*"):
+        path.unlink()
+    report = report_of(cells, unavailable={"untrained": "no policy 'luck' is installed"})
+    page = benchmark_page(report)
+    assert rows_of(page, "Success on seen objects")["Untrained"][:2] == ["unavailable"] * 2
+    assert "- Untrained cannot be run here: no policy 'luck' is installed" in page
+    assert {cell["reason"] for cell in report.to_json()["missing"]} == {"no policy 'luck' is installed"}
+
+
+def test_other_code_and_other_options_are_marked(cells: Path) -> None:
+    fresh = benchmark_page(report_of(cells))
+    assert "†" not in fresh
+    assert "‡" not in fresh
+    path = cells / "ours-safe-seen-1.json"
+    result = read_cell(path)
+    write_cell(path, dataclasses.replace(result, fingerprint="e" * 16))
+    page = benchmark_page(report_of(cells))
+    assert rows_of(page, "Success on seen objects")["Ours"][1].endswith(" †")
+    assert rows_of(page, "Success on seen objects")["Ours"][2].endswith(" †")
+    assert "of other code than the present" in page
+    write_cell(path, dataclasses.replace(result, options="e" * 16))
+    assert rows_of(benchmark_page(report_of(cells)), "Success on seen objects")["Ours"][1].endswith(" ‡")
+
+
+def test_a_method_that_is_declared_no_more_keeps_its_row(cells: Path) -> None:
+    result = read_cell(cells / "ours-safe-seen-1.json")
+    cell = dataclasses.replace(result.cell, method="theirs")
+    write_cell(cells / f"{cell.name}.json", dataclasses.replace(result, cell=cell, title="Theirs", package="their-lab"))
+    rows = rows_of(benchmark_page(report_of(cells)), "Success on seen objects")
+    assert rows["Theirs (their-lab)"][0] == "not run"
+    assert rows["Theirs (their-lab)"][1].count("/") == 1
+
+
+def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
+    counts = {kind: len(costs) for kind, costs in report_of(cells).costs().items()}
+    # Demonstrations: two sets of two categories, and two trials. Trainings: two methods of two categories and seeds,
+    # and two trials of two seeds. Tests: two objects of three methods, two categories, two seeds, and those two trials.
+    assert counts == {"collect": 4 + 1, "train": 8 + 2, "evaluate": 20 + 2}
+    assert "collecting: " in benchmark_page(report_of(cells))
+
+
+def test_no_result_is_no_table(tmp_path: Path) -> None:
+    report = make_report([], wide(), SCALE, {CODE.episodes})
+    assert "0 results." in benchmark_page(report)
+    assert "%]" not in benchmark_page(report)
+    assert plot_report(report, tmp_path) == []
+
+
+def test_the_json_is_json_and_the_pictures_are_drawn(cells: Path, tmp_path: Path) -> None:
+    (cells / "untrained-bottle-seen-1.json").unlink()
+    report = report_of(cells)
+    found = json.loads(json.dumps(report.to_json()))
+    assert len(found["entries"]) == len(report.entries)
+    paths = plot_report(report, tmp_path / "new")
+    assert [path.name for path in paths] == ["success.png", "key_frames.png", "wasted_tries.png", "trials.png"]
+    for path in paths:
+        with Image.open(path) as image:
+            colors = image.convert("RGB").getcolors(1 << 24)
+        assert colors is not None
+        assert len(colors) > 20
+
+
+# Numbers and files ------------------------------------------------------------------------------------------------
+
+
+def test_pooled_numbers_are_those_of_all_episodes() -> None:
+    records = [
+        record(seed=k, locked=k % 2 == 0, success=k % 3 != 0, key_frames=9 + k % 4, blocked_pulls=k % 2)
+        for k in range(24)
+    ]
+    parts = [Numbers.of(records[:7]), Numbers.of(records[7:])]
+    one, together = Numbers.of(records), pooled(parts)
+    assert together.success == one.success
+    assert together.key_frames == one.key_frames
+    assert together.recovery == one.recovery
+    assert together.hidden == one.hidden
+    assert together.tries is not None
+    assert one.tries is not None
+    assert together.tries.wasted == pytest.approx(one.tries.wasted)
+    assert Numbers.from_json("numbers", json.loads(json.dumps(one.to_json()))) == one
+
+
+def test_numbers_without_a_success() -> None:
+    none = Numbers.of([record(seed=k, success=False) for k in range(3)])
+    assert none.tries is None
+    assert pooled([none, none]).tries is None
+    assert Numbers.from_json("numbers", none.to_json()) == none
+
+
+def test_a_result_comes_back_as_it_was(cells: Path, tmp_path: Path) -> None:
+    result = read_cell(cells / "ours-safe-seen-1.json")
+    write_cell(tmp_path / "again.json", result)
+    assert read_cell(tmp_path / "again.json") == result
+
+
+def spoiled(result: CellResult, path: str, value: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(json.dumps(result.to_json()))
+    *folders, name = path.split("/")
+    inner = found
+    for folder in folders:
+        inner = inner[folder]
+    inner[name] = value
+    return found
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("schema", 2), ("host", "machine"), ("cell/category", "teapot"), ("cell/seed", -1), ("numbers/successes", 900),
+        ("numbers/key_frames", {"3": 1000}), ("numbers/hidden", {"locked": [5, 3, 1]}), ("fingerprint", "new"),
+        ("steps", {}), ("steps/train/command", "lerobot-train --x=/home/me/y"), ("costs/train/machine", {"name": "x"}),
+        ("title", "a | b"), ("commit", "main"), ("package", "x y"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_file_that_cannot_be_is_refused(whole: Path, tmp_path: Path, path: str, value: Any) -> None:
+    content = spoiled(read_cell(whole / "ours-safe-seen-1.json"), path, value)
+    with pytest.raises(ValueError):  # noqa: PT011  (each has its own text)
+        parse_cell(content)
+    (tmp_path / "cell.json").write_text(json.dumps(content))
+    with pytest.raises(DatasetError, match="Not a result of a benchmark"):
+        read_cell(tmp_path / "cell.json")
