@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmark_helpers import CODE, FakeRunner, benchmark, run_all
 from records import record
 
+from lerobot_adamanip.benchmark.result import write_cell
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.evaluation.results import (
     ResultFile,
@@ -193,3 +195,22 @@ def test_the_readme_leaves_other_presets_than_the_papers_to_the_page() -> None:
     hard = {"hard.json": result(rows=(ResultRow("adaptive", "hard", "lamp", "seen", 20, 7, 6.3),))}
     assert "7/20" in results_page(hard, {NOW})
     assert readme_block(hard, {NOW}) == readme_block({}, {NOW})
+
+
+def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> None:
+    module, folder = script(), tmp_path / "benchmark" / "cpu"
+    alone = module.documents(tmp_path, {CODE.episodes})[module.PAGE]
+    assert "Benchmark" not in alone
+    folder.mkdir(parents=True)
+    run = benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake"))
+    for state in run_all(run):
+        assert state.result is not None
+        named = dataclasses.replace(state.cell, method="dp3_adaptive")
+        write_cell(folder / f"{named.name}.json", dataclasses.replace(state.result, cell=named, scale="cpu"))
+    page = module.documents(tmp_path, {CODE.episodes})[module.PAGE]
+    assert page.startswith(alone)
+    assert "\n## Benchmark, scale cpu\n" in page
+    assert re.search(r"^\| dp3_adaptive \| not run \|.* \d/5: \d+ % \[.*\] ‡ \|", page, re.MULTILINE), (
+        "of other options"
+    )
+    assert "| *Ours* | *95.1 ± 9.7* |" in page
