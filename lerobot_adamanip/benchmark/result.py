@@ -129,9 +129,11 @@ def read_cell(path: Path) -> CellResult:
         return parse_cell(checked_json.read(path))
     except (OSError, ValueError) as error:
         raise DatasetError(
-            "Not a result of a benchmark.", got=f"{path}: {error}", allowed="what `adamanip benchmark` writes",
+            "Not a result of a benchmark.",
+            got=f"{path}: {error}",
+            allowed="what `adamanip benchmark` writes",
             hint=f"remove {path.name}, and run the benchmark again",
-        ) from error  # fmt: skip
+        ) from error
 
 
 def read_cells(folder: Path) -> list[CellResult]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -113,3 +114,15 @@ def test_what_is_left_out_has_the_defaults_of_adamanip_collect() -> None:
 def test_the_declaration_is_part_of_the_package() -> None:
     assert PAPER.parent.name == "benchmark"
     assert tomllib.loads(PAPER.read_text(encoding="utf-8"))["reference"] == "dp3_adaptive"
+
+
+def test_the_page_tells_the_scales_and_methods_as_they_are() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    found = read_declaration()
+    for name, scale in found.scales.items():
+        numbers = (scale.demonstrations, f"{scale.steps:,}", scale.episodes, len(scale.seeds), ", ".join(scale.splits))
+        assert re.search(rf"^\| `{name}` \|.*\| {' . '.join(map(str, numbers))} \|$", page, re.MULTILINE), name
+    for name, method in found.methods.items():
+        wanted = found.demonstrations[method.demonstrations]
+        learns = f"{wanted.expert}{', with pictures' if wanted.image_size else ''}"
+        assert f"\n| `{name}` | {learns} | {method.paper or ''}{' ' * bool(method.paper)}|\n" in page, name

@@ -14,7 +14,7 @@ import pytest
 from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, declared
 
 from lerobot_adamanip.benchmark.cells import Selection, select_cells
-from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, with_packages
+from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, PAPER, with_packages
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
@@ -71,17 +71,25 @@ def test_it_is_in_the_table_by_its_entry_point_alone(tmp_path: Path, monkeypatch
 
 
 def test_the_command_lists_it_as_one_that_can_be_run(tmp_path: Path) -> None:
+    """And so does it with the method that docs/benchmark.md declares."""
     hold_still(tmp_path, registered=True)
+    page = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    (method,) = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "mine.toml").write_text(PAPER.read_text(encoding="utf-8") + method)
     paths = os.pathsep.join([str(tmp_path), str(ROOT), str(ROOT / "envs"), str(ROOT / "policies")])
     line = [sys.executable, "-m", "lerobot_adamanip.cli.main", "benchmark", "--list", "--json", "--scale", "smoke"]
     done = subprocess.run(
-        [*line, "--out", str(tmp_path / "out")], env={**os.environ, "PYTHONPATH": paths}, cwd=tmp_path,
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [*line, "--config", "mine.toml", "--out", "out"],
+        env={**os.environ, "PYTHONPATH": paths},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     cells = json.loads(done.stdout)["cells"]
     states = {cell["name"]: cell["state"] for cell in cells}
-    assert states["hold_still-safe-seen-1000"] == states["act-safe-seen-1000"] == "missing"
+    assert {states[f"{name}-safe-seen-1000"] for name in ("hold_still", "act", "diffusion")} == {"missing"}
     assert all(cell["reason"] for cell in cells if cell["state"] == "unavailable")
     assert not (tmp_path / "out").exists()
 
