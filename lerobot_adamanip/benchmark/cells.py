@@ -98,7 +98,7 @@ def select_cells(declaration: Declaration, scale: str, wanted: Selection) -> lis
     if not chosen:
         raise ConfigurationError(
             f"The scale {scale!r} has no such cells.",
-            got=wanted,
+            got="; ".join(f"{what} {', '.join(map(str, names))}" for what, names in vars(wanted).items() if names),
             allowed=_span(cells),
             hint="adamanip benchmark --list; or a declaration of your own, --config FILE",
         )

@@ -20,7 +20,7 @@ from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, MECHANISM_PRES
 from lerobot_adamanip.options import IMAGE_SIZES, POSES
 
 OBJECT_SPLITS = ("seen", "unseen", "novel")
-PAPER = Path(__file__).with_name("paper.toml")
+PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
 """The declaration that is used where no other is given."""
 METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
 """Entry points by which other packages declare methods: each is what a table ``[methods.NAME]`` would be."""
@@ -143,7 +143,7 @@ class Declaration:
         return self.scales[require_choice("scale", name, self.scales)]
 
 
-def read_declaration(path: Path = PAPER) -> Declaration:
+def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
     """Reads a declaration, without methods of other packages; raises `ConfigurationError` if it is none."""
     try:
         return parse_declaration(tomllib.loads(path.read_text(encoding="utf-8")))
@@ -152,7 +152,7 @@ def read_declaration(path: Path = PAPER) -> Declaration:
             "Not a declaration of a benchmark.",
             got=f"{path}: {error}",
             allowed="see docs/benchmark.md",
-            hint=PAPER.name,
+            hint=PAPER_TABLE.name,
         ) from error
 
 

@@ -201,6 +201,11 @@ def make_report(
     )
 
 
+def words(category: str) -> str:
+    """Returns how tables and pictures call a category: ``coffee maker``."""
+    return category.replace("_", " ")
+
+
 def _place(cell: Cell) -> Place:
     return cell.method, cell.trials, cell.category, cell.objects
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.benchmark.numbers import pooled
 from lerobot_adamanip.benchmark.paper import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
-from lerobot_adamanip.benchmark.report import BenchmarkReport, Row
+from lerobot_adamanip.benchmark.report import BenchmarkReport, Row, words
 from lerobot_adamanip.evaluation.plots import heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.schema import MAX_KEY_FRAMES
@@ -87,7 +87,7 @@ def _plot_key_frames(report: BenchmarkReport, folder: Path) -> Path:
                 numbers = pooled(found)
                 shares = [100 * (numbers.opened_within(k).rate or 0.0) for k in range(MAX_KEY_FRAMES + 1)]
                 axes.plot(range(MAX_KEY_FRAMES + 1), shares, label=row.title, color=f"C{number}", linewidth=1.5)
-        axes.set_title(category.replace("_", " "), fontsize=9)
+        axes.set_title(words(category), fontsize=9)
         axes.set(ylim=(0, 103), xlabel="key frames spent", ylabel="opened [%]")
     for axes in panels[len(report.categories) :]:
         axes.set_visible(False)
@@ -146,5 +146,5 @@ def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
 
 
 def _name_categories(axes: Axes, report: BenchmarkReport) -> None:
-    names = [category.replace("_", " ") for category in report.categories]
+    names = [words(category) for category in report.categories]
     axes.set_xticks(range(len(names)), names, fontsize=8)

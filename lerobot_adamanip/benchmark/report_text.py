@@ -12,7 +12,7 @@ from lerobot_adamanip.benchmark.paper import (
     reported,
     reported_mean,
 )
-from lerobot_adamanip.benchmark.report import BenchmarkReport, Entry, Row
+from lerobot_adamanip.benchmark.report import BenchmarkReport, Entry, Row, words
 from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.tables import duration_text, interval_text, is_half_of_range, markdown_table
 from lerobot_adamanip.schema import MAX_KEY_FRAMES
@@ -147,7 +147,7 @@ def _trials(report: BenchmarkReport) -> str:
     for method, category, objects in curves:
         found = [report.entry(method, category, objects, trials) for trials in report.trials]
         cells = [NOT_RUN if each is None else interval_text(each.numbers.success) + _mark(each) for each in found]
-        rows.append([f"{_title(report, method)}, {_words(category)}, {objects} objects", *cells])
+        rows.append([f"{_title(report, method)}, {words(category)}, {objects} objects", *cells])
     values = dict(enumerate(SUCCESS_BY_TRIALS))
     papers = [f"*{values[trials]:.1f}*" if trials in values else "-" for trials in report.trials]
     rows.append([f"*the paper, {TRIALS_CATEGORY}*", *papers])
@@ -201,7 +201,7 @@ def _hidden(report: BenchmarkReport) -> str:
         for name in sorted(names):
             counts = [found.get(row.name, {}).get(name) for row in methods]
             cells = ["-" if each is None else f"{each[0]}/{each[1]}" for each in counts]
-            rows.append([f"{_words(category)}: {name}", *cells])
+            rows.append([f"{words(category)}: {name}", *cells])
     return markdown_table(["", *map(_name, methods)], rows)
 
 
@@ -237,7 +237,7 @@ def _by_category(report: BenchmarkReport, cell: Callable[[Numbers], str]) -> str
 
 
 def _table(report: BenchmarkReport, rows: Iterable[list[str]], *more: str) -> str:
-    return markdown_table(["", *map(_words, report.categories), *more], rows)
+    return markdown_table(["", *map(words, report.categories), *more], rows)
 
 
 def _name(row: Row) -> str:
@@ -246,7 +246,3 @@ def _name(row: Row) -> str:
 
 def _title(report: BenchmarkReport, method: str) -> str:
     return next((row.title for row in report.rows if row.name == method), method)
-
-
-def _words(category: str) -> str:
-    return category.replace("_", " ")

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import tyro
 
 from lerobot_adamanip.benchmark.cells import Cell, Selection, select_cells
-from lerobot_adamanip.benchmark.declaration import PAPER, Declaration, read_declaration, with_packages
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import Code
 from lerobot_adamanip.benchmark.policies import find_policies
@@ -89,7 +89,7 @@ class Benchmark:
 
     def run(self) -> int:
         """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
-        declaration = with_packages(read_declaration(self.config or PAPER))
+        declaration = with_packages(read_declaration(self.config or PAPER_TABLE))
         cells = select_cells(declaration, self.scale, self._selection())
         if self.list_cells and self.report:
             raise ConfigurationError(

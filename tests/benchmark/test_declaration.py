@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from benchmark_helpers import SCALE, content, declared
 
-from lerobot_adamanip.benchmark.declaration import PAPER, parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.paper import SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
@@ -112,8 +112,8 @@ def test_what_is_left_out_has_the_defaults_of_adamanip_collect() -> None:
 
 
 def test_the_declaration_is_part_of_the_package() -> None:
-    assert PAPER.parent.name == "benchmark"
-    assert tomllib.loads(PAPER.read_text(encoding="utf-8"))["reference"] == "dp3_adaptive"
+    assert PAPER_TABLE.parent.name == "benchmark"
+    assert tomllib.loads(PAPER_TABLE.read_text(encoding="utf-8"))["reference"] == "dp3_adaptive"
 
 
 def test_the_page_tells_the_scales_and_methods_as_they_are() -> None:

@@ -107,6 +107,25 @@ def steps_of(declaration: Declaration, name: str) -> dict[str, Step]:
     return {each.kind: each for each in plan(cell(name), declaration, "cpu", CODE).chain()}
 
 
+@pytest.mark.parametrize("name", ["act", "dp3_adaptive"])
+def test_training_and_testing_are_commands_of_lerobots(name: str) -> None:
+    import draccus
+    import lerobot.policies  # noqa: F401
+    from lerobot.configs.eval import EvalPipelineConfig
+    from lerobot.configs.train import TrainPipelineConfig
+
+    import lerobot_env_adamanip  # noqa: F401  (as LeRobot does with every installed plugin)
+
+    found = steps_of(read_declaration(), name)
+    train, test = found[TRAIN], found[EVALUATE]
+    made = draccus.parse(config_class=TrainPipelineConfig, args=[*train.command[1:], *train.aside])
+    assert (made.policy.type, str(made.output_dir), made.save_freq) == (name, train.product, 400)
+    checkpoint = option(test.command, "--policy.path")
+    arguments = [word for word in test.command[1:] if checkpoint not in word]
+    tested = draccus.parse(config_class=EvalPipelineConfig, args=[*arguments, f"--policy.type={made.policy.type}"])
+    assert (tested.env.type, tested.eval.n_episodes, tested.env.split) == ("adamanip_safe", 50, "test")
+
+
 def test_the_tests_are_those_of_the_demonstrations_objects_poses_and_points() -> None:
     declaration = with_scale(objects="0:3")
     for objects, said in (("seen", "0:3"), ("unseen", "unseen")):

@@ -14,7 +14,7 @@ import pytest
 from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, declared
 
 from lerobot_adamanip.benchmark.cells import Selection, select_cells
-from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, PAPER, with_packages
+from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, PAPER_TABLE, with_packages
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
@@ -75,7 +75,7 @@ def test_the_command_lists_it_as_one_that_can_be_run(tmp_path: Path) -> None:
     hold_still(tmp_path, registered=True)
     page = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
     (method,) = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
-    (tmp_path / "mine.toml").write_text(PAPER.read_text(encoding="utf-8") + method)
+    (tmp_path / "mine.toml").write_text(PAPER_TABLE.read_text(encoding="utf-8") + method)
     paths = os.pathsep.join([str(tmp_path), str(ROOT), str(ROOT / "envs"), str(ROOT / "policies")])
     line = [sys.executable, "-m", "lerobot_adamanip.cli.main", "benchmark", "--list", "--json", "--scale", "smoke"]
     done = subprocess.run(

@@ -126,10 +126,12 @@ def test_ctrl_c_says_how_to_go_on(
 
 
 def test_a_declaration_of_ones_own(runner: FakeRunner, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from lerobot_adamanip.benchmark.declaration import PAPER
+    from lerobot_adamanip.benchmark.declaration import PAPER_TABLE
 
     mine = tmp_path / "mine.toml"
-    text = PAPER.read_text().replace("[methods.dp3_on_adaptive]", "[methods.mine]").replace("[trials]", "[trials_]")
+    text = (
+        PAPER_TABLE.read_text().replace("[methods.dp3_on_adaptive]", "[methods.mine]").replace("[trials]", "[trials_]")
+    )
     mine.write_text(text.partition("[trials_]")[0])
     assert main(["benchmark", "--config", str(mine), "--scale", "smoke", "--methods", "mine", "--list", "--json"]) == 0
     assert [cell["method"] for cell in json.loads(capsys.readouterr().out)["cells"]] == ["mine", "mine"]
