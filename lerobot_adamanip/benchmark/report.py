@@ -165,7 +165,9 @@ def make_report(
     declaration: Declaration,
     scale: str,
     present: Collection[str],
+    *,
     unavailable: Mapping[str, str] | None = None,
+    stale: Collection[Cell] = (),
 ) -> BenchmarkReport:
     """Makes a report of result files.
 
@@ -175,14 +177,24 @@ def make_report(
         scale: name.
         present: fingerprints of the present code.
         unavailable: method -> why it cannot be run here, if that has been asked.
+        stale: cells whose key is another one now, if that has been asked: a fingerprint does not tell of policies.
     """
     cells = all_cells(declaration, scale)
     found: dict[Place, list[CellResult]] = {}
     for result in results:
         found.setdefault(_place(result.cell), []).append(result)
     declared = {_place(cell) for cell in cells}
+    options = {cell: options_key(cell, declaration, scale) for cell in cells}
+    other_options = {each.cell for each in results if options.get(each.cell, each.options) != each.options}
+    other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
     entries = {
-        place: _entry(several, [cell for cell in cells if _place(cell) == place], declaration, scale, present)
+        place: Entry(
+            numbers=pooled(each.numbers for each in several),
+            seeds=tuple(sorted(each.cell.seed for each in several)),
+            wanted=sum(_place(cell) == place for cell in cells),
+            other_code=any(each.cell in other_code for each in several),
+            other_options=any(each.cell in other_options for each in several),
+        )
         for place, several in found.items()
     }
     there = {result.cell for result in results}
@@ -208,24 +220,6 @@ def words(category: str) -> str:
 
 def _place(cell: Cell) -> Place:
     return cell.method, cell.trials, cell.category, cell.objects
-
-
-def _entry(
-    several: Sequence[CellResult],
-    wanted: Sequence[Cell],
-    declaration: Declaration,
-    scale: str,
-    present: Collection[str],
-) -> Entry:
-    options = {cell: options_key(cell, declaration, scale) for cell in wanted}
-    return Entry(
-        numbers=pooled(result.numbers for result in several),
-        seeds=tuple(sorted(result.cell.seed for result in several)),
-        wanted=len(wanted),
-        other_code=any(result.fingerprint not in present for result in several),
-        # Of a method that is not declared here nobody knows which options it should have.
-        other_options=any(options.get(result.cell, result.options) != result.options for result in several),
-    )
 
 
 def _rows(declaration: Declaration, results: Iterable[CellResult]) -> Iterable[Row]:

@@ -71,6 +71,8 @@ def _extent(report: BenchmarkReport) -> str:
     ]
     if marks:
         lines.append(f"{'; '.join(marks)}.")
+    if len({result.fingerprint for result in report.results}) > 1:
+        lines.append("Mind: not all of it is of one fingerprint; numbers of different ones are not to be compared.")
     if report.missing:
         lines.append(f"Declared and not reached: {len(report.missing)} cells.")
     lines += [f"- {_title(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]

@@ -77,7 +77,7 @@ class BenchmarkRun:
     collect_options: tuple[str, ...] = ()
     runner: Runner = run_command
     say: Callable[[str], None] = lambda text: None
-    _failed: dict[str, str] = field(default_factory=dict)
+    _failed: dict[str, str] = field(default_factory=dict, init=False)
 
     def state(self, cell: Cell) -> CellState:
         """Returns how far a cell is; runs nothing."""

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from lerobot_adamanip.benchmark.cells import Cell, Selection, select_cells
+from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import Code
@@ -24,7 +24,7 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
-from lerobot_adamanip.benchmark.run import FAILED, BenchmarkRun, CellState
+from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.demos.cluster import require_usable
 from lerobot_adamanip.errors import ConfigurationError
@@ -182,7 +182,15 @@ def _terminable() -> Iterator[None]:
 def make_benchmark_report(made: BenchmarkRun) -> BenchmarkReport:
     """Returns the report of all results in a benchmark's folder."""
     results = read_cells(made.folder.cells)
-    return make_report(results, made.declaration, made.scale, {made.code.episodes}, made.unavailable)
+    stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
+    return make_report(
+        results,
+        made.declaration,
+        made.scale,
+        {made.code.episodes},
+        unavailable=made.unavailable,
+        stale=stale,
+    )
 
 
 def write_report(report: BenchmarkReport, folder: Path) -> dict[str, str]:

@@ -81,13 +81,30 @@ def test_a_report_needs_the_files_alone(runner: FakeRunner, tmp_path: Path, caps
     made, count = tmp_path / "outputs" / "benchmark" / "smoke", len(runner.called)
     elsewhere = tmp_path / "elsewhere" / "smoke"
     shutil.copytree(made / "cells", elsewhere / "cells")
-    capsys.readouterr()
-    found = printed(capsys, "--report", "--out", "elsewhere")
+    found = printed_last(capsys, "--report", "--out", "elsewhere")
     assert len(runner.called) == count
     for name in ("benchmark.md", "benchmark.json"):
         assert (elsewhere / "report" / name).read_text() == (made / "report" / name).read_text()
     assert json.loads(Path(found["numbers"]).read_text())["scale"] == "smoke"
     assert Path(found["picture of success"]).exists()
+
+
+def test_a_report_marks_what_another_version_of_a_policy_did(
+    runner: FakeRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["benchmark", *SMALL]) == 0
+    monkeypatch.setattr(command, "find_policies", lambda methods: Policies(dict.fromkeys(methods, "b" * 16)))
+    count = len(runner.called)
+    assert states(printed_last(capsys, "--report"))["dp3"] == "stale"
+    table = tmp_path / "outputs" / "benchmark" / "smoke" / "report" / "benchmark.md"
+    assert "] † |" in table.read_text()
+    assert len(runner.called) == count
+
+
+def printed_last(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    """What is printed now, and nothing of before."""
+    capsys.readouterr()
+    return printed(capsys, *arguments)
 
 
 def test_a_cell_that_fails_is_told_and_the_status_is_one(
