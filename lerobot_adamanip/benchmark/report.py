@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -180,25 +181,11 @@ def make_report(
         stale: cells whose key is another one now, if that has been asked: a fingerprint does not tell of policies.
     """
     cells = all_cells(declaration, scale)
-    found: dict[Place, list[CellResult]] = {}
-    for result in results:
-        found.setdefault(_place(result.cell), []).append(result)
-    declared = {_place(cell) for cell in cells}
     options = {cell: options_key(cell, declaration, scale) for cell in cells}
     other_options = {each.cell for each in results if options.get(each.cell, each.options) != each.options}
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
-    entries = {
-        place: Entry(
-            numbers=pooled(each.numbers for each in several),
-            seeds=tuple(sorted(each.cell.seed for each in several)),
-            wanted=sum(_place(cell) == place for cell in cells),
-            other_code=any(each.cell in other_code for each in several),
-            other_options=any(each.cell in other_options for each in several),
-        )
-        for place, several in found.items()
-    }
     there = {result.cell for result in results}
-    places = declared | set(found)
+    places = {_place(cell) for cell in (*cells, *there)}
     return BenchmarkReport(
         scale=scale,
         reference=declaration.reference,
@@ -206,11 +193,30 @@ def make_report(
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
         trials=tuple(sorted({place[1] for place in places if place[1] is not None})),
-        entries=entries,
+        entries=_entries(results, cells, other_code, other_options),
         missing=tuple(cell for cell in cells if cell not in there),
         unavailable=dict(unavailable or {}),
         results=tuple(results),
     )
+
+
+def _entries(
+    results: Iterable[CellResult], cells: Iterable[Cell], other_code: Collection[Cell], other_options: Collection[Cell]
+) -> dict[Place, Entry]:
+    wanted = Counter(_place(cell) for cell in cells)
+    found: dict[Place, list[CellResult]] = {}
+    for result in results:
+        found.setdefault(_place(result.cell), []).append(result)
+    return {
+        place: Entry(
+            numbers=pooled(each.numbers for each in several),
+            seeds=tuple(sorted(each.cell.seed for each in several)),
+            wanted=wanted[place],
+            other_code=any(each.cell in other_code for each in several),
+            other_options=any(each.cell in other_options for each in several),
+        )
+        for place, several in found.items()
+    }
 
 
 def words(category: str) -> str:
