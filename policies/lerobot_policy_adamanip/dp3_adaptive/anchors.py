@@ -8,7 +8,7 @@ measured in the spread of its own cluster, which makes its error small relative 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
-from lerobot_policy_adamanip.dp3_adaptive.refinement import NARROW, WIDE, Refiner
+from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     MOTION_DIM,
@@ -73,15 +73,7 @@ class AnchorNetwork(nn.Module):
         self.trunk = nn.Sequential(nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
         self.residuals = nn.Linear(width, config.num_anchors * MOTION_DIM)
-        stages = (WIDE, NARROW) if config.num_refinements else ()
-        self.refiners = nn.ModuleList(
-            Refiner(config.num_anchors, config.refinement_points, beside) for beside in stages
-        )
-
-    @property
-    def stages(self) -> list[Refiner]:
-        """What corrects a pose, one after the other; none if poses are not corrected."""
-        return cast(list[Refiner], list(self.refiners))
+        self.refiner = Refiner(config.num_anchors, config.refinement_points) if config.num_refinements else None
 
     def forward(self, points: Tensor, body: Tensor, happened: Tensor) -> tuple[Tensor, Tensor]:
         """(B, N, 6), (B, 4+), (B, H, 16) -> logits (B, K), residuals (B, K, 7) in units of their anchors' spread."""
@@ -185,18 +177,20 @@ class AnchorHead:
         found = residuals[torch.arange(len(index), device=index.device), index]
         residual = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
         total, parts = choice + residual, {"choice_loss": choice.mean(), "residual_loss": residual.mean()}
-        if model.stages:
-            refinement = self._refinement_loss(model, window, goal, index)
+        if model.refiner is not None:
+            refinement = self._refinement_loss(model, model.refiner, window, goal, index)
             total, parts["refinement_loss"] = total + refinement, refinement.mean()
         return total, real[:, 0].to(total.dtype), {name: part.detach() for name, part in parts.items()}
 
-    def _refinement_loss(self, model: AnchorNetwork, window: Window, goal: Tensor, index: Tensor) -> Tensor:
+    def _refinement_loss(
+        self, model: AnchorNetwork, refiner: Refiner, window: Window, goal: Tensor, index: Tensor
+    ) -> Tensor:
         """(B,): of the samples that aim; nothing for the others, which are most and, on a CPU, spared the work."""
         aims = model.aims(index)
         rows = _rows_to_refine(aims)
         cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
-        losses = [refiner.loss(cloud, goal[rows], tool, index[rows]).to(goal.dtype) for refiner in model.stages]
-        return torch.zeros_like(goal[:, 0]).index_add(0, rows, torch.stack(losses).sum(dim=0) * aims[rows])
+        loss = refiner.loss(cloud, goal[rows], tool, index[rows]) * aims[rows]
+        return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, 1, 10).
@@ -213,20 +207,18 @@ class AnchorHead:
         motion = model.anchors[index] + residual * model.spread[index]
         motion = torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1)
         pose = pose_after(motion, tool)
-        if model.stages:
-            pose = self._refined(model, window, pose, index)
+        if model.refiner is not None:
+            pose = self._refined(model, model.refiner, window, pose, index)
         return pose[:, None]
 
-    def _refined(self, model: AnchorNetwork, window: Window, pose: Tensor, index: Tensor) -> Tensor:
+    def _refined(self, model: AnchorNetwork, refiner: Refiner, window: Window, pose: Tensor, index: Tensor) -> Tensor:
         """Returns poses (B, 10), corrected where their anchors aim: on a CPU most actions are spared the work."""
         aims = model.aims(index)
         if aims.device.type == "cpu" and not aims.any():
             return pose
         rows = _rows_to_refine(aims)
         cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
-        refined = pose[rows]
-        for refiner in model.stages:
-            refined = refiner.refined(cloud, refined, tool.float(), index[rows], self.config.num_refinements)
+        refined = refiner.refined(cloud, pose[rows], tool.float(), index[rows], self.config.num_refinements)
         return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
 
 

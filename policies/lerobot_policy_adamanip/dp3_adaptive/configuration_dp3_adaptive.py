@@ -96,8 +96,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     trunk_dim: int = 256
     # Head anchors: points that the choice is made by, the first of each cloud; corrections look at all of them.
     coarse_points: int = 512
-    # Head anchors: how often a pose that an open hand goes to is corrected by the points around it, in each of two
-    # stages, a coarse and a fine one; 0 for never ...
+    # Head anchors: how often a pose that an open hand goes to is corrected by the points around it; 0 for never ...
     num_refinements: int = 3
     # ... and how many points those are.
     refinement_points: int = 128

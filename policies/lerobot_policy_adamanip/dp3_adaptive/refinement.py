@@ -3,9 +3,6 @@
 A network that condenses a whole cloud knows where a handle is to centimetres. Around a proposed pose the same few
 points look the same wherever the object stands, and every demonstrated goal teaches it from any number of poses beside
 it: a denoising of poses that starts at an anchor instead of at noise, as truncated diffusion does.
-
-In two stages, each a network of its own: `WIDE` brings a pose that is off by a decimetre to within centimetres, where
-`NARROW` is as exact as the cloud allows. One network for both is either lost far away or less exact near.
 """
 
 from __future__ import annotations
@@ -30,8 +27,8 @@ AHEAD = (0.0, 0.0, 0.04)
 """Around this place in a proposed tool's frame points are gathered [m]: what the fingers are sent to is ahead."""
 NEAR, SHARP = 0.1, 0.02
 """A point is told by where it is in the first unit, and by its direction, which is sharp within the second [m]."""
-WIDE, NARROW = (0.1, 0.3), (0.03, 0.15)
-"""How far proposals are off in training, at most, as standard deviations [m, rad]."""
+BESIDE_POSITION, BESIDE_ROTATION = 0.03, 0.15
+"""Proposals in training are up to this far off, as standard deviations [m, rad]."""
 JITTER = 0.001
 """Standard deviation of the noise on points in training [m]."""
 
@@ -42,12 +39,11 @@ class Refiner(nn.Module):
     Args:
         num_anchors: which of them the pose comes from tells what is looked for.
         neighbours: points looked at.
-        beside: how far off it is used to poses being, `WIDE` or `NARROW` [m, rad].
     """
 
-    def __init__(self, num_anchors: int, neighbours: int, beside: tuple[float, float]) -> None:
+    def __init__(self, num_anchors: int, neighbours: int) -> None:
         super().__init__()
-        self.neighbours, self.beside = neighbours, beside
+        self.neighbours = neighbours
         self.encoder = make_encoder("mlp", 6, (64, 128), 128, neighbours)
         self.embedding = nn.Embedding(num_anchors, 32)
         self.out = nn.Sequential(
@@ -71,8 +67,7 @@ class Refiner(nn.Module):
         """Returns the error (B,) of correcting a pose beside the demonstrated goal (B, 10)."""
         share = torch.rand(len(goal), 1, device=goal.device)
         aside = share * torch.randn(len(goal), 6, device=goal.device)
-        position, rotation = self.beside
-        aside = torch.cat([position * aside[:, :3], rotation * aside[:, 3:], goal[:, 9:10]], dim=-1)
+        aside = torch.cat([BESIDE_POSITION * aside[:, :3], BESIDE_ROTATION * aside[:, 3:], goal[:, 9:10]], dim=-1)
         proposed = pose_after(aside, goal)
         wanted = motion_between(goal, proposed)[:, :6] / constant(CORRECTION_UNITS, goal)
         found = self(cloud, proposed, tool, anchor)
