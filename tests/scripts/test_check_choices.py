@@ -58,6 +58,9 @@ class Locked:
     def reset(self, **_: Any) -> Any:
         return None, {}
 
+    def _running(self) -> Any:
+        return SimpleNamespace(obj=None)
+
     def step(self, action: np.ndarray) -> Any:
         self.number += 1
         self.labels = KeyFrameLabels(0, self.number != 3, 0.0, 0, 0.2)
@@ -65,7 +68,8 @@ class Locked:
 
 
 def test_what_has_failed_counts_until_something_gives(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check_choices, "choice", lambda env, action, closed: PULL)
+    monkeypatch.setattr(check_choices, "choice", lambda env, action, closed, ranges: PULL)
+    monkeypatch.setattr(check_choices, "joint_ranges", lambda obj: {})
     tally, actor = Tally(), Stubborn()
     play(Locked(), actor, 0, {"locked": True}, samples=2, tally=tally)  # type: ignore[arg-type]
     rows = {row["failed"]: row for row in tally.to_json()["after"]}
@@ -83,12 +87,9 @@ def test_a_motion_is_named_by_what_it_would_try(monkeypatch: pytest.MonkeyPatch)
         return SimpleNamespace(joint="knob", sent=-0.4)
 
     monkeypatch.setattr(check_choices, "find_try", found)
-    monkeypatch.setattr(check_choices, "joint_ranges", lambda obj: {})
-    env = SimpleNamespace(
-        feedback=None, annotations={}, part_positions=dict, _running=lambda: SimpleNamespace(obj=None)
-    )
+    env = SimpleNamespace(feedback=None, annotations={}, part_positions=dict)
     action = np.array([0.4, 0.1, 0.3, 1, 0, 0, 0, 1, 0, 0.2], np.float32)
-    assert check_choices.choice(env, action, True) == RIGHT
+    assert check_choices.choice(env, action, True, {}) == RIGHT
     np.testing.assert_allclose(seen[0].goal[:3, 3], action[:3], atol=1e-6)
     np.testing.assert_allclose(seen[0].goal[:3, :3], np.eye(3), atol=1e-6)
     assert seen[0].gripper == pytest.approx(0.2)

@@ -37,8 +37,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    # Values of the options below that are not given: fast (two CPU cores), diffusion (its head at that size), dp3 (3D
-    # Diffusion Policy, without a memory) or paper (its table of parameters).
+    # Values of the options below that are not given: fast or diffusion (two CPU cores), dp3 or paper (their numbers).
     preset: str = "fast"
     # Set by itself: the preset that the values were taken from. A checkpoint keeps its values, so also its preset.
     values_from: str | None = None
@@ -139,8 +138,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # ... but at most this.
     ema_max: float = 0.9999
 
-    # Training only: scenes are shifted by up to this along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper
-    # 0.0) ...
+    # Training only: scenes shift by up to this along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper 0.0) ...
     augmentation_translation: float = from_preset()
     # ... and turned by up to this about the vertical [rad]; joint positions do not follow (fast 0.0, diffusion 0.1,
     # dp3 0.0, paper 0.0) ...
