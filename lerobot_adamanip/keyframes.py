@@ -18,6 +18,9 @@ FOLLOWED = 0.5
 EMPTY_HAND = 0.05
 """Finger opening below which nothing is between them: the grip was torn off, or closed on nothing."""
 
+OPEN_HAND = 0.9
+"""Finger opening above which a hand holds nothing: around a bottle's cap it is at 0.6."""
+
 
 class Outcome(enum.IntEnum):
     """How a key frame ended. Felt by the arm itself, so a policy and a real robot know it too."""

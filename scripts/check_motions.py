@@ -64,7 +64,7 @@ def drawn(policy: Any, before: Any, after: Any, batch: dict[str, Any], samples: 
 
 def motions(actions: Tensor, tools: Tensor) -> tuple[Array, Array]:
     """Poses (..., 10) and the tools (..., 10) they start from -> lengths [mm] and angles [deg]."""
-    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
+    from lerobot_policy_adamanip.tool_frame import motion_between
 
     motion = motion_between(actions, tools)
     return 1e3 * motion[..., :3].norm(dim=-1).numpy(), np.degrees(motion[..., 3:6].norm(dim=-1).numpy())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.experts.belief import Belief
-from lerobot_adamanip.keyframes import EMPTY_HAND, FOLLOWED, PRE_GRASP, Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.keyframes import EMPTY_HAND, FOLLOWED, OPEN_HAND, PRE_GRASP, Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.rotations import angle_between, transform
 
@@ -21,8 +21,6 @@ leads there varies, so that a policy learns to correct the last 10 cm by what it
 APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
 """Share of `PRE_GRASP`, and of the jitter, of one approach after the other: the farther away, the nearer to the end of
 the arm's reach, where a path may not exist though both of its ends are within reach."""
-OPEN_HAND = 0.9
-"""Finger opening above which a hand holds nothing."""
 HELD_WITHIN, HELD_TURNED = 0.025, 0.3
 """A hand that closes on something this near to a grasp holds the part [m, rad]."""
 AT_GRASP, AT_GRASP_TURNED = 0.004, 0.06

@@ -7,22 +7,20 @@ measured in the spread of its own cluster, which makes its error small relative 
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
-import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
+from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_DIM
-from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
+from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.encoders import make_encoder
+from lerobot_policy_adamanip.events import events
+from lerobot_policy_adamanip.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
     constant,
@@ -32,11 +30,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     pose_after,
     upwards,
 )
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.encoders import make_encoder
 
-LEAST_SPREAD = (0.002, 0.002, 0.002, 0.02, 0.02, 0.02, 0.02)
-"""Spread of a cluster that counts as none [m, m, m, rad, rad, rad, -]: finer than this is not asked for."""
 POINT_UNIT, POINT_NEAR = 0.15, 0.03
 """A point is told by where it is in this unit, and by its direction, which is sharp within this distance [m]."""
 EFFORT_UNIT = 20.0
@@ -239,51 +233,3 @@ def _drawn(likely: Tensor, noise: Tensor | None) -> Tensor:
     draw = torch.rand(len(likely), device=likely.device) if noise is None else noise.reshape(len(likely), -1)[:, 0]
     index = torch.searchsorted(passed, draw[:, None].to(passed.dtype) * passed[:, -1:], right=True).squeeze(-1)
     return index.clamp(max=likely.shape[-1] - 1)
-
-
-def fit_anchors(motions: NDArray[np.float32], count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Clusters motions by k-means in their units.
-
-    Args:
-        motions: (M, 7) of the demonstrations.
-        count: of anchors; with fewer different motions some stand twice.
-        seed: of the clustering.
-
-    Returns:
-        anchors (count, 7) [m, rad, -] and the spread of each cluster (count, 7), bounded below.
-    """
-    from scipy.cluster.vq import kmeans2
-
-    units, least = np.asarray(MOTION_UNITS), np.asarray(LEAST_SPREAD)
-    rows = motions.astype(np.float64) / units
-    different = np.unique(rows.round(4), axis=0)
-    starts = different if len(different) <= count else count
-    centres, labels = kmeans2(rows, starts, minit="matrix" if starts is different else "++", iter=50, seed=seed)
-    counted = range(len(centres))
-    spread = np.stack([rows[labels == k].std(axis=0) if (labels == k).any() else 0 * units for k in counted])
-    spread = np.maximum(spread * units, least)
-    again = np.arange(count) % len(centres)
-    anchors, spread = (part[again].astype(np.float32) for part in (centres * units, spread))
-    return torch.from_numpy(anchors), torch.from_numpy(spread)
-
-
-def demonstrated_motions(dataset_meta: Any) -> NDArray[np.float32]:
-    """Returns the motions (M, 7) of a dataset, from its files.
-
-    Raises:
-        ConfigurationError: the files are not there.
-    """
-    import pyarrow.dataset as files
-
-    folder = Path(dataset_meta.root) / "data"
-    if not folder.is_dir():
-        raise ConfigurationError(
-            "The demonstrations' motions cannot be read.",
-            got=f"no folder {folder.name} beside the metadata",
-            allowed="a dataset whose files have been downloaded",
-            hint="LeRobotDataset(repo_id), before the policy is made",
-        )
-    table = files.dataset(folder, format="parquet").to_table(columns=[STATE, ACTION])
-    poses, actions = (torch.from_numpy(np.stack(table[key].to_numpy()).astype(np.float32)) for key in (STATE, ACTION))
-    motions: NDArray[np.float32] = motion_between(actions, poses[:, :ACTION_DIM]).numpy()
-    return motions

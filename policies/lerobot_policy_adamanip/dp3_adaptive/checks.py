@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from lerobot.configs.types import NormalizationMode
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_policy_adamanip.contract import require_action
 
 if TYPE_CHECKING:
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
@@ -72,22 +73,9 @@ def check_horizon(config: DP3AdaptiveConfig) -> None:
         )
 
 
-def wrong_number_of_points(shape: tuple[int, ...], num_points: int) -> ConfigurationError:
-    """Returns the error for clouds of a shape (N, 3) that is too small for a policy that uses ``num_points``."""
-    return ConfigurationError(
-        "Wrong number of points.",
-        got=f"clouds of shape {tuple(shape)}",
-        allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
-        hint=f"clouds of {num_points} points (--num-points, --env.num_points), or a policy trained with fewer",
-    )
-
-
 def require_actions(config: DP3AdaptiveConfig) -> None:
     """Refuses a dataset without actions, or with such as the head cannot draw."""
-    if config.action_feature is None:
-        raise ConfigurationError(
-            "The dataset has no actions.", got="no column `action`", allowed="demonstrations", hint="adamanip collect"
-        )
+    require_action(config)
     if config.head == "anchors" and not config.has_pose_layout:
         raise ConfigurationError(
             "The head anchors moves a tool, and these actions are no poses of one.",

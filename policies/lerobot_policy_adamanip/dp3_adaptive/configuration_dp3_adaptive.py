@@ -6,17 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lerobot.configs.policies import PreTrainedConfig
-from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
+from lerobot.configs.types import NormalizationMode, PolicyFeature
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
 from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
-from lerobot_adamanip.schema import ACTION, ACTION_DIM, EFFORT, POINT_CLOUD, POSE_NAMES, STATE
-from lerobot_policy_adamanip.dp3_adaptive.checks import (
-    check_horizon,
-    check_normalization,
-    check_sizes,
-    wrong_number_of_points,
-)
+from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
+from lerobot_policy_adamanip.contract import has_pose_layout, keep_inputs, names_are_poses
+from lerobot_policy_adamanip.dp3_adaptive.checks import check_horizon, check_normalization, check_sizes
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
 from lerobot_policy_adamanip.optimizer import FusedAdamWConfig
 
@@ -230,36 +226,17 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         return None
 
     def validate_features(self) -> None:
-        """Keeps cloud and state (and effort if asked for) as inputs; the cloud becomes ENV, which is left as it is.
-
-        LeRobot has no point-cloud type: as STATE it would be normalised under the state's mode. What the policy does
-        not look at, images above all, is dropped, so that a checkpoint evaluates wherever clouds are.
+        """Keeps cloud and state (and effort if asked for) as inputs, see `keep_inputs`.
 
         Raises:
             ConfigurationError: an input is missing, or clouds have fewer points than ``num_points``.
         """
-        inputs: dict[str, PolicyFeature] = dict(self.input_features or {})
-        wanted = [POINT_CLOUD, STATE] + ([EFFORT] if self.use_effort else [])
-        if any(key not in inputs for key in wanted):
-            raise ConfigurationError(
-                "dp3_adaptive misses an input.",
-                got=", ".join(inputs) or "no inputs",
-                allowed=f"a dataset with {', '.join(wanted)}",
-                hint="adamanip collect, or another --policy.type",
-            )
-        cloud = tuple(inputs[POINT_CLOUD].shape)
-        if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < self.num_points:
-            raise wrong_number_of_points(cloud, self.num_points)
-        outputs: dict[str, PolicyFeature] = self.output_features or {}
-        self.input_features = {key: inputs[key] for key in wanted}
-        self.input_features[POINT_CLOUD] = PolicyFeature(FeatureType.ENV, cloud)
-        self.output_features = {key: value for key, value in outputs.items() if key == ACTION}
+        keep_inputs(self, [POINT_CLOUD, STATE] + ([EFFORT] if self.use_effort else []), self.num_points)
 
     def set_dataset_feature_metadata(self, features: dict[str, dict[str, Any]]) -> None:
         """Learns from a dataset's names whether states and actions are poses. LeRobot calls this before training."""
-        action, state = (_flat_names(features.get(key, {}).get("names")) for key in (ACTION, STATE))
-        if action and state:
-            self.pose_layout = action == list(POSE_NAMES) and state[:ACTION_DIM] == list(POSE_NAMES)
+        named = names_are_poses(features)
+        self.pose_layout = self.pose_layout if named is None else named
 
     @property
     def state_dim(self) -> int:
@@ -273,14 +250,8 @@ class DP3AdaptiveConfig(PreTrainedConfig):
 
     @property
     def has_pose_layout(self) -> bool:
-        """Whether action and the state's start are the contract's ten numbers, so that they can be moved and related.
-
-        Names decide; where a dataset has none, sizes do.
-        """
-        action, state = self.action_feature, (self.input_features or {}).get(STATE)
-        if self.pose_layout is False or action is None or state is None:
-            return False
-        return tuple(action.shape) == (ACTION_DIM,) and int(state.shape[0]) >= ACTION_DIM
+        """Whether action and the state's start are the contract's ten numbers."""
+        return has_pose_layout(self, self.pose_layout)
 
     def get_optimizer_preset(self) -> FusedAdamWConfig:
         """AdamW."""
@@ -290,10 +261,3 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
         """Cosine with warm-up."""
         return DiffuserSchedulerConfig(name=self.scheduler_name, num_warmup_steps=self.scheduler_warmup_steps)
-
-
-def _flat_names(names: Any) -> list[str]:
-    """A feature's names: LeRobot allows a list, a dict of lists, or nothing."""
-    if isinstance(names, dict):
-        return [name for group in names.values() for name in (group if isinstance(group, list) else [str(group)])]
-    return list(names or [])

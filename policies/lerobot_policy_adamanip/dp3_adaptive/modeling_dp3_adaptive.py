@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import logging
 from collections import deque
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,16 +17,17 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE
-from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead, demonstrated_motions, fit_anchors
-from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions, wrong_number_of_points
+from lerobot_policy_adamanip.contract import LoadsStrictly, picked_inputs
+from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
+from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions
 
 ACTION_IS_PAD = "action_is_pad"
 TASK_INDEX = "task_index"
@@ -38,7 +38,7 @@ def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
     policy._ema_count = None
 
 
-class DP3AdaptivePolicy(PreTrainedPolicy):
+class DP3AdaptivePolicy(LoadsStrictly, PreTrainedPolicy):
     """LeRobot policy. Training uses `forward`; at run time `select_action` keeps the histories.
 
     Time axis of a training batch, for H = ``n_action_history_steps`` and T = ``horizon``, t the present::
@@ -116,7 +116,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
     def fit_anchors(self, motions: NDArray[np.float32]) -> None:
         """Takes the typical ones of demonstrated motions (M, 7) [m, rad, -] as an untrained policy's anchors."""
-        anchors, spread = fit_anchors(motions, self.config.num_anchors)
+        anchors, spread = cluster_motions(motions, self.config.num_anchors)
         for model in (self.model, self.ema_model):
             model.anchors.copy_(anchors)
             model.spread.copy_(spread)
@@ -232,19 +232,7 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
 
     def _observations(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Picks the inputs, and of each cloud the first points; the batch stays as it is."""
-        wanted = self.config.input_features
-        if any(batch.get(key) is None for key in wanted):
-            raise ConfigurationError(
-                "The observation lacks what the policy looks at.",
-                got=", ".join(key for key in batch if key.startswith("observation")) or "no observation",
-                allowed=", ".join(wanted),
-                hint="--env.type=adamanip_safe, or another environment with point clouds",
-            )
-        picked = {key: batch[key] for key in wanted}
-        cloud = picked[POINT_CLOUD]
-        if cloud.shape[-2] < self.config.num_points:
-            raise wrong_number_of_points(tuple(cloud.shape[-2:]), self.config.num_points)
-        picked[POINT_CLOUD] = cloud[..., : self.config.num_points, :3]
+        picked = picked_inputs(self.config, batch, self.config.num_points)
         if self.config.use_instruction:
             # The same at every step of a window, so it has none of its own.
             picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[STATE].dim() == 3 else batch[INSTRUCTION]
@@ -256,20 +244,6 @@ class DP3AdaptivePolicy(PreTrainedPolicy):
         if observation[POINT_CLOUD].dim() == 2:
             observation[POINT_CLOUD] = observation[POINT_CLOUD][None]
         return observation
-
-    @classmethod
-    def _load_as_safetensor(cls, model, model_file: str, map_location: str, strict: bool):
-        """Loads strictly: LeRobot's default would leave what does not fit at random values."""
-        try:
-            return super()._load_as_safetensor(model, model_file, map_location, True)
-        except RuntimeError as error:
-            reasons = [line.strip() for line in str(error).splitlines() if line.strip()]
-            raise ConfigurationError(
-                f"The checkpoint {Path(model_file).parent} does not fit this policy.",
-                got="; ".join(reasons[:3])[:400],
-                allowed="weights saved with the same options",
-                hint="leave --policy.* options as in its config.json",
-            ) from error
 
     def generate_model_card(self, *args: Any, **kwargs: Any):
         """LeRobot's card, headed by ``hub_cards/model_card.md``: what this policy is, sees and does."""

@@ -9,8 +9,6 @@ import torch
 from lerobot.configs.types import PipelineFeatureType, PolicyFeature
 from lerobot.lerobot_types import EnvTransition, TransitionKey
 from lerobot.processor import (
-    PolicyAction,
-    PolicyProcessorPipeline,
     ProcessorStep,
     ProcessorStepRegistry,
     make_default_policy_processor_steps,
@@ -20,14 +18,12 @@ from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
+from lerobot_policy_adamanip.contract import Pipelines
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, instruction_vector
 from lerobot_policy_adamanip.rotations import orthonormal_6d
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
-Pipelines = tuple[
-    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
-]
 
 
 @ProcessorStepRegistry.register("adamanip_rigid_augmentation")

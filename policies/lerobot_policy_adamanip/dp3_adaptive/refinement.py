@@ -11,7 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
+from lerobot_policy_adamanip.encoders import make_encoder
+from lerobot_policy_adamanip.tool_frame import (
     MOTION_UNITS,
     constant,
     motion_between,
@@ -19,7 +20,6 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_frame import (
     points_seen,
     pose_after,
 )
-from lerobot_policy_adamanip.encoders import make_encoder
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.05)
 """What counts as one in a correction [m, m, m, rad, rad, rad]."""

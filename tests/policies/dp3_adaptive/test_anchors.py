@@ -15,10 +15,10 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip.dp3_adaptive import anchors
-from lerobot_policy_adamanip.dp3_adaptive.anchors import LEAST_SPREAD, demonstrated_motions, fit_anchors
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.motion_clusters import LEAST_SPREAD, cluster_motions, demonstrated_motions
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 ANCHORS: dict[str, Any] = {
@@ -48,7 +48,7 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
     middles = np.array([[0.018, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.5, 0], [0.1, 0, 0.1, 0, 0, 0, 1]], np.float32)
     wide = np.array([0.0005, 0, 0, 0, 0, 0.05, 0], np.float32)
     rows = np.concatenate([middle + wide * draw.normal(size=(300, 7)) for middle in middles])
-    anchors, spread = fit_anchors(rows.astype(np.float32), 3)
+    anchors, spread = cluster_motions(rows.astype(np.float32), 3)
     for middle in middles:
         away = (anchors - torch.from_numpy(middle)).abs()
         nearest = int(away.sum(1).argmin())
@@ -59,7 +59,7 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
 
 def test_few_motions_are_anchors_enough() -> None:
     rows = np.random.default_rng(1).normal(size=(2, 7)).astype(np.float32)
-    anchors, spread = fit_anchors(rows, 5)
+    anchors, spread = cluster_motions(rows, 5)
     assert anchors.shape == spread.shape == (5, 7)
     assert torch.isfinite(anchors).all()
     assert (spread >= torch.tensor(LEAST_SPREAD)).all()
@@ -119,7 +119,7 @@ def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dic
 def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
     window, actions, real = _window(policy, batch_of(dataset, before, 2, 11))
-    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
+    from lerobot_policy_adamanip.tool_frame import motion_between
 
     motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10])[:, 0]
     unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
@@ -183,7 +183,7 @@ def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) 
     noise = torch.linspace(0, 1 - 1e-6, 50)
     drawn = policy.head.sample(policy.model, window, noise)[:, 0]
     state = window.observations[schema.STATE][:1, -1, :10]
-    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import pose_after
+    from lerobot_policy_adamanip.tool_frame import pose_after
 
     known = [pose_after(policy.model.anchors[index : index + 1], state) for index in (0, 2)]
     which = [int(torch.allclose(row, known[1][0], atol=1e-5)) for row in drawn]
@@ -304,7 +304,7 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
         valid[row, -row:] = True
     states = window.observations[schema.STATE][:1, -1:].expand(3, steps + 1, -1)
     window = Window({**window.observations, schema.STATE: states}, history, valid)
-    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import motion_between
+    from lerobot_policy_adamanip.tool_frame import motion_between
 
     policy.fit_anchors(motion_between(tries, pose).numpy())
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
@@ -348,7 +348,7 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
     refiner.eval()
     cloud, goal, tool = scenes(16)
     off = torch.cat([torch.from_numpy(draw.normal(scale=0.015, size=(16, 3))).float(), torch.zeros(16, 4)], dim=1)
-    from lerobot_policy_adamanip.dp3_adaptive.tool_frame import pose_after
+    from lerobot_policy_adamanip.tool_frame import pose_after
 
     start = pose_after(off, goal)
     with torch.no_grad():

@@ -14,7 +14,6 @@ from lerobot.processor.converters import batch_to_transition, transition_to_batc
 from lerobot_adamanip import schema
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.dp3_adaptive.memory import events
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import InstructionStep
 from lerobot_policy_adamanip.dp3_adaptive.tasks import (
     INSTRUCTION,
@@ -22,6 +21,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tasks import (
     balanced_weights,
     instruction_vector,
 )
+from lerobot_policy_adamanip.events import events
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 HEADS: tuple[dict[str, Any], ...] = (

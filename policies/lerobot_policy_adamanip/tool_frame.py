@@ -62,6 +62,13 @@ def pose_after(motion: Tensor, tool: Tensor) -> Tensor:
     return torch.cat([position, rotation[..., :2, :].flatten(-2), motion[..., 6:7]], dim=-1)
 
 
+def reverse(motion: Tensor) -> Tensor:
+    """Returns the motions (..., 7) that lead back, with the same gripper."""
+    turn = matrix_from_rotation_vector(motion[..., 3:6])
+    back = -(turn.transpose(-1, -2) @ motion[..., :3, None]).squeeze(-1)
+    return torch.cat([back, -motion[..., 3:6], motion[..., 6:]], dim=-1)
+
+
 @_whole
 def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
     """Points (..., N, 3) [m, base frame] in the frame of tool poses (..., 10) -> (..., N, 3) [m]."""

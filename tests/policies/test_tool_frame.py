@@ -7,8 +7,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
-from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory, events
-from lerobot_policy_adamanip.dp3_adaptive.tool_frame import constant, motion_between, points_seen, pose_after, upwards
+from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory
+from lerobot_policy_adamanip.events import events
+from lerobot_policy_adamanip.tool_frame import constant, motion_between, points_seen, pose_after, upwards
 
 
 def _poses(count: int, seed: int) -> torch.Tensor:
