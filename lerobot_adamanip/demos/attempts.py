@@ -49,16 +49,18 @@ def all_attempts(
     listed = []
     for item in items:
         record = kept.get((item.slot, item.object_id))
-        tried = _given_up(paths, item) if record is None else [*record["failures"], _success(record)]
+        tried = _given_up(paths, item) if record is None else [*record["failures"], _kept(record)]
         for number, attempt in enumerate(tried):
             facts = {key: attempt[key] for key in ("seed", "hidden_state", "reason", "key_frames", "late")}
-            listed.append(AttemptRecord(item.object_id, item.slot, number, kept=bool(attempt["success"]), **facts))
+            in_dataset = record is not None and number == len(tried) - 1
+            listed.append(AttemptRecord(item.object_id, item.slot, number, kept=in_dataset, **facts))
     return listed
 
 
-def _success(record: Mapping[str, Any]) -> dict[str, Any]:
+def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
+    """An expert's episodes are kept if they succeed, a policy's that an expert corrects always."""
     facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
-    return {**facts, "success": True, "reason": "success"}
+    return {**facts, "reason": "success" if record["success"] else "corrected without success"}
 
 
 def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]:

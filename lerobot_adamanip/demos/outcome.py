@@ -37,14 +37,15 @@ class Attempt:
 
 @dataclass(frozen=True)
 class ItemReport:
-    """What became of an item: kept if its last attempt succeeded, else given up."""
+    """What became of an item.
+
+    Attributes:
+        attempts: at it.
+        kept: whether the last one is in an episode file: a success, or a policy's episode, however it ended.
+    """
 
     attempts: tuple[Attempt, ...] = field(default=())
-
-    @property
-    def kept(self) -> bool:
-        """Whether an episode file was written."""
-        return bool(self.attempts) and self.attempts[-1].success
+    kept: bool = False
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ def record_item(
             failures = [vars(each) for each in attempts[:-1]]
             record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
             content = shard_bytes(RecordedEpisode(episode.columns, record))
-            return ItemOutcome(ItemReport(tuple(attempts)), failed, content)
+            return ItemOutcome(ItemReport(tuple(attempts), kept=True), failed, content)
         if job.spec.keep_failed and episode.columns:
             record |= {"attempts": 1, "failures": [], "late": attempt.late}
             failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
