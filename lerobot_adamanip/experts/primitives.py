@@ -23,8 +23,9 @@ APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
 the arm's reach, where a path may not exist though both of its ends are within reach."""
 HELD_WITHIN, HELD_TURNED = 0.025, 0.3
 """A hand that closes on something this near to a grasp holds the part [m, rad]."""
-AT_GRASP, AT_GRASP_TURNED = 0.004, 0.06
-"""An open hand this near to a grasp needs only close [m, rad]."""
+AT_GRASP, AT_GRASP_TURNED = 0.012, 0.12
+"""An open hand this near to a grasp needs only close [m, rad]: fingers hold there as well, and a hand that is told to
+move as long as it is millimetres beside never closes."""
 BESIDE, ASKEW = 0.035, 0.35
 """An open hand no farther from a grasp than `PRE_GRASP`, and this near to its line, goes straight there [m, rad]."""
 NEAR_PART = 0.06
@@ -102,12 +103,18 @@ class Hand:
         self.feedback = yield Goal(pose, gripper, phase)
 
     def clear(self) -> Frames:
-        """Lets go and backs off where this expert takes over with a hand that is closed, or about a part."""
+        """Lets go and backs off where this expert takes over with a hand that is closed, or about a part.
+
+        A hand that is open already only backs off: who is asked anew at each key frame would open it for ever.
+        """
         parts, self.parts = self.parts or {}, None
         here = self.feedback.tcp_in_base[:3, 3]
         near = (np.linalg.norm(part.moved(self.positions)[:3, 3] - here) < NEAR_PART for part in parts.values())
-        if parts and (self.feedback.gripper < OPEN_HAND or any(near)):
+        if parts and self.feedback.gripper < OPEN_HAND:
             yield from self.release()
+        elif any(near):
+            self.positions.update(self._settled())
+            yield from self.back_off(1.0)
 
     def holds(self, part: PartAnnotation) -> bool:
         """Whether the hand that is taken over holds a part already."""
