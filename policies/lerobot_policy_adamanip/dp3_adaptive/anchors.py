@@ -67,7 +67,7 @@ class AnchorNetwork(nn.Module):
         self.trunk = nn.Sequential(nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
         self.residuals = nn.Linear(width, config.num_anchors * MOTION_DIM)
-        self.refiner = Refiner(config.num_anchors, config.refinement_points) if config.num_refinements else None
+        self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
 
     def forward(self, points: Tensor, body: Tensor, happened: Tensor) -> tuple[Tensor, Tensor]:
         """(B, N, 6), (B, 4+), (B, H, 16) -> logits (B, K), residuals (B, K, 7) in units of their anchors' spread."""
@@ -183,7 +183,7 @@ class AnchorHead:
         aims = model.aims(index)
         rows = _rows_to_refine(aims)
         cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
-        loss = refiner.loss(cloud, goal[rows], tool, index[rows]) * aims[rows]
+        loss = refiner.loss(cloud, goal[rows], tool) * aims[rows]
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
@@ -212,7 +212,7 @@ class AnchorHead:
             return pose
         rows = _rows_to_refine(aims)
         cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
-        refined = refiner.refined(cloud, pose[rows], tool.float(), index[rows], self.config.num_refinements)
+        refined = refiner.refined(cloud, pose[rows], tool.float(), self.config.num_refinements)
         return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
 
 

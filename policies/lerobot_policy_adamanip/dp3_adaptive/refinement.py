@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lerobot_policy_adamanip.encoders import make_encoder
+from lerobot_policy_adamanip.rotations import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.tool_frame import (
     MOTION_UNITS,
     constant,
@@ -21,14 +22,17 @@ from lerobot_policy_adamanip.tool_frame import (
     pose_after,
 )
 
-CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.05)
-"""What counts as one in a correction [m, m, m, rad, rad, rad]."""
+CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
+"""What counts as one in a correction [m, m, m, rad, rad, -, -], see `_correction`."""
 AHEAD = (0.0, 0.0, 0.04)
 """Around this place in a proposed tool's frame points are gathered [m]: what the fingers are sent to is ahead."""
 NEAR, SHARP = 0.1, 0.02
 """A point is told by where it is in the first unit, and by its direction, which is sharp within the second [m]."""
 BESIDE_POSITION, BESIDE_ROTATION = 0.03, 0.15
 """Proposals in training are up to this far off, as standard deviations [m, rad]."""
+TWISTED = 0.5
+"""This share of them is also turned about the approach, by any angle: whether a lever lies or stands is seen only from
+nearby, and fingers that close along it hold nothing."""
 JITTER = 0.001
 """Standard deviation of the noise on points in training [m]."""
 
@@ -36,22 +40,21 @@ JITTER = 0.001
 class Refiner(nn.Module):
     """Proposes a correction of a pose from the points near it.
 
+    It is not told which motion was chosen: in training that would tell how the goal is turned, and the points would not
+    be looked at.
+
     Args:
-        num_anchors: which of them the pose comes from tells what is looked for.
         neighbours: points looked at.
     """
 
-    def __init__(self, num_anchors: int, neighbours: int) -> None:
+    def __init__(self, neighbours: int) -> None:
         super().__init__()
         self.neighbours = neighbours
         self.encoder = make_encoder("mlp", 6, (64, 128), 128, neighbours)
-        self.embedding = nn.Embedding(num_anchors, 32)
-        self.out = nn.Sequential(
-            nn.Linear(128 + 32 + 6, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 6)
-        )
+        self.out = nn.Sequential(nn.Linear(128 + 6, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 7))
 
-    def forward(self, cloud: Tensor, pose: Tensor, tool: Tensor, anchor: Tensor) -> Tensor:
-        """Clouds (B, N, 3) [m], proposed and present poses (B, 10), anchors (B,) -> (B, 6) in `CORRECTION_UNITS`."""
+    def forward(self, cloud: Tensor, pose: Tensor, tool: Tensor) -> Tensor:
+        """Clouds (B, N, 3) [m], proposed and present poses (B, 10) -> (B, 7) in `CORRECTION_UNITS`."""
         points = points_seen(cloud, pose)
         distance = (points - constant(AHEAD, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
@@ -60,22 +63,57 @@ class Refiner(nn.Module):
             points = points + JITTER * torch.randn_like(points)
         local = self.encoder(point_features(points, NEAR, SHARP))
         way = motion_between(pose, tool)[:, :6] / constant(MOTION_UNITS[:6], points)
-        correction: Tensor = self.out(torch.cat([local, self.embedding(anchor), way], dim=-1))
+        correction: Tensor = self.out(torch.cat([local, way], dim=-1))
         return correction
 
-    def loss(self, cloud: Tensor, goal: Tensor, tool: Tensor, anchor: Tensor) -> Tensor:
+    def loss(self, cloud: Tensor, goal: Tensor, tool: Tensor) -> Tensor:
         """Returns the error (B,) of correcting a pose beside the demonstrated goal (B, 10)."""
-        share = torch.rand(len(goal), 1, device=goal.device)
-        aside = share * torch.randn(len(goal), 6, device=goal.device)
-        aside = torch.cat([BESIDE_POSITION * aside[:, :3], BESIDE_ROTATION * aside[:, 3:], goal[:, 9:10]], dim=-1)
-        proposed = pose_after(aside, goal)
-        wanted = motion_between(goal, proposed)[:, :6] / constant(CORRECTION_UNITS, goal)
-        found = self(cloud, proposed, tool, anchor)
-        return F.smooth_l1_loss(found.float(), wanted, reduction="none").mean(dim=-1)
+        proposed = pose_after(_beside(goal), goal)
+        found = self(cloud, proposed, tool).float()
+        wanted = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
+        return F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
 
-    def refined(self, cloud: Tensor, pose: Tensor, tool: Tensor, anchor: Tensor, steps: int) -> Tensor:
+    def refined(self, cloud: Tensor, pose: Tensor, tool: Tensor, steps: int) -> Tensor:
         """Returns poses (B, 10) after so many corrections; the gripper stays as it is."""
         for _ in range(steps):
-            correction = self(cloud, pose, tool, anchor).float() * constant(CORRECTION_UNITS, pose)
-            pose = pose_after(torch.cat([correction, pose[:, 9:10]], dim=-1), pose)
+            pose = _corrected(pose, self(cloud, pose, tool).float() * constant(CORRECTION_UNITS, pose))
         return pose
+
+
+def _beside(goal: Tensor) -> Tensor:
+    """Returns motions (B, 7) from goals (B, 10) to what is proposed in training."""
+    share, twisted, turn = torch.rand(3, len(goal), 1, device=goal.device)
+    aside = share * torch.randn(len(goal), 6, device=goal.device)
+    twist = (twisted < TWISTED) * (turn - 0.5) * torch.pi
+    rotation = BESIDE_ROTATION * aside[:, 3:] + F.pad(twist, (2, 0))
+    return torch.cat([BESIDE_POSITION * aside[:, :3], rotation, goal[:, 9:10]], dim=-1)
+
+
+def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
+    """Returns what leads from proposed poses to goals (B, 10): the way, the tilt of the approach, the turn about it.
+
+    Two fingers hold alike when they have changed places. So of the turn its doubled angle is told, by cosine and sine:
+    the same for both, without a jump. As an angle it would be learnt as the mean of a quarter turn to the left and one
+    to the right, which is none.
+
+    Returns:
+        (B, 7): position [m, m, m], tilt about x and y [rad, rad], cosine and sine of twice the turn [-, -].
+    """
+    motion = motion_between(goal, proposed)
+    turned = matrix_from_rotation_vector(motion[:, 3:6])
+    approach = turned[:, :, 2]
+    across = approach[:, :2].norm(dim=-1, keepdim=True)
+    angle = torch.atan2(across, approach[:, 2:])
+    tilt = approach[:, [1, 0]] * constant((-1.0, 1.0), goal) * angle / across.clamp(min=SMALL)
+    left = matrix_from_rotation_vector(F.pad(tilt, (0, 1))).transpose(1, 2) @ turned
+    twice = 2 * torch.atan2(left[:, 1, :1], left[:, 0, :1])
+    return torch.cat([motion[:, :3], tilt, twice.cos(), twice.sin()], dim=-1)
+
+
+def _corrected(pose: Tensor, correction: Tensor) -> Tensor:
+    """The inverse of `_correction`: poses (B, 10) and corrections (B, 7) -> poses (B, 10), turned the shorter way."""
+    way, twice = correction[:, :5], correction[:, 5:]
+    turn = torch.atan2(twice[:, 1:], twice[:, :1]) / 2
+    gripper = pose[:, 9:10]
+    tilted = pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
+    return pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)

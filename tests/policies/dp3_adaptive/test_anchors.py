@@ -19,6 +19,7 @@ from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3Adapti
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 from lerobot_policy_adamanip.motion_clusters import LEAST_SPREAD, cluster_motions, demonstrated_motions
+from lerobot_policy_adamanip.tool_frame import motion_between, pose_after
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 ANCHORS: dict[str, Any] = {
@@ -119,8 +120,6 @@ def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dic
 def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
     window, actions, real = _window(policy, batch_of(dataset, before, 2, 11))
-    from lerobot_policy_adamanip.tool_frame import motion_between
-
     motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10])[:, 0]
     unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
     nearest = ((motion[:, None] - policy.model.anchors) * unit).square().sum(-1).argmin(1)
@@ -183,8 +182,6 @@ def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) 
     noise = torch.linspace(0, 1 - 1e-6, 50)
     drawn = policy.head.sample(policy.model, window, noise)[:, 0]
     state = window.observations[schema.STATE][:1, -1, :10]
-    from lerobot_policy_adamanip.tool_frame import pose_after
-
     known = [pose_after(policy.model.anchors[index : index + 1], state) for index in (0, 2)]
     which = [int(torch.allclose(row, known[1][0], atol=1e-5)) for row in drawn]
     assert all(torch.allclose(row, known[pick][0], atol=1e-5) for row, pick in zip(drawn, which, strict=True))
@@ -304,8 +301,6 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
         valid[row, -row:] = True
     states = window.observations[schema.STATE][:1, -1:].expand(3, steps + 1, -1)
     window = Window({**window.observations, schema.STATE: states}, history, valid)
-    from lerobot_policy_adamanip.tool_frame import motion_between
-
     policy.fit_anchors(motion_between(tries, pose).numpy())
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(80):
@@ -322,6 +317,48 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
 # Refinement ---------------------------------------------------------------------------------------------------------
 
 
+Scene = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def taught(shown: list[Scene], *, steps: int) -> Refiner:
+    """Returns a refiner after training on clouds, goals and tool poses, 16 of each."""
+    refiner = Refiner(48)
+    optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
+    for step in range(steps):
+        cloud, goal, tool = shown[step % len(shown)]
+        optimizer.zero_grad()
+        refiner.loss(cloud, goal, tool).mean().backward()
+        optimizer.step()
+    return refiner.eval()
+
+
+def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None:
+    """Of two grasps that are alike either may have been demonstrated; a quarter turn away none is nearer."""
+    torch.manual_seed(0)
+    draw = np.random.default_rng(0)
+    side, along = np.meshgrid(np.linspace(-0.006, 0.006, 3), np.linspace(-0.05, 0.05, 16))
+    bar = np.c_[along.ravel(), side.ravel(), np.zeros(48)]
+
+    def scenes() -> Scene:
+        turns = Rotation.random(16, random_state=int(draw.integers(1 << 30)))
+        places = draw.uniform(-0.5, 0.5, (16, 3))
+        clouds = np.stack([turn.apply(bar) + place for turn, place in zip(turns, places, strict=True)])
+        grasps = turns * Rotation.from_euler("z", np.pi * draw.integers(2, size=16)[:, None])
+        hands = turns * Rotation.from_euler("z", draw.uniform(-np.pi, np.pi, (16, 1)))
+        goals = np.c_[places, rotation_6d_from_matrix(grasps.as_matrix()), np.ones(16)]
+        tools = np.c_[places + 0.1, rotation_6d_from_matrix(hands.as_matrix()), np.ones(16)]
+        return tuple(torch.from_numpy(part).float() for part in (clouds, goals, tools))  # type: ignore[return-value]
+
+    refiner = taught([scenes() for _ in range(8)], steps=600)
+    cloud, goal, tool = scenes()
+    twist = torch.zeros(16, 7)
+    twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
+    with torch.no_grad():
+        found = refiner.refined(cloud, pose_after(twist, goal), tool, 3)
+    left = motion_between(found, goal)[:, 5].abs()
+    assert (torch.minimum(left, np.pi - left) < 0.25).float().mean() > 0.9
+
+
 def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
     """Goals are at a corner of a wedge: taught from poses beside them on a few scenes, found on others."""
     torch.manual_seed(0)
@@ -329,7 +366,7 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
     plane = np.stack(np.meshgrid(np.linspace(0, 0.08, 7), np.linspace(0, 0.05, 6)), axis=-1).reshape(-1, 2)
     wedge = np.concatenate([np.c_[plane, np.zeros(42)], np.c_[plane[:, 0], np.zeros(42), plane[:, 1]]])
 
-    def scenes(count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def scenes(count: int) -> Scene:
         turns = Rotation.random(count, random_state=int(draw.integers(1 << 30)))
         places = draw.uniform(-0.5, 0.5, (count, 3))
         clouds = np.stack([turn.apply(wedge) + place for turn, place in zip(turns, places, strict=True)])
@@ -337,22 +374,12 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
         tools = np.c_[places + 0.1, rotation_6d_from_matrix(turns.as_matrix()), np.ones(count)]
         return tuple(torch.from_numpy(part).float() for part in (clouds, goals, tools))  # type: ignore[return-value]
 
-    refiner, index = Refiner(1, 48), torch.zeros(16, dtype=torch.int64)
-    optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
-    shown = [scenes(16) for _ in range(4)]
-    for step in range(400):
-        cloud, goal, tool = shown[step % 4]
-        optimizer.zero_grad()
-        refiner.loss(cloud, goal, tool, index).mean().backward()
-        optimizer.step()
-    refiner.eval()
+    refiner = taught([scenes(16) for _ in range(4)], steps=400)
     cloud, goal, tool = scenes(16)
     off = torch.cat([torch.from_numpy(draw.normal(scale=0.015, size=(16, 3))).float(), torch.zeros(16, 4)], dim=1)
-    from lerobot_policy_adamanip.tool_frame import pose_after
-
     start = pose_after(off, goal)
     with torch.no_grad():
-        ends = [refiner.refined(cloud, start, tool, index, steps)[:, :3] for steps in (0, 1, 3)]
+        ends = [refiner.refined(cloud, start, tool, steps)[:, :3] for steps in (0, 1, 3)]
     missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
     assert missed[0] > 0.015
     assert missed[1] < 0.5 * missed[0]
