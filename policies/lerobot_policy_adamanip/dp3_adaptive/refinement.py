@@ -33,6 +33,8 @@ BESIDE_POSITION, BESIDE_ROTATION = 0.03, 0.15
 TWISTED = 0.5
 """This share of them is also turned about the approach, by any angle: whether a lever lies or stands is seen only from
 nearby, and fingers that close along it hold nothing."""
+PROPOSALS = 4
+"""Beside each demonstrated goal: few rows of a batch aim at anything, and this network is small."""
 JITTER = 0.001
 """Standard deviation of the noise on points in training [m]."""
 
@@ -67,11 +69,12 @@ class Refiner(nn.Module):
         return correction
 
     def loss(self, cloud: Tensor, goal: Tensor, tool: Tensor) -> Tensor:
-        """Returns the error (B,) of correcting a pose beside the demonstrated goal (B, 10)."""
+        """Returns the error (B,) of correcting poses beside the demonstrated goal (B, 10)."""
+        cloud, goal, tool = (part.repeat_interleave(PROPOSALS, dim=0) for part in (cloud, goal, tool))
         proposed = pose_after(_beside(goal), goal)
         found = self(cloud, proposed, tool).float()
         wanted = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
-        return F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
+        return F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1).unflatten(0, (-1, PROPOSALS)).mean(dim=1)
 
     def refined(self, cloud: Tensor, pose: Tensor, tool: Tensor, steps: int) -> Tensor:
         """Returns poses (B, 10) after so many corrections; the gripper stays as it is."""
