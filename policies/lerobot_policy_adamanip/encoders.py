@@ -139,6 +139,28 @@ class SetAbstraction(nn.Module):
         return centres, self.mlp(grouped).amax(dim=-2)
 
 
+class PatchEncoder(nn.Module):
+    """A PointNet on the points around a place, as one centre of a `SetAbstraction` whose place need not be a point.
+
+    Args:
+        radius: within which points are around it [m].
+        neighbours: the nearest of them, at most.
+        dims: widths of the MLP.
+    """
+
+    def __init__(self, radius: float, neighbours: int, dims: Sequence[int]) -> None:
+        super().__init__()
+        self.radius, self.neighbours = radius, neighbours
+        self.mlp = _mlp((3, *dims))
+
+    def forward(self, cloud: Tensor, places: Tensor) -> Tensor:
+        """(B, N, 3) [m], (B, Q, 3) [m] -> (B, Q, dims[-1])."""
+        index = ball_query(places, cloud, self.radius, self.neighbours)
+        batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
+        features: Tensor = self.mlp((cloud[batch, index] - places[:, :, None]) / self.radius).amax(dim=-2)
+        return features
+
+
 class PointNet2Encoder(nn.Module):
     """PointNet++, single-scale grouping, then the maximum over what is left.
 

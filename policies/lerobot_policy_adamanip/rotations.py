@@ -28,6 +28,13 @@ def matrix_from_6d(rotation_6d: Tensor) -> Tensor:
     return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-2)
 
 
+def angle_between(first_6d: Tensor, second_6d: Tensor) -> Tensor:
+    """Returns the angle [rad] between two rotations 6D. (..., 6), (..., 6) -> (...); its gradient is finite."""
+    first, second = matrix_from_6d(first_6d), matrix_from_6d(second_6d)
+    cosine = ((first * second).sum(dim=(-2, -1)) - 1) / 2
+    return cosine.clamp(-1 + SMALL, 1 - SMALL).acos()
+
+
 def rotation_vector(matrix: Tensor) -> Tensor:
     """Rotation matrices (..., 3, 3) -> axis times angle (..., 3) [rad], the angle within half a turn.
 

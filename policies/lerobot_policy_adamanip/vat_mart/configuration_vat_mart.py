@@ -1,0 +1,38 @@
+"""Configuration of ``vat_mart``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lerobot.configs.policies import PreTrainedConfig
+
+from lerobot_policy_adamanip.affordance_config import AffordanceConfig
+
+
+@PreTrainedConfig.register_subclass("vat_mart")
+@dataclass
+class VatMartConfig(AffordanceConfig):
+    """Options of ``vat_mart``. The comment above a field is its help in ``--policy.type=vat_mart --help``."""
+
+    # Key frames of a plan after the hand has closed.
+    waypoints: int = 8
+    # Trajectories proposed at a contact point; the best is taken.
+    proposals: int = 100
+    # Training only: so many proposals tell how actionable a point is, by the mean score ...
+    training_proposals: int = 20
+    # ... of so many of the best of them.
+    best_proposals: int = 2
+    # Size of what tells trajectories at one point apart.
+    latent_dim: int = 8
+
+    # Weight of the proposals' divergence from their prior ...
+    divergence_weight: float = 0.2
+    # ... of the error of grasp and key frames (L1, offsets in units of 5, key frames of 15 cm) ...
+    trajectory_weight: float = 100.0
+    # ... and of the angle between grasps [rad].
+    rotation_weight: float = 50.0
+
+    def check(self) -> None:
+        """Raises `ConfigurationError` for values that do not go together."""
+        super().check()
+        self.require_positive("waypoints", "proposals", "training_proposals", "best_proposals", "latent_dim")

@@ -1,0 +1,216 @@
+"""``vat_mart``: proposes where to take hold and along which trajectory, scores the proposals, follows the best one.
+
+Names and losses are those of the method's released code (`warshallrho/VAT-Mart`); what differs is in the package's
+docstring.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from lerobot_adamanip.schema import POSITION_DIMS
+from lerobot_policy_adamanip.affordance import (
+    ConditionalVAE,
+    PlaceFeatures,
+    Score,
+    counting_rows,
+    error_by_group,
+    logistic_loss,
+    mean_of_best,
+    point_near,
+    points_away,
+    scores_of_points,
+    weighted_mean,
+)
+from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
+from lerobot_policy_adamanip.demonstrations import Demonstrations
+from lerobot_policy_adamanip.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, ON_PART
+from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
+from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
+from lerobot_policy_adamanip.vat_mart.labels import PlanLabels, label_plans
+from lerobot_policy_adamanip.vat_mart.trajectory import encode_trajectory, key_frames, trajectory_dim
+
+TURNED, SHIFTED = (0.2, 3.1), (0.01, 0.06)
+"""A grasp that is turned [rad] or shifted [m] by this much does not hold."""
+
+
+class VatMartNetwork(nn.Module):
+    """The three modules, each with features of its own.
+
+    Args:
+        config: of the policy.
+    """
+
+    def __init__(self, config: VatMartConfig) -> None:
+        super().__init__()
+        self.config = config
+        numbers, features = trajectory_dim(config.waypoints), config.feature_dim
+        self.proposal_features, self.score_features, self.action_features = (PlaceFeatures(config) for _ in range(3))
+        self.proposal = ConditionalVAE(numbers, features, config.latent_dim)
+        self.scorer = Score(numbers, features)
+        self.actionability = Score(0, features)
+
+    def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns ``KL + L1 + geodesic`` (B,), weighted, and what the VAE makes of the trajectories (B, D).
+
+        Args:
+            cloud: (B, N, 3) [m].
+            place: (B, 3) [m] where the trajectories take hold.
+            trajectory: (B, D) demonstrated.
+        """
+        config = self.config
+        given = self.proposal_features(cloud, place[:, None]).squeeze(1)
+        found, divergence = self.proposal(trajectory, given)
+        error = error_by_group(found, trajectory, (*GRASP_GROUPS, trajectory.shape[-1] - GRASP_DIM))
+        angle = angle_between(found[:, :6], trajectory[:, :6])
+        weights = config.divergence_weight, config.trajectory_weight, config.rotation_weight
+        loss = weights[0] * divergence + weights[1] * error + weights[2] * angle
+        return loss, found.detach()
+
+    def score(self, cloud: Tensor, places: Tensor, trajectories: Tensor) -> Tensor:
+        """Returns logits (B, Q, ...) of C: trajectories (B, Q, ..., D) at places (B, Q, 3)."""
+        given = self.score_features(cloud, places)
+        for _ in range(trajectories.dim() - 3):
+            given = given.unsqueeze(-2)
+        return self.scorer(given.expand(*trajectories.shape[:-1], -1), trajectories)
+
+    def actionable(self, cloud: Tensor, places: Tensor) -> Tensor:
+        """Returns logits (B, Q) of D at places (B, Q, 3)."""
+        return self.actionability(self.action_features(cloud, places))
+
+    @torch.no_grad()
+    def proposed(self, cloud: Tensor, places: Tensor, count: int, noise: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Returns ``count`` trajectories (B, Q, P, D) proposed at places (B, Q, 3), and C in [0, 1] of each."""
+        given = self.proposal_features(cloud, places)
+        trajectories = self.proposal.proposals(given, count, noise)
+        return trajectories, self.score(cloud, places, trajectories).sigmoid()
+
+
+class VatMartPolicy(AffordancePolicy):
+    """LeRobot policy. A plan is made of an episode's first observation, and followed whatever happens."""
+
+    config_class = VatMartConfig
+    name = "vat_mart"
+
+    def make_network(self) -> VatMartNetwork:
+        """Returns the network, still untrained."""
+        return VatMartNetwork(self.config)
+
+    def make_labels(self, demonstrations: Demonstrations) -> PlanLabels:
+        """Returns plans and the rows at which they are to be made."""
+        return label_plans(demonstrations, self.config.waypoints)
+
+    # Training ---------------------------------------------------------------------------------------------------
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
+        """Returns the sum of the three modules' losses, over the rows at which a plan is to be made.
+
+        Args:
+            batch: ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D), ``index`` (B,).
+
+        Raises:
+            ConfigurationError: the policy was made without a dataset.
+        """
+        labels, (cloud, _) = self.labels, self.observed(batch)
+        plan = labels.plan_of[batch["index"]]
+        rows = counting_rows(plan >= 0)
+        cloud, plan, weight = cloud[rows], plan[rows].clamp(min=0), (plan[rows] >= 0).to(cloud.dtype)
+        grasp, share = labels.grasps[plan], labels.share[plan]
+        place = point_near(cloud, grasp[:, POSITION_DIMS], ON_PART)
+        trajectory = encode_trajectory(grasp, labels.waypoints[plan], place)
+        elsewhere = points_away(cloud, grasp[:, None, POSITION_DIMS], ON_PART, 1)
+        places = torch.cat([place[:, None], elsewhere], dim=1)
+        proposal, again = self.model.proposal_loss(cloud, place, trajectory)
+        score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(cloud, places, again, share)
+        losses = {
+            "proposal_loss": weighted_mean(proposal, weight * (share > 0)),
+            "score_loss": weighted_mean(score, weight),
+            "actionability_loss": weighted_mean(self._actionability_loss(cloud, places), weight),
+        }
+        total = torch.stack(list(losses.values()))
+        return total.sum(), dict(zip(losses, total.tolist(), strict=True))
+
+    def _score_loss(self, cloud: Tensor, places: Tensor, trajectory: Tensor, share: Tensor) -> Tensor:
+        """Returns ``BCE(C, success)`` (B,) of a trajectory, of a spoilt grasp, and of the same numbers elsewhere.
+
+        Asked for what was demonstrated and for what the VAE makes of it alike: otherwise the scorer learns to tell a
+        proposal from a demonstration.
+
+        Args:
+            cloud: (B, N, 3) [m].
+            places: (B, 2, 3) [m]: where the trajectory takes hold, and elsewhere.
+            trajectory: (B, D).
+            share: (B,) of episodes that it opens.
+        """
+        tried = torch.stack([trajectory, spoil(trajectory), trajectory], dim=1)
+        logits = self.model.score(cloud, places[:, [0, 0, 1]], tried)
+        wanted = torch.stack([share, torch.zeros_like(share), torch.zeros_like(share)], dim=1)
+        return logistic_loss(logits, wanted).mean(dim=1)
+
+    def _actionability_loss(self, cloud: Tensor, places: Tensor) -> Tensor:
+        """Returns ``BCE(D, mean of the best C)`` (B,) at places (B, Q, 3), proposals and C as they are now.
+
+        Most places open nothing: an absolute error would drive D to zero everywhere, where a sigmoid has no gradient.
+        """
+        _, scores = self.model.proposed(cloud, places, self.config.training_proposals)
+        wanted = mean_of_best(scores, self.config.best_proposals)
+        return logistic_loss(self.model.actionable(cloud, places), wanted).mean(dim=1)
+
+    # Run time ---------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Forgets the plan."""
+        self._plan: list[Tensor] = []
+        self._next = 0
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
+        """Returns the plan's next key frame (B, 10); behind its last one the tool stays.
+
+        Args:
+            batch: one observation: cloud (B, N, 3) [m], state (B, D). Only the first of an episode is looked at.
+            noise: see `predict_action_chunk`.
+            kwargs: ignored.
+        """
+        if not self._plan:
+            self._plan = list(self.predict_action_chunk(batch, noise).unbind(dim=1))
+        action = self._plan[min(self._next, len(self._plan) - 1)]
+        self._next += 1
+        return action
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
+        """Returns the plan (B, 3 + waypoints, 10) for an observation; changes nothing.
+
+        Args:
+            batch: one observation: cloud (B, N, 3) [m], state (B, D).
+            noise: (B, 1, proposals, latent_dim) of the proposals; drawn if None.
+            kwargs: ignored.
+        """
+        cloud, _ = self.observed(batch)
+        rows = torch.arange(len(cloud), device=cloud.device)
+        place = cloud[rows, scores_of_points(self.model.actionable, cloud).argmax(dim=1)]
+        trajectories, scores = self.model.proposed(cloud, place[:, None], self.config.proposals, noise)
+        return key_frames(trajectories[rows, 0, scores[:, 0].argmax(dim=1)], place)
+
+
+def spoil(trajectory: Tensor) -> Tensor:
+    """Returns trajectories (B, D) whose grasps are turned or shifted so far that they do not hold, as is drawn."""
+    like = trajectory[:, :1]
+    turns = torch.rand_like(like) < 0.5
+    axis, direction = (F.normalize(torch.randn_like(trajectory[:, :3]), dim=-1) for _ in range(2))
+    angle, distance = (low + (high - low) * torch.rand_like(like) for low, high in (TURNED, SHIFTED))
+    turned = matrix_from_rotation_vector(angle * axis) @ matrix_from_6d(trajectory[:, :6])
+    shifted = trajectory[:, 6:9] + distance * direction / OFFSET_UNIT
+    return torch.cat(
+        [
+            torch.where(turns, turned[:, :2].flatten(1), trajectory[:, :6]),
+            torch.where(turns, trajectory[:, 6:9], shifted),
+            trajectory[:, 9:],
+        ],
+        dim=-1,
+    )

@@ -1,0 +1,229 @@
+"""Networks and plans that the point-level policies share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.keyframes import PRE_GRASP
+from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip import VatMartConfig
+from lerobot_policy_adamanip.affordance import (
+    ConditionalVAE,
+    PlaceFeatures,
+    Score,
+    counting_rows,
+    mean_of_best,
+    point_near,
+    points_away,
+    scores_of_points,
+    weighted_mean,
+)
+from lerobot_policy_adamanip.demonstrations import find_contacts
+from lerobot_policy_adamanip.plans import (
+    PlanQueue,
+    approach,
+    backed_off,
+    decode_grasp,
+    encode_grasp,
+    holds_something,
+    let_go,
+    stacked,
+    taking_hold,
+    with_gripper,
+)
+from lerobot_policy_adamanip.rotations import angle_between
+
+
+def some_poses(count: int, gripper: float = 1.0) -> torch.Tensor:
+    turns = rotation_6d_from_matrix(Rotation.random(count, random_state=3).as_matrix())
+    position = np.random.default_rng(3).normal(size=(count, 3))
+    return torch.from_numpy(np.concatenate([position, turns, np.full((count, 1), gripper)], axis=1)).float()
+
+
+def places_of(context_points: int) -> PlaceFeatures:
+    sizes = {"num_points": 60, "encoder_dims": (16, 24), "feature_dim": 12, "patch_radius": 0.1, "patch_points": 8}
+    return PlaceFeatures(VatMartConfig(device="cpu", push_to_hub=False, context_points=context_points, **sizes))
+
+
+# Networks -----------------------------------------------------------------------------------------------------------
+
+
+def test_features_of_a_place_stay_when_cloud_and_place_are_shifted() -> None:
+    features = places_of(32)
+    cloud, places, shift = torch.rand(2, 60, 3), torch.rand(2, 5, 3), torch.tensor([0.4, -1.0, 0.3])
+    found = features(cloud, places)
+    assert found.shape == (2, 5, 12)
+    torch.testing.assert_close(features(cloud + shift, places + shift), found, rtol=0, atol=1e-4)
+    assert not torch.allclose(features(cloud + shift, places), found, atol=1e-2)
+
+
+def test_features_do_not_depend_on_the_order_of_points() -> None:
+    features = places_of(60)
+    cloud, places = torch.rand(2, 60, 3), torch.rand(2, 5, 3)
+    order = torch.randperm(60)
+    torch.testing.assert_close(features(cloud[:, order], places), features(cloud, places), rtol=0, atol=1e-5)
+
+
+def test_a_place_is_known_by_what_is_around_it() -> None:
+    features = places_of(20)
+    cloud, place = torch.rand(1, 60, 3), torch.full((1, 1, 3), 0.5)
+    other = cloud.clone()
+    other[0, 40] = torch.tensor([0.5, 0.5, 0.51])  # none of the first 20, which tell what the cloud is
+    assert not torch.allclose(features(other, place), features(cloud, place), atol=1e-3)
+    other[0, 40] = torch.tensor([0.5, 0.5, 0.8])
+    cloud[0, 40] = torch.tensor([0.5, 0.5, 0.9])  # farther than what is around
+    torch.testing.assert_close(features(other, place), features(cloud, place))
+
+
+def test_proposals_are_drawn_for_each_place_and_follow_the_noise() -> None:
+    made = ConditionalVAE(7, 5, 3)
+    given = torch.randn(2, 4, 5)
+    found = made.proposals(given, 6)
+    assert found.shape == (2, 4, 6, 7)
+    assert found.std(dim=2).min() > 0
+    noise = torch.randn(2, 4, 6, 3)
+    assert torch.equal(made.proposals(given, 6, noise), made.proposals(given, 6, noise))
+    torch.testing.assert_close(made.proposals(given, 6, noise)[1, 2, 4], made.decode(noise[1, 2, 4], given[1, 2]))
+
+
+def test_a_posterior_that_is_the_prior_diverges_by_nothing() -> None:
+    made = ConditionalVAE(7, 5, 3)
+    torch.nn.init.zeros_(made.encoder[-1].weight)
+    torch.nn.init.zeros_(made.encoder[-1].bias)
+    _, divergence = made(torch.randn(4, 7), torch.randn(4, 5))
+    torch.testing.assert_close(divergence, torch.zeros(4))
+
+
+def test_means_are_of_the_best_and_of_what_has_weight() -> None:
+    scores = torch.tensor([[0.1, 0.9, 0.5], [0.2, 0.0, 0.4]])
+    torch.testing.assert_close(mean_of_best(scores, 2), torch.tensor([0.7, 0.3]))
+    torch.testing.assert_close(mean_of_best(scores, 9), scores.mean(dim=1))
+    torch.testing.assert_close(
+        weighted_mean(torch.tensor([1.0, 5.0, 9.0]), torch.tensor([1.0, 0, 1])), torch.tensor(5.0)
+    )
+    assert weighted_mean(torch.ones(3), torch.zeros(3)) == 0
+
+
+def test_rows_that_count_are_picked_and_one_stands_in_for_none() -> None:
+    assert counting_rows(torch.tensor([False, True, True])).tolist() == [1, 2]
+    assert counting_rows(torch.zeros(3, dtype=torch.bool)).tolist() == [0]
+
+
+def test_points_are_drawn_near_and_away() -> None:
+    cloud, place = torch.rand(40, 50, 3), torch.full((40, 3), 0.5)
+    near = point_near(cloud, place, 0.3)
+    distance = (cloud - place[:, None]).norm(dim=-1)
+    within = distance.amin(dim=1) <= 0.3
+    assert within.any()
+    assert ((near - place).norm(dim=-1)[within] <= 0.3).all()
+    torch.testing.assert_close((point_near(cloud, place, 0.0) - place).norm(dim=-1), distance.amin(dim=1))
+    places = torch.stack([place, torch.zeros_like(place)], dim=1)
+    away = points_away(cloud, places, 0.3, 4)
+    assert away.shape == (40, 4, 3)
+    assert (torch.cdist(away, places) > 0.3).all()
+
+
+# Grasps and key frames ----------------------------------------------------------------------------------------------
+
+
+def test_a_grasp_relative_to_a_place_is_the_grasp_again() -> None:
+    grasp, place = some_poses(20), torch.randn(20, 3)
+    torch.testing.assert_close(decode_grasp(encode_grasp(grasp, place), place), grasp, rtol=0, atol=1e-5)
+
+
+def test_any_numbers_are_a_grasp() -> None:
+    pose = decode_grasp(3 * torch.randn(50, 10), torch.zeros(50, 3))
+    matrices = matrix_from_rotation_6d(pose[:, 3:9].numpy())
+    np.testing.assert_allclose(rotation_6d_from_matrix(matrices), pose[:, 3:9], atol=1e-4)
+    assert set(pose[:, 9].tolist()) <= {0.0, 1.0}
+
+
+def test_a_grasp_is_approached_along_the_tools_z_axis_and_then_closed() -> None:
+    grasp = some_poses(10)
+    before, there, closed = approach(grasp).unbind(dim=1)
+    axis = matrix_from_rotation_6d(grasp[:, 3:9].numpy())[:, :, 2]
+    np.testing.assert_allclose(there[:, :3] - before[:, :3], PRE_GRASP * axis, atol=1e-5)
+    torch.testing.assert_close(before[:, 3:], grasp[:, 3:], rtol=0, atol=1e-5)
+    assert torch.equal(there, grasp)
+    assert torch.equal(closed[:, :9], grasp[:, :9])
+    assert not closed[:, 9].any()
+
+
+def test_who_lets_go_opens_in_place_and_backs_off() -> None:
+    pose = some_poses(10, gripper=0.0)
+    opened, away = let_go(pose).unbind(dim=1)
+    assert torch.equal(opened[:, :9], pose[:, :9])
+    assert (opened[:, 9] == 1).all()
+    assert (away[:, 9] == 1).all()
+    torch.testing.assert_close(away[:, :9], backed_off(pose)[:, :9])
+
+
+def test_a_part_is_grasped_or_pushed_by_a_hand_that_has_let_go() -> None:
+    grasp, pushed = some_poses(2)
+    held, empty = some_poses(1, gripper=0.3)[0], some_poses(1)[0]
+    torch.testing.assert_close(taking_hold(empty, grasp, pushed), approach(grasp))
+    torch.testing.assert_close(taking_hold(held, grasp, pushed), torch.cat([let_go(held), approach(grasp)]))
+    closed = with_gripper(grasp, 0.0)
+    torch.testing.assert_close(taking_hold(empty, closed, pushed), torch.stack([backed_off(closed), closed, pushed]))
+
+
+def test_a_push_is_a_contact_whose_first_motion_is_the_push() -> None:
+    """As demonstrations are read: no key frame in which nothing moves is remembered as an interaction."""
+    closed, pushed = with_gripper(some_poses(2), 0.0)
+    sent = taking_hold(some_poses(1)[0], closed, pushed).numpy()
+    felt = np.concatenate([some_poses(1).numpy(), sent[:-1]])
+    (contact,) = find_contacts(felt, sent)
+    assert (contact.first, contact.end) == (2, 3)
+
+
+@pytest.mark.parametrize(("opening", "holds"), [(0.0, False), (0.04, False), (0.3, True), (0.6, True), (1.0, False)])
+def test_a_hand_holds_something_if_its_fingers_are_neither_shut_nor_open(opening: float, holds: bool) -> None:
+    assert holds_something(some_poses(1, gripper=opening)[0]) is holds
+
+
+def test_plans_of_different_lengths_end_with_their_last_key_frame() -> None:
+    long, short = some_poses(5), some_poses(2)
+    found = stacked([long, short])
+    torch.testing.assert_close(found[0], long)
+    torch.testing.assert_close(found[1], torch.cat([short, short[1:].expand(3, -1)]))
+
+
+def test_every_point_is_scored_in_its_own_cloud() -> None:
+    features, score = places_of(32), Score(0, 12)
+    cloud = torch.rand(3, 60, 3)
+    found = scores_of_points(lambda clouds, places: score(features(clouds, places)), cloud)
+    torch.testing.assert_close(found, score(features(cloud, cloud)), rtol=0, atol=1e-5)
+
+
+def test_plans_of_several_episodes_end_at_different_times() -> None:
+    queue = PlanQueue()
+    assert queue.finished(2) == [0, 1]
+    first, second = torch.arange(20.0).reshape(2, 10), torch.arange(100.0, 110.0).reshape(1, 10)
+    queue.append(0, first)
+    queue.append(1, second)
+    assert queue.finished(2) == []
+    torch.testing.assert_close(queue.pop(), torch.stack([first[0], second[0]]))
+    assert queue.finished(2) == [1]
+    queue.append(1, second + 1)
+    torch.testing.assert_close(queue.pop(), torch.stack([first[1], second[0] + 1]))
+    queue.append(0, first)
+    queue.clear()
+    assert queue.finished(2) == [0, 1]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.5, 3.0])
+def test_the_angle_between_rotations_is_the_turn_that_leads_from_one_to_the_other(angle: float) -> None:
+    first = Rotation.random(10, random_state=1)
+    axes = np.random.default_rng(1).normal(size=(10, 3))
+    second = Rotation.from_rotvec(angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)) * first
+    one, other = (
+        torch.from_numpy(rotation_6d_from_matrix(each.as_matrix())).requires_grad_() for each in (first, second)
+    )
+    found = angle_between(one, other)
+    np.testing.assert_allclose(found.detach(), np.full(10, angle), atol=2e-3)
+    found.sum().backward()
+    assert one.grad is not None
+    assert torch.isfinite(one.grad).all()

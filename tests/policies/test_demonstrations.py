@@ -1,0 +1,112 @@
+"""Columns read from files, and the contacts of an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_policy_adamanip.demonstrations import (
+    ContactTracker,
+    find_contacts,
+    read_columns,
+    read_demonstrations,
+)
+
+
+def episode(*key_frames: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and commands of an arm that gets wherever it is sent: of each key frame its x [m] and its gripper."""
+    commands = np.zeros((len(key_frames), schema.ACTION_DIM), np.float32)
+    commands[:, 0], commands[:, schema.GRIPPER_DIM] = zip(*key_frames, strict=True)
+    poses = np.concatenate([np.eye(1, schema.ACTION_DIM, schema.GRIPPER_DIM, dtype=np.float32), commands[:-1]])
+    return poses, commands
+
+
+def test_a_hand_that_closes_in_place_grasps() -> None:
+    poses, commands = episode((0.4, 1), (0.5, 1), (0.5, 0), (0.6, 0), (0.7, 0), (0.7, 1), (0.3, 1))
+    (contact,) = find_contacts(poses, commands)
+    assert (contact.start, contact.first, contact.end) == (2, 3, 5)
+    np.testing.assert_array_equal(contact.grasp[:9], commands[2, :9])
+    assert contact.grasp[schema.GRIPPER_DIM] == 1
+
+
+def test_a_hand_that_closes_on_its_way_pushes() -> None:
+    poses, commands = episode((0.4, 0), (0.5, 0), (0.53, 0), (0.4, 0), (0.2, 1))
+    (contact,) = find_contacts(poses, commands)
+    assert (contact.start, contact.first, contact.end) == (0, 2, 4)
+    assert contact.grasp[0] == commands[1, 0]
+    assert contact.grasp[schema.GRIPPER_DIM] == 0
+
+
+def test_each_closing_is_a_contact_of_its_own_also_the_last_which_nothing_opens() -> None:
+    poses, commands = episode((0.5, 1), (0.5, 0), (0.6, 0), (0.6, 1), (0.5, 1), (0.5, 0), (0.55, 0))
+    assert [(each.start, each.first, each.end) for each in find_contacts(poses, commands)] == [(1, 2, 3), (5, 6, 7)]
+
+
+def test_a_hand_that_was_closed_before_the_episode_began_shows_no_contact() -> None:
+    poses, commands = episode((0.5, 0), (0.6, 0), (0.6, 1))
+    poses[0, schema.GRIPPER_DIM] = 0.2
+    assert find_contacts(poses, commands) == []
+
+
+def test_motions_in_contact_are_those_that_the_tracker_tells() -> None:
+    poses, commands = episode((0.4, 0), (0.5, 0), (0.53, 0), (0.2, 1), (0.2, 0), (0.3, 0), (0.3, 1), (0.3, 0))
+    tracker = ContactTracker()
+    told = [tracker.sent(pose, command) for pose, command in zip(poses, commands, strict=True)]
+    found = find_contacts(poses, commands)
+    assert np.flatnonzero(told).tolist() == [row for each in found for row in range(each.first, each.end)] == [2, 5]
+    assert [float(each.grasp[schema.GRIPPER_DIM]) for each in found] == [0, 1, 1]
+
+
+def test_a_stretch_ends_with_what_moves_something(adaptive_toy_root: Path) -> None:
+    demonstrations = read_demonstrations(SimpleNamespace(root=adaptive_toy_root))
+    assert demonstrations.failed.any()
+    for rows in demonstrations.episodes():
+        stretch = demonstrations.stretches(rows)
+        joints = demonstrations.joints[rows]
+        assert stretch[0] == 0
+        for number in range(stretch[-1] + 1):
+            stands = joints[stretch == number]
+            np.testing.assert_allclose(stands, np.broadcast_to(stands[0], stands.shape), atol=1e-5)
+        moved = (demonstrations.tried[rows] >= 0) & ~demonstrations.failed[rows]
+        assert stretch[-1] == moved[:-1].sum()
+
+
+def test_a_hand_that_closes_on_its_way_and_goes_no_farther_shows_none() -> None:
+    assert find_contacts(*episode((0.5, 0), (0.5, 1))) == []
+
+
+def test_a_final_observation_is_not_a_motion(adaptive_toy_root: Path) -> None:
+    demonstrations = read_demonstrations(SimpleNamespace(root=adaptive_toy_root))
+    spans = list(demonstrations.episodes())
+    assert sum(rows.stop - rows.start for rows in spans) == len(demonstrations)
+    assert int(demonstrations.final.sum()) == len(spans) == 6
+    for rows in spans:
+        assert demonstrations.final[rows.stop - 1]
+        contacts = demonstrations.contacts(rows)
+        assert contacts
+        assert max(contact.end for contact in contacts) <= rows.stop - 1
+        for contact in contacts:
+            np.testing.assert_array_equal(contact.grasp[:9], demonstrations.commands[contact.first - 1, :9])
+
+
+def test_columns_are_those_of_the_dataset(make_toy_policy: Callable[..., tuple[Any, ...]]) -> None:
+    *_, dataset = make_toy_policy("vat_mart")
+    found = read_columns(dataset.meta, (schema.STATE, schema.SUCCESS))
+    assert found[schema.STATE].dtype == np.float32
+    for index in (0, 5, len(dataset) - 1):
+        np.testing.assert_array_equal(found[schema.STATE][index], dataset[index][schema.STATE])
+        assert bool(found[schema.SUCCESS][index]) == bool(dataset[index][schema.SUCCESS])
+
+
+def test_files_that_are_not_there_are_one_clear_error(toy_root: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="downloaded"):
+        read_demonstrations(SimpleNamespace(root=tmp_path))
+    with pytest.raises(ConfigurationError, match=r"no complementary_info\.unheard_of"):
+        read_columns(SimpleNamespace(root=toy_root), ("complementary_info.unheard_of", schema.STATE))

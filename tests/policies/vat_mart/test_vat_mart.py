@@ -1,0 +1,231 @@
+"""The open-loop policy: what it plans, learns and looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from toy_demos import observed, toy_world, trained, turned_and_shifted
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.keyframes import Goal, Phase
+from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_policy_adamanip.rotations import angle_between
+from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import spoil
+from lerobot_policy_adamanip.vat_mart.trajectory import (
+    decode_trajectory,
+    encode_trajectory,
+    key_frames,
+    trajectory_dim,
+)
+
+MakePolicy = Callable[..., tuple[Any, ...]]
+
+
+@pytest.fixture
+def make(make_toy_policy: MakePolicy) -> MakePolicy:
+    return lambda **changes: make_toy_policy("vat_mart", **{"proposals": 12, "training_proposals": 6, **changes})
+
+
+def counting(policy: Any) -> list[int]:
+    return [int(row) for row in torch.nonzero(policy.labels.plan_of >= 0)]
+
+
+# Trajectories -------------------------------------------------------------------------------------------------------
+
+
+def test_a_trajectory_is_grasp_and_key_frames_again(make: MakePolicy) -> None:
+    policy, *_ = make()
+    grasp, waypoints = policy.labels.grasps, policy.labels.waypoints
+    place = grasp[:, :3] + 0.01 * torch.randn(len(grasp), 3)
+    code = encode_trajectory(grasp, waypoints, place)
+    assert code.shape == (len(grasp), trajectory_dim(8))
+    found, poses = decode_trajectory(code, place)
+    torch.testing.assert_close(found, grasp, rtol=0, atol=1e-5)
+    torch.testing.assert_close(poses, waypoints, rtol=0, atol=1e-5)
+
+
+def test_the_numbers_of_a_trajectory_stay_when_the_scene_is_shifted(make: MakePolicy) -> None:
+    policy, *_ = make()
+    grasp, waypoints, place = policy.labels.grasps, policy.labels.waypoints, policy.labels.grasps[:, :3] + 0.01
+    shift = np.array([0.3, -0.2, 0.1])
+    moved = (turned_and_shifted(poses, 0.0, shift) for poses in (grasp, waypoints))
+    there = encode_trajectory(*moved, place + torch.from_numpy(shift).float())
+    torch.testing.assert_close(there, encode_trajectory(grasp, waypoints, place), rtol=0, atol=1e-5)
+
+
+def test_a_plan_approaches_closes_and_follows_its_key_frames(make: MakePolicy) -> None:
+    policy, *_ = make()
+    labels, place = policy.labels, policy.labels.grasps[:, :3]
+    plan = key_frames(encode_trajectory(labels.grasps, labels.waypoints, place), place)
+    assert plan.shape[1:] == (3 + 8, 10)
+    torch.testing.assert_close(plan[:, 1], labels.grasps, rtol=0, atol=1e-5)
+    torch.testing.assert_close(plan[:, 3:], labels.waypoints, rtol=0, atol=1e-5)
+    assert plan[:, :2, schema.GRIPPER_DIM].eq(1).all()
+    assert plan[:, 2:, schema.GRIPPER_DIM].eq(0).all()
+
+
+def test_a_spoilt_grasp_is_turned_or_shifted_and_nothing_else() -> None:
+    trajectory = torch.randn(200, trajectory_dim(2))
+    trajectory[:, :6] = torch.tensor([1.0, 0, 0, 0, 1, 0])
+    spoilt = spoil(trajectory)
+    angle = angle_between(spoilt[:, :6], trajectory[:, :6])
+    shift = (spoilt[:, 6:9] - trajectory[:, 6:9]).norm(dim=-1)
+    assert torch.equal(spoilt[:, 9:], trajectory[:, 9:])
+    turned = angle > 0.1
+    assert 50 < int(turned.sum()) < 150
+    assert not shift[turned].any()
+    assert (shift[~turned] > 0.1).all()
+
+
+# Training -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batch: Any) -> None:
+    policy, before, _, dataset = make()
+    for rows in ([], [len(dataset) - 1]):
+        loss, told = policy.forward(toy_batch(dataset, before, *rows))
+        assert torch.isfinite(loss)
+        assert all(isinstance(value, float) for value in told.values())
+        policy.zero_grad()
+        loss.backward()
+        assert [name for name, weight in policy.model.named_parameters() if weight.grad is None] == []
+        still = [name for name, weight in policy.model.named_parameters() if not weight.grad.any()]
+        assert still == ([] if not rows else [name for name, _ in policy.model.named_parameters()])
+
+
+def test_later_modules_do_not_teach_earlier_ones(make: MakePolicy, toy_batch: Any) -> None:
+    """Actionability follows scores and proposals; neither follows it."""
+    policy, before, _, dataset = make()
+    cloud, _ = policy.observed(toy_batch(dataset, before, 0, 9))
+    policy._actionability_loss(cloud, cloud[:, :3]).sum().backward()
+    moved = {name.split(".")[0] for name, weight in policy.model.named_parameters() if weight.grad is not None}
+    assert moved == {"action_features", "actionability"}
+
+
+def test_what_it_is_shown_it_plans_again(make: MakePolicy, toy_batch: Any) -> None:
+    policy, before, _, dataset = make(feature_dim=64)
+    losses = trained(policy, toy_batch(dataset, before, *[0] * 16), 200)
+    assert np.mean(losses[-20:]) < 0.15 * np.mean(losses[:5])
+    plan = policy.predict_action_chunk(toy_batch(dataset, before, 0))
+    wanted = policy.labels.grasps[policy.labels.plan_of[0]]
+    assert (plan[0, 1, :3] - wanted[:3]).norm() < 0.008
+    assert angle_between(plan[0, 1, 3:9], wanted[3:9]) < 0.1
+    lifted = policy.labels.waypoints[policy.labels.plan_of[0], -1, 2] - wanted[2]
+    assert plan[0, -1, 2] - plan[0, 1, 2] == pytest.approx(float(lifted), abs=0.008)
+
+
+def test_the_scorer_learns_the_share_that_opens_and_that_nothing_opens_elsewhere(
+    make: MakePolicy, toy_batch: Any
+) -> None:
+    policy, before, _, dataset = make()
+    batch = toy_batch(dataset, before, *counting(policy))
+    trained(policy, batch, 120)
+    cloud, _ = policy.observed(batch)
+    labels, plan = policy.labels, policy.labels.plan_of[batch["index"]]
+    grasp = labels.grasps[plan]
+    code = encode_trajectory(grasp, labels.waypoints[plan], grasp[:, :3])
+    places = torch.stack([grasp[:, :3], grasp[:, :3] + torch.tensor([0.0, 0.0, 0.15])], dim=1)
+    with torch.no_grad():
+        here, there = policy.model.score(cloud, places, torch.stack([code, code], dim=1)).sigmoid().unbind(dim=1)
+    assert here.mean() == pytest.approx(float(labels.share[plan].mean()), abs=0.15)
+    assert there.mean() < 0.5 * here.mean()
+
+
+# Run time -----------------------------------------------------------------------------------------------------------
+
+
+def acted(policy: Any, observations: list[dict[str, torch.Tensor]], seed: int = 5) -> torch.Tensor:
+    torch.manual_seed(seed)
+    policy.eval()
+    policy.reset()
+    return torch.stack([policy.select_action(each) for each in observations])
+
+
+def test_the_plan_follows_from_the_first_observation_alone(make: MakePolicy) -> None:
+    policy, *_ = make()
+    world, rng = toy_world("bottle_000", 3), np.random.default_rng(0)
+    first = observed(world, rng)
+    others = [{key: torch.randn_like(value) for key, value in first.items()} for _ in range(13)]
+    actions = acted(policy, [first, *others])
+    assert torch.equal(actions, acted(policy, [first] * 14))
+    assert torch.equal(actions[10:], actions[10:11].expand(4, -1, -1))  # it stays behind the last key frame
+    torch.manual_seed(5)
+    assert torch.equal(policy.predict_action_chunk(first), actions[:11].transpose(0, 1))
+
+
+def played(policy: Any, direction: int) -> tuple[torch.Tensor, np.ndarray, bool]:
+    """Lets a policy act at the first demonstration's bottle: what it sent, what was felt, whether it opened."""
+    world, rng = toy_world("bottle_000", 0, {"direction": direction}), np.random.default_rng(0)
+    policy.reset()
+    torch.manual_seed(5)
+    sent, felt = [], []
+    for _ in range(11):
+        sent.append(policy.select_action(observed(world, rng))[0])
+        world.step(Goal(*pose_from_vector(sent[-1].numpy()), Phase.TRY))
+        felt.append(world.feedback.tcp_in_base)
+    return torch.stack(sent), np.stack(felt), any(world.successes)
+
+
+def test_what_is_hidden_decides_what_comes_of_a_plan_and_changes_nothing_of_it(make: MakePolicy) -> None:
+    """A demonstration's plan opens that bottle and stalls at one that turns the other way: the same bits are sent."""
+    policy, *_ = make()
+    policy.eval()
+    labels, shown = policy.labels, policy.labels.plan_of[0]
+
+    def proposed(cloud: Any, places: torch.Tensor, *_: Any) -> tuple[torch.Tensor, torch.Tensor]:
+        code = encode_trajectory(labels.grasps[shown], labels.waypoints[shown], places[0, 0])
+        return code[None, None, None], torch.ones(1, 1, 1)
+
+    policy.model.proposed = proposed
+    direction = int(toy_world("bottle_000", 0).hidden["direction"])
+    (sent, felt, opened), (other, stalled, not_opened) = (played(policy, each) for each in (direction, -direction))
+    assert opened
+    assert not not_opened
+    assert not np.array_equal(felt, stalled)
+    assert torch.equal(sent, other)
+
+
+def test_a_new_episode_is_planned_anew(make: MakePolicy) -> None:
+    policy, *_ = make()
+    first, second = (observed(toy_world("bottle_000", seed), np.random.default_rng(0)) for seed in (1, 2))
+    policy.eval()
+    one = policy.select_action(first)
+    policy.reset()
+    assert not torch.equal(policy.select_action(second), one)
+
+
+def test_the_plan_is_shifted_with_the_scene(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    here, shift = observed(toy_world("bottle_000", 3), np.random.default_rng(0)), np.array([0.05, -0.1, 0.02])
+    there = {
+        schema.POINT_CLOUD: here[schema.POINT_CLOUD] + torch.from_numpy(shift).float(),
+        schema.STATE: here[schema.STATE] + torch.cat([torch.from_numpy(shift).float(), torch.zeros(21)]),
+    }
+    noise = torch.randn(1, 1, 12, policy.config.latent_dim)
+    plan = policy.predict_action_chunk(here, noise=noise)
+    torch.testing.assert_close(
+        policy.predict_action_chunk(there, noise=noise), turned_and_shifted(plan, 0.0, shift), rtol=0, atol=1e-3
+    )
+
+
+def test_episodes_of_a_batch_are_planned_each_by_itself(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    single = [observed(toy_world("bottle_000", seed), np.random.default_rng(seed)) for seed in (1, 2, 3)]
+    batch = {key: torch.cat([each[key] for each in single]) for key in single[0]}
+    noise = torch.randn(3, 1, 12, policy.config.latent_dim)
+    together = policy.predict_action_chunk(batch, noise=noise)
+    for row, each in enumerate(single):
+        alone = policy.predict_action_chunk(each, noise=noise[row : row + 1])
+        torch.testing.assert_close(together[row : row + 1], alone, rtol=0, atol=1e-4)
+
+
+def test_its_data_hold_no_labels_of_a_checkpoint(make: MakePolicy, tmp_path: Path) -> None:
+    policy, *_ = make()
+    assert not any(key.startswith("_labels") for key in policy.state_dict())
