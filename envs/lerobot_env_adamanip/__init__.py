@@ -23,6 +23,7 @@ if not os.environ.get(NO_PLUGIN):
     )
     from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+    from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
     from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 
     if "lerobot.datasets.lerobot_dataset" in sys.modules:
@@ -45,5 +46,6 @@ __all__ = [
     "AdaManipSuiteEnvConfig",
     "AdaManipWindowEnvConfig",
     "DP3AdaptiveConfig",
+    "SamplingConfig",
     "VatMartConfig",
 ]

@@ -1,0 +1,259 @@
+"""The memoryless policy: what it draws, and what it learns of where to take hold."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from toy_demos import observed, play, record_toy, toy_world, trained
+
+from lerobot_adamanip import schema
+from lerobot_policy_adamanip.demonstrations import read_demonstrations
+from lerobot_policy_adamanip.plans import approach, let_go
+from lerobot_policy_adamanip.sampling.modeling_sampling import motions_in_contact
+from lerobot_policy_adamanip.tool_frame import motion_between, pose_after, reverse
+
+MakePolicy = Callable[..., tuple[Any, ...]]
+Observation = dict[str, torch.Tensor]
+
+
+@pytest.fixture
+def make(make_toy_policy: MakePolicy) -> MakePolicy:
+    """Still untrained, it approaches with an open hand: which is to be learnt."""
+
+    def build(**changes: Any) -> tuple[Any, ...]:
+        policy, *rest = make_toy_policy("sampling", **{"num_motions": 3, **changes})
+        policy.model.grasps.decoder[-1].bias.data[-1] = 1.0
+        return policy, *rest
+
+    return build
+
+
+def with_opening(observation: Observation, opening: float) -> Observation:
+    state = observation[schema.STATE].clone()
+    state[:, schema.GRIPPER_DIM] = opening
+    return {**observation, schema.STATE: state}
+
+
+def acted(policy: Any, observations: list[Observation], seed: int = 5) -> torch.Tensor:
+    policy.eval()
+    policy.reset()
+    found = []
+    for observation in observations:
+        torch.manual_seed(seed)
+        found.append(policy.select_action(observation))
+    return torch.stack(found)
+
+
+# The set of motions -------------------------------------------------------------------------------------------------
+
+
+def test_a_motion_and_its_reverse_lead_back() -> None:
+    motion = 0.3 * torch.randn(20, 7)
+    tool = torch.tensor([0.5, 0.1, 0.7, 1, 0, 0, 0, 0, 1, 0.0]).expand(20, 10)
+    there = pose_after(motion, tool)
+    back = pose_after(reverse(motion), there)
+    torch.testing.assert_close(back[:, :9], tool[:, :9], rtol=0, atol=1e-5)
+    torch.testing.assert_close(reverse(reverse(motion)), motion, rtol=0, atol=1e-5)
+
+
+def test_the_set_is_closed_under_reversal_and_typical_of_what_was_shown(make: MakePolicy) -> None:
+    policy, *_ = make()
+    motions, shown = policy.model.motions, policy.labels.motions
+    assert motions.shape == (6, 7)
+    torch.testing.assert_close(motions[3:], reverse(motions[:3]))
+    unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 0])
+    away = ((shown[:, None] - motions) * unit).norm(dim=-1).amin(dim=1)
+    assert away.max() < 1.0
+    assert not motions[:, 6].any()  # the hand stays closed
+
+
+def test_motions_in_contact_are_those_between_closing_and_opening(make: MakePolicy) -> None:
+    *_, dataset = make()
+    demonstrations = read_demonstrations(dataset.meta)
+    found = torch.from_numpy(motions_in_contact(demonstrations))
+    tries = int((demonstrations.tried >= 0).sum())
+    assert len(found) == tries  # a bottle's cap is held from the grasp on
+    rows = np.flatnonzero(demonstrations.tried >= 0)
+    commands, poses = (torch.from_numpy(each[rows]) for each in (demonstrations.commands, demonstrations.poses))
+    torch.testing.assert_close(found, motion_between(commands, poses))
+
+
+# Draws --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_both_directions_are_drawn_also_where_one_was_shown(make: MakePolicy, tmp_path: Path, direction: int) -> None:
+    worlds = [toy_world("bottle_000", seed, {"direction": direction}) for seed in range(3)]
+    policy, *_ = make(root=record_toy(tmp_path / "one", worlds, "static"))
+    held = with_opening(observed(worlds[0], np.random.default_rng(0)), 0.3)
+    cloud, pose = policy.observed(held)
+    torch.manual_seed(0)
+    drawn = [policy.draw_macro(cloud[0], pose[0]) for _ in range(300)]
+    motions = motion_between(torch.cat([each for each in drawn if len(each) == 1]), pose)
+    turns = motions[motions[:, 5].abs() > 0.2, 5]
+    assert len(turns) > 60
+    assert 0.35 < (turns > 0).float().mean() < 0.65
+
+
+def test_every_motion_and_taking_hold_anew_are_drawn_alike(make: MakePolicy) -> None:
+    policy, *_ = make()
+    held = with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3)
+    cloud, pose = policy.observed(held)
+    known = pose_after(policy.model.motions, pose.expand(6, 10))
+    torch.manual_seed(0)
+    drawn = [policy.draw_macro(cloud[0], pose[0]) for _ in range(350)]
+    counts = [sum(len(each) == 1 and torch.allclose(each[0], one, atol=1e-5) for each in drawn) for one in known]
+    counts.append(sum(len(each) > 1 for each in drawn))
+    assert sum(counts) == 350
+    assert all(30 <= count <= 75 for count in counts), counts
+
+
+def test_an_empty_hand_takes_hold_and_a_closed_one_lets_go_first(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
+    cloud, pose = policy.observed(with_opening(seen, 1.0))
+    macro = policy.draw_macro(cloud[0], pose[0])
+    torch.testing.assert_close(macro, approach(macro[1]), rtol=0, atol=1e-6)
+    cloud, pose = policy.observed(with_opening(seen, 0.0))
+    macro = policy.draw_macro(cloud[0], pose[0])
+    torch.testing.assert_close(macro[:2], let_go(pose[0]), rtol=0, atol=1e-6)
+    torch.testing.assert_close(macro[2:], approach(macro[3]), rtol=0, atol=1e-6)
+
+
+def test_a_push_includes_a_motion_since_nothing_is_held_then(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    cloud, pose = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
+    closed = pose.clone()
+    closed[:, schema.GRIPPER_DIM] = 0.0
+    policy.model.drawn_grasps = lambda cloud: closed
+    macro = policy.draw_macro(cloud[0], pose[0])
+    assert macro.shape == (3, 10)
+    assert not macro[:, schema.GRIPPER_DIM].any()
+    reached = motion_between(macro[2:], macro[1:2])
+    assert (reached - policy.model.motions).abs().amax(dim=-1).min() < 1e-4
+
+
+def test_what_was_tried_and_felt_changes_no_draw(make: MakePolicy) -> None:
+    """After whatever has happened, the same observation and the same draw give the same macro action."""
+    policy, *_ = make()
+    seen = with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3)
+    random = [{key: torch.rand_like(value) for key, value in seen.items()} for _ in range(4)]
+    last = with_opening(seen, 0.3)
+    torch.manual_seed(11)
+    alone = policy.eval().predict_action_chunk(last)[0]
+    for history in ([], random, random[::-1]):
+        policy.reset()
+        for observation in history:
+            policy.select_action(observation)
+        while not policy._plans.finished(1):
+            policy._plans.pop()
+        torch.manual_seed(11)
+        assert torch.equal(policy.select_action(last)[0], alone[0])
+
+
+def test_a_macro_action_is_followed_to_its_end(make: MakePolicy) -> None:
+    policy, *_ = make()
+    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
+    others = [{key: torch.randn_like(value) for key, value in seen.items()} for _ in range(2)]
+    torch.manual_seed(5)
+    macro = policy.eval().predict_action_chunk(seen)
+    assert torch.equal(acted(policy, [seen, *others]), macro.transpose(0, 1))
+
+
+def test_what_is_hidden_does_not_change_the_draws_before_it_is_felt(make: MakePolicy) -> None:
+    policy, *_ = make()
+    drawn = []
+    for direction in (-1, 1):
+        seen = observed(toy_world("bottle_000", 3, {"direction": direction}), np.random.default_rng(0))
+        drawn.append(acted(policy, [seen] * 3))
+    assert torch.equal(*drawn)
+
+
+def test_episodes_of_a_batch_draw_for_themselves(make: MakePolicy) -> None:
+    policy, *_ = make()
+    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
+    batch = {key: torch.cat([value, with_opening(seen, 0.3)[key]]) for key, value in seen.items()}
+    actions = acted(policy, [batch] * 4)
+    assert actions.shape == (4, 2, 10)
+    assert (actions[:2, 0, schema.GRIPPER_DIM] == 1).all()
+    assert not torch.equal(actions[:, 0], actions[:, 1])
+
+
+@pytest.mark.parametrize("budget", [1, 4, 12])
+def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, budget: int) -> None:
+    """A part that one of M motions opens: each draw does with 1 in M + 1, and as often costs five key frames instead.
+
+    ``P(n) = 1 / (M + 1) + (M - 1) / (M + 1) P(n - 1) + 1 / (M + 1) P(n - 5)``; ``P(n) = 0`` with no key frames left.
+    """
+    policy, *_ = make()
+    policy.eval()
+    cloud, pose = policy.observed(with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3))
+    policy.model.drawn_grasps = lambda cloud: pose * torch.cat([torch.ones(9), torch.zeros(1)]) + torch.eye(10)[9]
+    episodes, motions = 600, len(policy.model.motions)
+    opening = pose_after(policy.model.motions[2:3], pose)
+    batch = {schema.POINT_CLOUD: cloud.expand(episodes, -1, -1), schema.STATE: pose.expand(episodes, -1)}
+    opened = torch.zeros(episodes, dtype=torch.bool)
+    torch.manual_seed(3)
+    for _ in range(budget):
+        opened |= torch.isclose(policy.select_action(batch), opening, atol=1e-5).all(dim=1)
+
+    @functools.cache
+    def chance(left: int) -> float:
+        if left <= 0:
+            return 0.0
+        return (1 + (motions - 1) * chance(left - 1) + chance(left - 5)) / (motions + 1)
+
+    wanted = chance(budget)
+    assert opened.float().mean() == pytest.approx(wanted, abs=3.5 * (wanted * (1 - wanted) / episodes) ** 0.5)
+
+
+# Training -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batch: Any) -> None:
+    policy, before, _, dataset = make()
+    for rows in ([], [len(dataset) - 1]):
+        loss, told = policy.forward(toy_batch(dataset, before, *rows))
+        assert all(isinstance(value, float) for value in told.values())
+        policy.zero_grad()
+        loss.backward()
+        assert [name for name, weight in policy.model.named_parameters() if weight.grad is None] == []
+        moved = [name for name, weight in policy.model.named_parameters() if weight.grad.any()]
+        assert len(moved) == (0 if rows else len(list(policy.model.parameters())))
+
+
+def test_contacts_can_be_made_while_nothing_has_moved_and_the_hand_is_away(make: MakePolicy) -> None:
+    policy, *_, dataset = make()
+    demonstrations, labels = read_demonstrations(dataset.meta), policy.labels
+    for rows in demonstrations.episodes():
+        (contact,) = demonstrations.contacts(rows)
+        counting = np.flatnonzero(labels.contacts_of[demonstrations.index[rows], 0].numpy() >= 0) + rows.start
+        assert rows.start in counting
+        assert counting[-1] < contact.first
+        (made,) = set(labels.contacts_of[counting, 0].tolist())
+        np.testing.assert_array_equal(labels.grasps[made], contact.grasp)
+
+
+def test_it_learns_to_take_hold_and_then_tries_everything(make: MakePolicy, toy_batch: Any) -> None:
+    policy, before, _, dataset = make(feature_dim=64)
+    batch = toy_batch(dataset, before, *([0, 1] * 8))
+    losses = trained(policy, batch, 200)
+    assert np.mean(losses[-20:]) < 0.25 * np.mean(losses[:5])
+    cloud, _ = policy.observed({key: value[:1] for key, value in batch.items() if key.startswith("observation")})
+    grasps = torch.cat([policy.model.drawn_grasps(cloud) for _ in range(5)])
+    wanted = policy.labels.grasps[policy.labels.contacts_of[0, 0]]
+    assert (grasps[:, :3] - wanted[:3]).norm(dim=-1).median() < 0.008
+    tried = set()
+    for seed in range(6):
+        world = toy_world("bottle_000", 0)
+        play(policy, world, seed=seed, at_most=10)
+        tried |= {(move.joint, move.sign) for move in world.moves if move is not None}
+    assert {("cap", -1), ("cap", 1), ("lift", 1)} <= tried
