@@ -22,6 +22,7 @@ if not os.environ.get(NO_PLUGIN):
         AdaManipWindowEnvConfig,
     )
     from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
+    from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
     from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
     from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
@@ -34,6 +35,7 @@ if not os.environ.get(NO_PLUGIN):
         lerobot_compat.apply()
 
 __all__ = [
+    "AdaAffordConfig",
     "AdaManipBottleEnvConfig",
     "AdaManipCoffeeMakerEnvConfig",
     "AdaManipDoorEnvConfig",

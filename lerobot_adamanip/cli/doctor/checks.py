@@ -21,7 +21,7 @@ from lerobot_adamanip.categories import CATEGORIES
 
 DISTRIBUTION = "lerobot_env_adamanip"
 ENV_TYPES = ("adamanip", *(f"adamanip_{name}" for name in CATEGORIES))
-POLICY_TYPES = ("dp3_adaptive", "sampling", "vat_mart")
+POLICY_TYPES = ("dp3_adaptive", "adaafford", "sampling", "vat_mart")
 SIM_INSTALL = "pip install 'lerobot_env_adamanip[sim]' (in a checkout: make setup)"
 VULKAN_ADVICE = (
     "run scripts/setup_vulkan.sh of the repository: it installs the driver or says how. Debian, Ubuntu: "

@@ -1,0 +1,293 @@
+"""``adaafford``: chooses where to take hold and what to do there by what its own interactions have told.
+
+Names of modules and losses are those of the method's released code (`wangyian-me/AdaAffordCode`); what differs is in
+the package's docstring.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from lerobot_adamanip.schema import POSITION_DIMS
+from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
+from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
+from lerobot_policy_adamanip.adaafford.memory import Memory
+from lerobot_policy_adamanip.adaafford.network import AdaAffordNetwork, action_numbers, encode_proposal, sent_from
+from lerobot_policy_adamanip.affordance import (
+    counting_rows,
+    error_by_group,
+    logistic_loss,
+    mean_of_best,
+    point_near,
+    points_away,
+    weighted_mean,
+)
+from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
+from lerobot_policy_adamanip.demonstrations import Demonstrations
+from lerobot_policy_adamanip.plans import (
+    GRASP_DIM,
+    GRASP_GROUPS,
+    ON_PART,
+    PlanQueue,
+    stacked,
+    taking_hold,
+    with_gripper,
+)
+
+BEST_SUCCESSES, BEST_INFORMATION = 3, 5
+"""The maps are means of so many of the best proposals at a place."""
+
+
+@dataclass(frozen=True)
+class Interactions:
+    """Interactions (B, K) as tensors; see `InteractionLabels`. What is not ``valid`` is none."""
+
+    before: Tensor
+    command: Tensor
+    after: Tensor
+    opening: Tensor
+    moved: Tensor
+    tried: Tensor
+    valid: Tensor
+
+
+class AdaAffordPolicy(AffordancePolicy):
+    """LeRobot policy. What it has done in contact and felt is its memory; nothing else passes from step to step."""
+
+    config_class = AdaAffordConfig
+    name = "adaafford"
+
+    def make_network(self) -> AdaAffordNetwork:
+        """Returns the network, still untrained."""
+        return AdaAffordNetwork(self.config)
+
+    def make_labels(self, demonstrations: Demonstrations) -> InteractionLabels:
+        """Returns interactions, and what each row can learn from them."""
+        return label_interactions(demonstrations, self.config.num_interactions, self.config.num_candidates)
+
+    # Training ---------------------------------------------------------------------------------------------------
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
+        """Returns the sum of the modules' losses, over the rows at which the outcome of an interaction is known.
+
+        Args:
+            batch: ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D), ``index`` (B,).
+
+        Raises:
+            ConfigurationError: the policy was made without a dataset.
+        """
+        labels, (cloud, _) = self.labels, self.observed(batch)
+        known = labels.candidates[batch["index"]]
+        rows = counting_rows(known[:, 0] >= 0)
+        cloud, known, history = cloud[rows], known[rows], labels.history[batch["index"][rows]]
+        counts = (known[:, 0] >= 0).to(cloud.dtype)
+        asked, told = self._interactions(trimmed(known)), self._interactions(trimmed(history))
+        held = asked.before[..., POSITION_DIMS]
+        elsewhere = points_away(cloud, held, ON_PART, 1)
+        # At once: every call looks at the whole cloud.
+        places = torch.cat([told.before[..., POSITION_DIMS], held, elsewhere], dim=1)
+        features = self.model.features(cloud, places).split([told.valid.shape[1], asked.valid.shape[1], 1], dim=1)
+        tokens = self.model.tokens(told.before, told.command, told.after)
+        latest = told.valid.sum(dim=1, keepdim=True).clamp(min=1) - 1
+        before_it = told.valid.scatter(1, latest, False)
+        z, prefix = (self.model.concluded(tokens, features[0], valid) for valid in (told.valid, before_it))
+        errors = [self._success_error(asked, features[1], given) for given in (z, prefix)]
+        information = self._information_error(told, features[0], latest, prefix, errors[1] - errors[0])
+        losses = {
+            "success_loss": weighted_mean(errors[0] + errors[1], counts),
+            "elsewhere_loss": weighted_mean(self._elsewhere_error(asked, features[2], z), counts),
+            "information_loss": weighted_mean(information, counts * told.valid[:, 0]),
+            "actor_loss": weighted_mean(*self._actor_error(cloud, asked)),
+            "map_loss": weighted_mean(self._map_error(cloud, held, elsewhere, z.detach()), counts),
+        }
+        total = torch.stack(list(losses.values()))
+        return total.sum(), dict(zip(losses, total.tolist(), strict=True))
+
+    def _interactions(self, numbers: Tensor) -> Interactions:
+        """Looks interactions (B, K) up; -1 is none."""
+        labels, valid, number = self.labels, numbers >= 0, numbers.clamp(min=0)
+        poses = (each[number] for each in (labels.before, labels.command, labels.after))
+        return Interactions(*poses, labels.opening[number], labels.moved[number], labels.tried[number] & valid, valid)
+
+    def _success_error(self, asked: Interactions, features: Tensor, z: Tensor) -> Tensor:
+        """Returns ``BCE(C, moved)`` (B,), the mean over the interactions (B, K) whose outcome is known."""
+        logits = self.model.succeeds(features, z, action_numbers(asked.before, asked.command))
+        valid = asked.valid.to(logits.dtype)
+        return (logistic_loss(logits, asked.moved) * valid).sum(dim=1) / valid.sum(dim=1).clamp(min=1)
+
+    def _elsewhere_error(self, asked: Interactions, features: Tensor, z: Tensor) -> Tensor:
+        """Returns ``BCE(C, 0) + |G|`` (B,) of a known action where nobody has taken hold: features (B, 1, F).
+
+        It moves nothing there, and tells nothing.
+        """
+        actions = action_numbers(asked.before[:, :1], asked.command[:, :1])
+        logits = self.model.succeeds(features, z, actions)
+        tells = self.model.informs(features.detach(), z.detach(), actions, logits.sigmoid().detach())
+        return (logistic_loss(logits, torch.zeros_like(logits)) + tells.abs()).squeeze(1)
+
+    def _information_error(
+        self, told: Interactions, features: Tensor, latest: Tensor, prefix: Tensor, gained: Tensor
+    ) -> Tensor:
+        """Returns ``|G - gained|`` (B,): what the latest interaction promised to tell, and what it told.
+
+        Args:
+            told: interactions (B, H) before a row.
+            features: (B, H, F) of where they were.
+            latest: (B, 1) which of them was the latest.
+            prefix: z (B, Z) of those before it.
+            gained: (B,) cross-entropy of the known outcomes without it, less that with it [nats].
+        """
+        row = torch.arange(len(latest), device=latest.device)[:, None]
+        actions = action_numbers(told.before[row, latest], told.command[row, latest])
+        features, prefix = features[row, latest].detach(), prefix.detach()
+        likely = self.model.succeeds(features, prefix, actions).sigmoid().detach()
+        found = self.model.informs(features, prefix, actions, likely)
+        return F.l1_loss(found.squeeze(1), gained.detach(), reduction="none")
+
+    def _actor_error(self, cloud: Tensor, asked: Interactions) -> tuple[Tensor, Tensor]:
+        """Returns ``KL + L1`` (B,) of a known interaction as a proposal, and weights (B,): reversals are not proposed.
+
+        Half of them are proposed at the tool's own place, as motions of what is held are.
+        """
+        drawn = (torch.rand_like(asked.moved) + asked.tried).argmax(dim=1)
+        row = torch.arange(len(drawn), device=drawn.device)
+        before, command, opening = (each[row, drawn] for each in (asked.before, asked.command, asked.opening))
+        place = point_near(cloud, before[:, POSITION_DIMS], ON_PART)
+        place = torch.where(torch.rand_like(place[:, :1]) < 0.5, before[:, POSITION_DIMS], place)
+        wanted = encode_proposal(before, command, opening, place)
+        found, divergence = self.model.actor(wanted, self.model.actor_features(cloud, place[:, None]).squeeze(1))
+        error = error_by_group(found, wanted, (*GRASP_GROUPS, wanted.shape[-1] - GRASP_DIM))
+        return error + self.config.divergence_weight * divergence, asked.tried.any(dim=1).to(error.dtype)
+
+    def _map_error(self, cloud: Tensor, held: Tensor, elsewhere: Tensor, z: Tensor) -> Tensor:
+        """Returns the maps' errors (B,) where to take hold and elsewhere, proposals and scores as they are now.
+
+        Args:
+            cloud: (B, N, 3) [m].
+            held: (B, K, 3) [m] where known interactions were; the first is taken.
+            elsewhere: (B, 1, 3) [m].
+            z: (B, Z).
+        """
+        places = torch.cat([point_near(cloud, held[:, 0], ON_PART)[:, None], elsewhere], dim=1)
+        before, command = self.model.proposals(cloud, places, self.config.contact_proposals)
+        likely, tells = self.model.judged(cloud, z, before.flatten(1, 2), command.flatten(1, 2))
+        likely, tells = (each.reshape(before.shape[:3]) for each in (likely, tells))
+        success, both = self.model.mapped(cloud, places, z)
+        wanted = mean_of_best(tells, BEST_INFORMATION) + mean_of_best(likely, BEST_INFORMATION)
+        errors = logistic_loss(success, mean_of_best(likely, BEST_SUCCESSES)) + (both - wanted).abs()
+        return errors.mean(dim=1)
+
+    # Run time ---------------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Forgets the episode."""
+        self._memories: list[Memory] = []
+        self._plans = PlanQueue()
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
+        """Returns the next key frame (B, 10), and remembers what came of the one before.
+
+        Args:
+            batch: one observation: cloud (B, N, 3) [m], state (B, D).
+            kwargs: ignored.
+        """
+        cloud, pose = self.observed(batch)
+        self._memories += [Memory(self.config.num_interactions) for _ in range(len(cloud) - len(self._memories))]
+        for memory, felt in zip(self._memories, pose, strict=True):
+            memory.feel(felt)
+        for row in self._plans.finished(len(cloud)):
+            self._plans.append(row, self._decided(cloud[row : row + 1], pose[row], self._memories[row]))
+        action = self._plans.pop()
+        for memory, felt, command in zip(self._memories, pose, action, strict=True):
+            memory.sent = (felt, command)
+        return action
+
+    def replace_latest(self, action: Tensor) -> None:
+        """Remembers that other actions (B, 10) were executed than the latest of `select_action`; plans anew."""
+        for memory, command in zip(self._memories, action, strict=True):
+            if memory.sent is not None:
+                memory.sent = (memory.sent[0], command.to(memory.sent[1]))
+        self._plans.clear()
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
+        """Returns what would be decided (B, T, 10) after what has been felt so far, shorter ones with their last key
+        frame repeated; changes nothing.
+        """
+        cloud, pose = self.observed(batch)
+        memories = self._memories or [Memory(self.config.num_interactions) for _ in cloud]
+        rows = range(len(cloud))
+        return stacked([self._decided(cloud[row : row + 1], pose[row], memories[row]) for row in rows])
+
+    def conclude(self, cloud: Tensor, memory: Memory) -> Tensor:
+        """Returns z (1, Z) of what is remembered, looking at a cloud (1, N, 3) [m]."""
+        if not memory.interactions:
+            return cloud.new_zeros(1, self.config.hidden_dim)
+        before, command, after = (torch.stack(each)[None] for each in zip(*memory.interactions, strict=True))
+        tokens = self.model.tokens(before, command, after)
+        features = self.model.features(cloud, before[..., POSITION_DIMS])
+        return self.model.concluded(tokens, features, torch.ones_like(before[..., 0], dtype=torch.bool))
+
+    def _decided(self, cloud: Tensor, pose: Tensor, memory: Memory) -> Tensor:
+        """Returns the key frames (T, 10) to the best next interaction: it itself, or taking hold of something else.
+
+        Args:
+            cloud: (1, N, 3) [m].
+            pose: (10,) of the tool, its gripper the opening felt.
+            memory: of the episode.
+        """
+        z = self.conclude(cloud, memory)
+        grasps, commands, place_scores = self._elsewhere(cloud, z, memory)
+        best = int(place_scores.argmax())
+        if memory.holds(pose):
+            here, scores = self._here(cloud, pose, z, memory)
+            if scores.amax() >= place_scores[best] - self.config.contact_margin:
+                return here[int(scores.argmax())][None]
+        return taking_hold(pose, grasps[best], commands[best])
+
+    def _here(self, cloud: Tensor, pose: Tensor, z: Tensor, memory: Memory) -> tuple[Tensor, Tensor]:
+        """Returns motions of what is held, where they lead (K, 10), and their scores (K,).
+
+        Proposed are the actor's, the last motion again, and the way back.
+        """
+        codes = self.model.actor.proposals(
+            self.model.actor_features(cloud, pose[None, None, POSITION_DIMS]), self.config.held_proposals
+        )
+        commands = sent_from(pose.expand(codes.shape[2], -1), codes[0, 0, :, GRASP_DIM:])
+        if memory.interactions:
+            before, command, _ = memory.interactions[-1]
+            again = sent_from(pose, action_numbers(before, command)[6:])
+            commands = torch.cat([commands, again[None], with_gripper(before, 0.0)[None]])
+        return commands, self._scores(cloud, z, pose.expand(len(commands), -1), commands, memory)
+
+    def _elsewhere(self, cloud: Tensor, z: Tensor, memory: Memory) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns grasps (K, 10), where they are sent in contact (K, 10), and scores (K,), at the maps' best points."""
+        points = cloud[:, : self.config.context_points]
+        success, both = self.model.mapped(cloud, points, z)
+        wanted = (both if self._explores(memory) else success)[0]
+        places = points[:, wanted.topk(min(self.config.contact_points, points.shape[1])).indices]
+        grasps, commands = self.model.proposals(cloud, places, self.config.contact_proposals)
+        grasps, commands = grasps[0].flatten(0, 1), commands[0].flatten(0, 1)
+        return grasps, commands, self._scores(cloud, z, grasps, commands, memory)
+
+    def _explores(self, memory: Memory) -> bool:
+        return memory.made < self.config.explorations
+
+    def _scores(self, cloud: Tensor, z: Tensor, before: Tensor, command: Tensor, memory: Memory) -> Tensor:
+        """Returns ``C``, or ``C + G`` while interactions are chosen for what they tell, of K actions (K,)."""
+        likely, tells = (each[0] for each in self.model.judged(cloud, z, before[None], command[None]))
+        if self._explores(memory) and float(tells.amax()) >= self.config.least_information:
+            return likely + tells
+        return likely
+
+
+def trimmed(numbers: Tensor) -> Tensor:
+    """Returns rows (B, K) of numbers that are followed by -1, as short as the longest of them; at least one each."""
+    longest = int((numbers >= 0).sum(dim=1).amax())
+    return numbers[:, : max(1, longest)]

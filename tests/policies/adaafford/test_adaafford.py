@@ -1,0 +1,342 @@
+"""The policy that adapts: what it concludes, learns, decides and remembers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from toy_demos import observed, toy_world, trained
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.keyframes import Goal, Phase
+from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_policy_adamanip.adaafford.memory import Memory
+from lerobot_policy_adamanip.adaafford.modeling_adaafford import trimmed
+from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal
+from lerobot_policy_adamanip.plans import approach, let_go
+from lerobot_policy_adamanip.tool_frame import motion_between
+
+MakePolicy = Callable[..., tuple[Any, ...]]
+SMALL: dict[str, Any] = {
+    "hidden_dim": 16, "held_proposals": 6, "contact_points": 3, "contact_proposals": 3,
+}  # fmt: skip
+
+
+@pytest.fixture
+def make(make_toy_policy: MakePolicy, adaptive_toy_root: Path) -> MakePolicy:
+    """Still untrained, it approaches with an open hand: which is to be learnt."""
+
+    def build(**changes: Any) -> tuple[Any, ...]:
+        policy, *rest = make_toy_policy("adaafford", adaptive_toy_root, **{**SMALL, **changes})
+        policy.model.actor.decoder[-1].bias.data[9] = 1.0
+        return policy, *rest
+
+    return build
+
+
+def told(policy: Any, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Tokens (1, H, 22) and features of places (1, H, F) of real interactions."""
+    labels, numbers = policy.labels, torch.nonzero(policy.labels.tried).flatten()[:count][None]
+    tokens = policy.model.tokens(labels.before[numbers], labels.command[numbers], labels.after[numbers])
+    return tokens, torch.randn(1, count, policy.config.feature_dim)
+
+
+# Conclusions --------------------------------------------------------------------------------------------------------
+
+
+def test_conclusions_are_a_weighted_mean_of_what_each_interaction_tells(make: MakePolicy) -> None:
+    policy, *_ = make()
+    tokens, features = told(policy, 5)
+    valid = torch.ones(1, 5, dtype=torch.bool)
+    z = policy.model.concluded(tokens, features, valid)
+    each = torch.cat(
+        [policy.model.concluded(tokens[:, k : k + 1], features[:, k : k + 1], valid[:, :1]) for k in range(5)]
+    )
+    assert (z >= each.amin(dim=0) - 1e-4).all()
+    assert (z <= each.amax(dim=0) + 1e-4).all()
+    twice = policy.model.concluded(tokens.repeat(1, 2, 1), features.repeat(1, 2, 1), valid.repeat(1, 2))
+    torch.testing.assert_close(twice, z, rtol=0, atol=1e-4)
+
+
+def test_conclusions_do_not_depend_on_the_order_but_for_the_numbers_told(make: MakePolicy) -> None:
+    policy, *_ = make()
+    tokens, features = told(policy, 5)
+    valid, order = torch.ones(1, 5, dtype=torch.bool), torch.tensor([3, 0, 4, 1, 2])
+    z = policy.model.concluded(tokens, features, valid)
+    torch.testing.assert_close(policy.model.concluded(tokens[:, order], features[:, order], valid), z)
+    renumbered = torch.cat([tokens[:, order, :-1], tokens[..., -1:]], dim=-1)
+    assert not torch.allclose(policy.model.concluded(renumbered, features[:, order], valid), z, atol=1e-5)
+
+
+def test_what_is_not_valid_tells_nothing_and_nothing_told_is_zero(make: MakePolicy) -> None:
+    policy, *_ = make()
+    tokens, features = told(policy, 4)
+    valid = torch.tensor([[True, True, False, False]])
+    z = policy.model.concluded(tokens, features, valid)
+    torch.testing.assert_close(policy.model.concluded(tokens[:, :2], features[:, :2], valid[:, :2]), z)
+    assert not policy.model.concluded(tokens, features, torch.zeros_like(valid)).any()
+    assert not policy.conclude(torch.rand(1, 120, 3), Memory(4)).any()
+
+
+def test_what_was_felt_tells_two_outcomes_of_one_action_apart(make: MakePolicy) -> None:
+    policy, *_ = make()
+    labels, number = policy.labels, torch.nonzero(policy.labels.tried).flatten()[:1]
+    before, command = labels.before[number][None], labels.command[number][None]
+    reached, stalled = (policy.model.tokens(before, command, after) for after in (command, before))
+    assert not torch.allclose(reached, stalled, atol=0.1)
+
+
+def test_actions_and_proposals_are_their_numbers_again(make: MakePolicy) -> None:
+    policy, *_ = make()
+    labels = policy.labels
+    place = labels.before[:, :3] + 0.01
+    code = encode_proposal(labels.before, labels.command, labels.opening, place)
+    grasp, command = decode_proposal(code, place)
+    torch.testing.assert_close(grasp[:, :9], labels.before[:, :9], rtol=0, atol=1e-5)
+    torch.testing.assert_close(grasp[:, 9], labels.opening)
+    torch.testing.assert_close(command[:, :9], labels.command[:, :9], rtol=0, atol=1e-4)
+    assert not command[:, 9].any()
+    torch.testing.assert_close(action_numbers(grasp, command), code[:, [*range(6), *range(10, 16)]], rtol=0, atol=1e-4)
+
+
+def test_padding_is_cut_to_the_longest_row() -> None:
+    assert trimmed(torch.tensor([[4, -1, -1], [1, 2, -1]])).tolist() == [[4, -1], [1, 2]]
+    assert trimmed(torch.full((2, 3), -1)).tolist() == [[-1], [-1]]
+
+
+# Training -----------------------------------------------------------------------------------------------------------
+
+
+def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batch: Any) -> None:
+    policy, before, _, dataset = make()
+    for rows in ([], [len(dataset) - 1]):
+        loss, parts = policy.forward(toy_batch(dataset, before, *rows))
+        assert torch.isfinite(loss)
+        assert all(isinstance(value, float) for value in parts.values())
+        policy.zero_grad()
+        loss.backward()
+        assert [name for name, weight in policy.model.named_parameters() if weight.grad is None] == []
+        moved = [name for name, weight in policy.model.named_parameters() if weight.grad.any()]
+        assert len(moved) == (0 if rows else len(list(policy.model.parameters())))
+
+
+def test_success_is_taught_by_outcomes_alone(make: MakePolicy, toy_batch: Any) -> None:
+    """Neither information, nor maps, nor the actor move what decides about success."""
+    policy, before, _, dataset = make()
+    policy.forward(toy_batch(dataset, before))[0].backward()
+    shared = {name: weight.grad.clone() for name, weight in policy.model.features.named_parameters()}
+    for module in (policy.model.information, policy.model.information_map, policy.model.success_map):
+        module.out[-1].weight.data.mul_(3.0)
+    policy.zero_grad()
+    torch.manual_seed(0)
+    first = policy.forward(toy_batch(dataset, before))[1]["success_loss"]
+    torch.manual_seed(0)
+    assert policy.forward(toy_batch(dataset, before))[1]["success_loss"] == first
+    assert all(grad.any() for grad in shared.values())
+
+
+def test_it_learns_from_what_was_felt(make: MakePolicy, toy_batch: Any) -> None:
+    """Outcomes are predicted better from interactions before them than from nothing."""
+    policy, before, _, dataset = make()
+    labels = policy.labels
+    told_something = torch.nonzero((labels.history[:, 0] >= 0) & (labels.candidates[:, 0] >= 0)).flatten().tolist()
+    batch = toy_batch(dataset, before, *told_something)
+    losses = trained(policy, batch, 150)
+    assert np.mean(losses[-10:]) < 0.6 * np.mean(losses[:5])
+    with torch.no_grad():
+        cloud, _ = policy.observed(batch)
+        asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
+        seen = policy._interactions(trimmed(labels.history[batch["index"]]))
+        tokens = policy.model.tokens(seen.before, seen.command, seen.after)
+        z = policy.model.concluded(tokens, policy.model.features(cloud, seen.before[..., :3]), seen.valid)
+        features = policy.model.features(cloud, asked.before[..., :3])
+        informed, blind = (policy._success_error(asked, features, each).mean() for each in (z, torch.zeros_like(z)))
+    assert informed < 0.7 * blind
+
+
+# Run time -----------------------------------------------------------------------------------------------------------
+
+
+def test_it_remembers_at_run_time_what_its_labels_say(make: MakePolicy) -> None:
+    """Given the commands of a demonstration, its memory is what training looks up, row by row."""
+    policy, *_, dataset = make()
+    policy.eval()
+    rows = range(dataset.meta.episodes[0]["dataset_from_index"], dataset.meta.episodes[0]["dataset_to_index"] - 1)
+    labels = policy.labels
+    for row in rows:
+        item = dataset[row]
+        policy.select_action({key: item[key][None] for key in (schema.POINT_CLOUD, schema.STATE)})
+        numbers = labels.history[row][labels.history[row] >= 0]
+        memory = policy._memories[0]
+        assert memory.made == len(numbers)
+        for number, parts in zip(numbers, memory.interactions, strict=True):
+            for part, known in zip(parts, (labels.before, labels.command, labels.after), strict=True):
+                torch.testing.assert_close(part, known[number])
+        policy.replace_latest(item[schema.ACTION][None])
+    assert policy._memories[0].made > 1
+
+
+def acted(policy: Any, hidden: dict[str, Any], steps: int) -> tuple[torch.Tensor, list[np.ndarray]]:
+    """Actions in a world, and what was felt after each."""
+    world, rng = toy_world("bottle_000", 3, hidden), np.random.default_rng(0)
+    policy.eval()
+    policy.reset()
+    actions, felt = [], []
+    for step in range(steps):
+        torch.manual_seed(step)
+        actions.append(policy.select_action(observed(world, rng))[0])
+        pose, gripper = pose_from_vector(actions[-1].numpy())
+        world.step(Goal(pose, gripper, Phase.TRY))
+        felt.append(world.feedback.tcp_in_base)
+    return torch.stack(actions), felt
+
+
+def test_what_is_hidden_changes_nothing_until_it_is_felt(make: MakePolicy) -> None:
+    policy, *_ = make()
+    (one, first), (other, second) = (acted(policy, {"direction": sign}, 8) for sign in (-1, 1))
+    same = [np.array_equal(*pair) for pair in zip(first, second, strict=True)]
+    until = same.index(False) if False in same else len(same)
+    assert until >= 3
+    assert torch.equal(one[: until + 1], other[: until + 1])
+
+
+def in_contact(policy: Any, moved: bool, outside: bool = False) -> Memory:
+    """A memory of one motion in contact that was felt to succeed or not; before it, of any way to the part."""
+    memory, pose = Memory(8), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
+    closed, turned = pose.clone(), pose.clone()
+    closed[9], turned[9], turned[0] = 0.3, 0.0, 0.52
+    ways = [pose + 0.1, pose - 0.1] if outside else []
+    for command in [*ways, pose]:
+        memory.sent = (command, command)
+        memory.feel(pose)
+    grip = pose.clone()
+    grip[9] = 0.0
+    memory.sent = (pose, grip)
+    memory.feel(closed)
+    memory.sent = (closed, turned)
+    memory.feel(turned if moved else closed)
+    return memory
+
+
+def test_conclusions_follow_from_what_was_felt_in_contact_and_from_nothing_else(make: MakePolicy) -> None:
+    policy, *_ = make()
+    cloud = torch.rand(1, 120, 3)
+    z, other = (policy.conclude(cloud, in_contact(policy, moved)) for moved in (True, False))
+    assert not torch.allclose(z, other, atol=1e-4)
+    assert torch.equal(policy.conclude(cloud, in_contact(policy, True, outside=True)), z)
+
+
+def test_a_memory_keeps_the_latest_and_counts_all() -> None:
+    memory, pose = Memory(2), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
+    closed = pose.clone()
+    closed[9] = 0.0
+    for command in (closed, *(closed + 0.01 * step * torch.eye(10)[0] for step in range(4))):
+        memory.sent = (pose, command)
+        memory.feel(pose)
+    assert memory.made == 4
+    assert len(memory.interactions) == 2
+    assert memory.interactions[-1][1][0] == pytest.approx(0.53)
+
+
+@pytest.mark.parametrize(("opening", "felt", "holds"), [(1.0, 0.3, True), (1.0, 0.0, False), (0.0, 0.0, True)])
+def test_a_grasp_holds_something_and_a_push_nothing(opening: float, felt: float, holds: bool) -> None:
+    memory, pose = Memory(2), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
+    closed = pose.clone()
+    closed[9] = 0.0
+    away = pose + 0.1 * torch.eye(10)[0]
+    for before in [pose] if opening else [away, pose]:
+        memory.sent = (before, closed)
+        memory.feel(closed)
+    assert memory.opening == opening
+    closed[9] = felt
+    assert memory.holds(closed) is holds
+
+
+def test_an_open_hand_takes_hold_and_one_that_lost_its_grip_lets_go_first(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    cloud, pose = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
+    plan = policy._decided(cloud, pose[0], Memory(8))
+    torch.testing.assert_close(plan, approach(plan[1]), rtol=0, atol=1e-6)
+    lost = pose[0].clone()
+    lost[9] = 0.0
+    plan = policy._decided(cloud, lost, in_contact(policy, True))
+    torch.testing.assert_close(plan[:2], let_go(lost), rtol=0, atol=1e-6)
+    torch.testing.assert_close(plan[2:], approach(plan[3]), rtol=0, atol=1e-6)
+
+
+def judging(policy: Any, likely: Callable[[torch.Tensor], torch.Tensor], tells: float) -> None:
+    """Lets C be a function of where actions start (..., 10), and G a number."""
+
+    def judged(cloud: Any, z: Any, before: torch.Tensor, command: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        found = likely(before)
+        return found, torch.full_like(found, tells)
+
+    policy.model.judged = judged
+
+
+def test_what_is_held_is_kept_unless_something_else_promises_more(make: MakePolicy) -> None:
+    policy, *_ = make(contact_margin=0.1)
+    policy.eval()
+    cloud, pose = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
+    held, memory = pose[0].clone(), in_contact(policy, True)
+    held[9] = 0.3
+    for elsewhere, kept in ((0.55, True), (0.65, False)):
+        at_hand = held[:3]
+
+        def likely(before: torch.Tensor, other: float = elsewhere, here: torch.Tensor = at_hand) -> torch.Tensor:
+            return torch.where((before[..., :3] - here).norm(dim=-1) < 1e-4, 0.5, other)
+
+        judging(policy, likely, 0.0)
+        plan = policy._decided(cloud, held, memory)
+        assert (len(plan) == 1) is kept
+    assert plan.shape == (5, 10)
+
+
+def test_candidates_hold_the_last_motion_again_and_the_way_back(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    cloud, _ = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
+    memory = in_contact(policy, True)
+    before, command, after = memory.interactions[-1]
+    commands, scores = policy._here(cloud, after, policy.conclude(cloud, memory), memory)
+    assert len(commands) == len(scores) == policy.config.held_proposals + 2
+    again, back = commands[-2:]
+    torch.testing.assert_close(motion_between(again, after)[:6], motion_between(command, before)[:6], rtol=0, atol=1e-4)
+    torch.testing.assert_close(back[:9], before[:9])
+    assert not commands[:, 9].any()
+
+
+def test_information_counts_for_the_first_interactions_and_where_there_is_some(make: MakePolicy) -> None:
+    policy, *_ = make(explorations=2, least_information=0.05)
+    cloud, before = torch.rand(1, 120, 3), torch.randn(4, 10)
+    memory, z = Memory(8), torch.zeros(1, 16)
+    for made, tells, wanted in ((0, 0.2, 0.5), (1, 0.2, 0.5), (2, 0.2, 0.3), (0, 0.04, 0.3)):
+        judging(policy, lambda pose: torch.full(pose.shape[:-1], 0.3), tells)
+        memory.made = made
+        torch.testing.assert_close(policy._scores(cloud, z, before, before, memory), torch.full((4,), wanted))
+
+
+def test_a_chunk_is_what_would_be_done_and_changes_nothing(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
+    torch.manual_seed(1)
+    chunk = policy.predict_action_chunk(seen)
+    torch.manual_seed(1)
+    assert torch.equal(policy.select_action(seen), chunk[:, 0])
+
+
+def test_episodes_of_a_batch_decide_for_themselves(make: MakePolicy) -> None:
+    policy, *_ = make()
+    policy.eval()
+    single = [observed(toy_world("bottle_000", seed), np.random.default_rng(seed)) for seed in (1, 2)]
+    batch = {key: torch.cat([each[key] for each in single]) for key in single[0]}
+    actions = torch.stack([policy.select_action(batch) for _ in range(4)])
+    assert actions.shape == (4, 2, 10)
+    assert (actions[:, 0] != actions[:, 1]).any(dim=-1).all()
+    assert [memory.made for memory in policy._memories] == [0, 0]
