@@ -74,7 +74,8 @@ class Refiner(nn.Module):
         proposed = pose_after(_beside(goal), goal)
         found = self(cloud, proposed, tool).float()
         wanted = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
-        return F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1).unflatten(0, (-1, PROPOSALS)).mean(dim=1)
+        error = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
+        return error.reshape(-1, PROPOSALS).mean(dim=1)
 
     def refined(self, cloud: Tensor, pose: Tensor, tool: Tensor, steps: int) -> Tensor:
         """Returns poses (B, 10) after so many corrections; the gripper stays as it is."""
