@@ -182,8 +182,7 @@ class AnchorHead:
         """(B,): of the samples that aim; nothing for the others, which are most and, on a CPU, spared the work."""
         aims = model.aims(index)
         rows = _rows_to_refine(aims)
-        cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
-        loss = refiner.loss(cloud, goal[rows], tool) * aims[rows]
+        loss = refiner.loss(window.observations[POINT_CLOUD][rows, -1], goal[rows]) * aims[rows]
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
@@ -211,8 +210,8 @@ class AnchorHead:
         if aims.device.type == "cpu" and not aims.any():
             return pose
         rows = _rows_to_refine(aims)
-        cloud, tool = window.observations[POINT_CLOUD][rows, -1], window.observations[STATE][rows, -1, :ACTION_DIM]
-        refined = refiner.refined(cloud, pose[rows], tool.float(), self.config.num_refinements)
+        cloud = window.observations[POINT_CLOUD][rows, -1]
+        refined = refiner.refined(cloud, pose[rows], self.config.num_refinements)
         return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
 
 

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from lerobot_policy_adamanip.encoders import make_encoder
 from lerobot_policy_adamanip.rotations import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.tool_frame import (
-    MOTION_UNITS,
     constant,
     motion_between,
     point_features,
@@ -42,8 +41,8 @@ JITTER = 0.001
 class Refiner(nn.Module):
     """Proposes a correction of a pose from the points near it.
 
-    It is not told which motion was chosen: in training that would tell how the goal is turned, and the points would not
-    be looked at.
+    It is told neither which motion was chosen nor where the hand is. In training both are right: they would give
+    the goal away, and the points would not be looked at.
 
     Args:
         neighbours: points looked at.
@@ -53,34 +52,32 @@ class Refiner(nn.Module):
         super().__init__()
         self.neighbours = neighbours
         self.encoder = make_encoder("mlp", 6, (64, 128), 128, neighbours)
-        self.out = nn.Sequential(nn.Linear(128 + 6, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 7))
+        self.out = nn.Sequential(nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 7))
 
-    def forward(self, cloud: Tensor, pose: Tensor, tool: Tensor) -> Tensor:
-        """Clouds (B, N, 3) [m], proposed and present poses (B, 10) -> (B, 7) in `CORRECTION_UNITS`."""
+    def forward(self, cloud: Tensor, pose: Tensor) -> Tensor:
+        """Clouds (B, N, 3) [m], proposed poses (B, 10) -> (B, 7) in `CORRECTION_UNITS`."""
         points = points_seen(cloud, pose)
         distance = (points - constant(AHEAD, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
             points = points + JITTER * torch.randn_like(points)
-        local = self.encoder(point_features(points, NEAR, SHARP))
-        way = motion_between(pose, tool)[:, :6] / constant(MOTION_UNITS[:6], points)
-        correction: Tensor = self.out(torch.cat([local, way], dim=-1))
+        correction: Tensor = self.out(self.encoder(point_features(points, NEAR, SHARP)))
         return correction
 
-    def loss(self, cloud: Tensor, goal: Tensor, tool: Tensor) -> Tensor:
+    def loss(self, cloud: Tensor, goal: Tensor) -> Tensor:
         """Returns the error (B,) of correcting poses beside the demonstrated goal (B, 10)."""
-        cloud, goal, tool = (part.repeat_interleave(PROPOSALS, dim=0) for part in (cloud, goal, tool))
+        cloud, goal = (part.repeat_interleave(PROPOSALS, dim=0) for part in (cloud, goal))
         proposed = pose_after(_beside(goal), goal)
-        found = self(cloud, proposed, tool).float()
+        found = self(cloud, proposed).float()
         wanted = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
         error = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
         return error.reshape(-1, PROPOSALS).mean(dim=1)
 
-    def refined(self, cloud: Tensor, pose: Tensor, tool: Tensor, steps: int) -> Tensor:
+    def refined(self, cloud: Tensor, pose: Tensor, steps: int) -> Tensor:
         """Returns poses (B, 10) after so many corrections; the gripper stays as it is."""
         for _ in range(steps):
-            pose = _corrected(pose, self(cloud, pose, tool).float() * constant(CORRECTION_UNITS, pose))
+            pose = _corrected(pose, self(cloud, pose).float() * constant(CORRECTION_UNITS, pose))
         return pose
 
 

@@ -317,17 +317,17 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
 # Refinement ---------------------------------------------------------------------------------------------------------
 
 
-Scene = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+Scene = tuple[torch.Tensor, torch.Tensor]
 
 
 def taught(shown: list[Scene], *, steps: int) -> Refiner:
-    """Returns a refiner after training on clouds, goals and tool poses, 16 of each."""
+    """Returns a refiner after training on clouds and goals, 16 of each."""
     refiner = Refiner(48)
     optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
     for step in range(steps):
-        cloud, goal, tool = shown[step % len(shown)]
+        cloud, goal = shown[step % len(shown)]
         optimizer.zero_grad()
-        refiner.loss(cloud, goal, tool).mean().backward()
+        refiner.loss(cloud, goal).mean().backward()
         optimizer.step()
     return refiner.eval()
 
@@ -344,17 +344,15 @@ def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None
         places = draw.uniform(-0.5, 0.5, (16, 3))
         clouds = np.stack([turn.apply(bar) + place for turn, place in zip(turns, places, strict=True)])
         grasps = turns * Rotation.from_euler("z", np.pi * draw.integers(2, size=16)[:, None])
-        hands = turns * Rotation.from_euler("z", draw.uniform(-np.pi, np.pi, (16, 1)))
         goals = np.c_[places, rotation_6d_from_matrix(grasps.as_matrix()), np.ones(16)]
-        tools = np.c_[places + 0.1, rotation_6d_from_matrix(hands.as_matrix()), np.ones(16)]
-        return tuple(torch.from_numpy(part).float() for part in (clouds, goals, tools))  # type: ignore[return-value]
+        return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
 
     refiner = taught([scenes() for _ in range(8)], steps=600)
-    cloud, goal, tool = scenes()
+    cloud, goal = scenes()
     twist = torch.zeros(16, 7)
     twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
     with torch.no_grad():
-        found = refiner.refined(cloud, pose_after(twist, goal), tool, 3)
+        found = refiner.refined(cloud, pose_after(twist, goal), 3)
     left = motion_between(found, goal)[:, 5].abs()
     assert (torch.minimum(left, np.pi - left) < 0.25).float().mean() > 0.9
 
@@ -371,15 +369,14 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
         places = draw.uniform(-0.5, 0.5, (count, 3))
         clouds = np.stack([turn.apply(wedge) + place for turn, place in zip(turns, places, strict=True)])
         goals = np.c_[places, rotation_6d_from_matrix(turns.as_matrix()), np.ones(count)]
-        tools = np.c_[places + 0.1, rotation_6d_from_matrix(turns.as_matrix()), np.ones(count)]
-        return tuple(torch.from_numpy(part).float() for part in (clouds, goals, tools))  # type: ignore[return-value]
+        return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
 
     refiner = taught([scenes(16) for _ in range(4)], steps=400)
-    cloud, goal, tool = scenes(16)
+    cloud, goal = scenes(16)
     off = torch.cat([torch.from_numpy(draw.normal(scale=0.015, size=(16, 3))).float(), torch.zeros(16, 4)], dim=1)
     start = pose_after(off, goal)
     with torch.no_grad():
-        ends = [refiner.refined(cloud, start, tool, steps)[:, :3] for steps in (0, 1, 3)]
+        ends = [refiner.refined(cloud, start, steps)[:, :3] for steps in (0, 1, 3)]
     missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
     assert missed[0] > 0.015
     assert missed[1] < 0.5 * missed[0]
