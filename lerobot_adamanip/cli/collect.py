@@ -240,11 +240,12 @@ class Collect:
         if summary.recorded == 0 and not self.adopt:
             print(f"Complete already: {summary.episodes} episodes in {summary.root}")
             return
+        driver = "expert" if self.policy is None else "policy"
         print(
             f"{summary.episodes} episodes in {summary.root} ({summary.bytes / 1e6:.1f} MB): "
             f"{summary.recorded} recorded in {summary.recording_seconds:.0f} s, "
-            f"{summary.episodes_per_minute:.1f} per minute; the expert succeeded in "
-            f"{100 * summary.expert_success_rate:.1f} % of its {summary.attempted} attempts."
+            f"{summary.episodes_per_minute:.1f} per minute; the {driver} succeeded in "
+            f"{100 * summary.success_rate:.1f} % of its {summary.attempted} attempts."
         )
         if len(summary.categories) > 1:
             _print_categories(summary)

@@ -61,7 +61,7 @@ class CollectSummary:
         attempts: episodes this run tried.
         seconds: this run took, from start to finished dataset.
         recording_seconds: of those, spent recording.
-        expert_success_rate: kept over attempted.
+        success_rate: successes over attempted, of the expert, or of the policy that it corrects.
         bytes: size of the dataset on disk.
         failures: lines about items that were given up; empty in a complete dataset.
         categories: by name, in the order of the dataset.
@@ -75,7 +75,7 @@ class CollectSummary:
     attempts: int
     seconds: float
     recording_seconds: float
-    expert_success_rate: float
+    success_rate: float
     bytes: int
     failures: tuple[str, ...] = ()
     categories: dict[str, CategorySummary] = field(default_factory=dict)
@@ -105,7 +105,7 @@ def summarize(
         recording: time this run spent recording [s].
         failures: lines about items that were given up.
     """
-    rows = episode_table(root).select(["object_id", "attempts", "length"]).to_pylist()
+    rows = episode_table(root).select(["object_id", "attempts", "length", "success"]).to_pylist()
     counts = read_manifest(manifest_path(root), spec.environment.assets).attempts or AttemptCounts(len(rows), 0, 0)
     return CollectSummary(
         root=str(root),
@@ -116,7 +116,7 @@ def summarize(
         attempts=sum(len(result.report.attempts) for result in results),
         seconds=time.monotonic() - begin,
         recording_seconds=recording,
-        expert_success_rate=counts.kept / max(1, counts.attempted),
+        success_rate=sum(row["success"] for row in rows) / max(1, counts.attempted),
         bytes=files.tree_bytes(root),
         failures=failures,
         categories={name: _of_category(name, rows, results) for name in spec.categories},
@@ -135,17 +135,17 @@ def summarize_part(
     """Returns the summary of a part: of its episode files and of this run's results; there is no dataset yet."""
     kept = sum((paths.episodes / item.file_name).exists() for item in items)
     attempts = sum(len(result.report.attempts) for result in results)
-    recorded = sum(result.report.kept for result in results)
+    succeeded = sum(attempt.success for result in results for attempt in result.report.attempts)
     return CollectSummary(
         root=str(paths.partial),
         episodes=kept,
         attempted=attempts,
         given_up=len(items) - kept,
-        recorded=recorded,
+        recorded=sum(result.report.kept for result in results),
         attempts=attempts,
         seconds=time.monotonic() - begin,
         recording_seconds=recording,
-        expert_success_rate=recorded / max(1, attempts),
+        success_rate=succeeded / max(1, attempts),
         bytes=files.tree_bytes(paths.partial),
         failures=failures,
     )

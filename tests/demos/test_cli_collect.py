@@ -51,7 +51,7 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
     attempts = episode_table(root)["attempts"].to_pylist()
     assert content["episodes"] == content["recorded"] == len(attempts) == 4
     assert content["attempts"] == content["attempted"] == sum(attempts)
-    assert content["expert_success_rate"] == pytest.approx(4 / sum(attempts))
+    assert content["success_rate"] == pytest.approx(4 / sum(attempts))
     assert content["episodes_per_minute"] == pytest.approx(240 / content["recording_seconds"], rel=1e-3)
     assert content["bytes"] == sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
     assert main(["collect", "--root", str(root), *SMALL]) == 0

@@ -68,7 +68,7 @@ def test_two_workers_record_what_one_does(tmp_path: Path, finished: Path) -> Non
     summary = collect(tmp_path / "dataset", make_spec(), fakes(), patiently(workers=2))
     assert summary.episodes == summary.recorded == 6
     assert summary.attempts == summary.attempted > 6  # the fake expert fails sometimes
-    assert summary.expert_success_rate == 6 / summary.attempted
+    assert summary.success_rate == 6 / summary.attempted
     same_bytes(finished, tmp_path / "dataset")
     same_content(finished, tmp_path / "dataset")
 

@@ -91,7 +91,7 @@ def test_episodes_are_kept_whether_they_succeed_or_not_and_replay_exactly(mixed:
 
 def test_a_policy_that_opens_nothing_is_corrected_all_the_same(tmp_path: Path) -> None:
     result = collect(tmp_path / "vain", spec(expert_share=0.0, late_starts=0.0), corrected(), patiently())
-    assert (result.recorded, result.failures) == (6, ())
+    assert (result.recorded, result.failures, result.success_rate) == (6, (), 0.0)
     assert not any(episode_table(tmp_path / "vain")["success"].to_pylist())
 
 

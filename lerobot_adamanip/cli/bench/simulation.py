@@ -49,7 +49,7 @@ def collection(root: Path, *, category: str, objects: int, per_object: int, work
         "workers": workers,
         "episodes_per_minute": round(summary.episodes_per_minute, 2),
         "episodes_per_minute_steady": round(60 * counted / span, 2) if counted > 0 and span > 0 else None,
-        "expert_success_rate": round(summary.expert_success_rate, 4),
+        "expert_success_rate": round(summary.success_rate, 4),
         "bytes_per_episode": summary.bytes // max(1, summary.episodes),
     }
 
