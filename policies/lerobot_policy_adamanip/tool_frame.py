@@ -69,6 +69,16 @@ def reverse(motion: Tensor) -> Tensor:
     return torch.cat([back, -motion[..., 3:6], motion[..., 6:]], dim=-1)
 
 
+def fingers_swapped(pose: Tensor) -> Tensor:
+    """Returns poses (..., 10) after half a turn about the approach: two fingers hold alike either way."""
+    return pose * constant((1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0), pose)
+
+
+def angle_from(pose: Tensor, other: Tensor) -> Tensor:
+    """Returns by how much poses (..., 10) are turned against others: (...) [rad]."""
+    return motion_between(pose, other)[..., 3:6].norm(dim=-1)
+
+
 @_whole
 def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
     """Points (..., N, 3) [m, base frame] in the frame of tool poses (..., 10) -> (..., N, 3) [m]."""

@@ -23,7 +23,9 @@ from lerobot_policy_adamanip.events import events
 from lerobot_policy_adamanip.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
+    angle_from,
     constant,
+    fingers_swapped,
     motion_between,
     point_features,
     points_seen,
@@ -212,7 +214,20 @@ class AnchorHead:
         rows = _rows_to_refine(aims)
         cloud = window.observations[POINT_CLOUD][rows, -1]
         refined = refiner.refined(cloud, pose[rows], self.config.num_refinements)
+        tool = window.observations[STATE][rows, -1, :ACTION_DIM].float()
+        refined = _less_turned(refined, pose[rows], tool)
         return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
+
+
+def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
+    """Returns poses (B, 10), or the same grasps with fingers swapped where those are less turned.
+
+    Against what was chosen, which is seldom wrong by more than a quarter turn, and against the hand: half a turn more
+    is often out of the arm's reach.
+    """
+    swapped = fingers_swapped(refined)
+    turned, otherwise = (angle_from(pose, chosen) + angle_from(pose, tool) for pose in (refined, swapped))
+    return torch.where((otherwise < turned)[:, None], swapped, refined)
 
 
 def _rows_to_refine(aims: Tensor) -> Tensor:

@@ -383,6 +383,18 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
     assert missed[2] < 0.006
 
 
+def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
+    turn = torch.zeros(4, 7)
+    turn[:, 5] = torch.tensor([0.1, 1.4, 1.8, 3.0])
+    home = torch.tensor([[0.5, 0.1, 0.4, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0]]).expand(4, -1)
+    grasp = pose_after(turn, home)
+    found = anchors._less_turned(grasp, home, home)
+    torch.testing.assert_close(found[:2], grasp[:2])
+    torch.testing.assert_close(motion_between(found, grasp)[2:, 5].abs(), torch.full((2,), torch.pi))
+    # A hand that has been turned goes on to what was chosen, as demonstrations do.
+    torch.testing.assert_close(anchors._less_turned(grasp, grasp, home), grasp)
+
+
 def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> None:
     policy, *_ = make_anchors()
     model = policy.model
