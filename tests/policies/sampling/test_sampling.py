@@ -197,7 +197,7 @@ def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, 
     policy.eval()
     cloud, pose = policy.observed(with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3))
     policy.model.drawn_grasps = lambda cloud: pose * torch.cat([torch.ones(9), torch.zeros(1)]) + torch.eye(10)[9]
-    episodes, motions = 600, len(policy.model.motions)
+    episodes, motions = 300, len(policy.model.motions)
     opening = pose_after(policy.model.motions[2:3], pose)
     batch = {schema.POINT_CLOUD: cloud.expand(episodes, -1, -1), schema.STATE: pose.expand(episodes, -1)}
     opened = torch.zeros(episodes, dtype=torch.bool)

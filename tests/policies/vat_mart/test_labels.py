@@ -63,7 +63,7 @@ def test_a_plan_is_made_while_the_hand_is_open_and_away(demonstrations: Demonstr
 
 def test_what_another_hand_has_turned_before_is_not_the_plans(demonstrations: Demonstrations) -> None:
     rows = next(demonstrations.episodes())
-    turned = 0.8 * demonstrations.joints[rows.stop - 1, 1]
+    turned = 0.95 * demonstrations.joints[rows.stop - 1, 1]
     joints = demonstrations.joints.copy()
     late = joints[rows, 1]
     joints[rows, 1] = np.where(np.abs(late) < abs(turned), turned, late)

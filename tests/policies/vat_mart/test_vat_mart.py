@@ -177,9 +177,10 @@ def test_what_is_hidden_decides_what_comes_of_a_plan_and_changes_nothing_of_it(m
     policy.eval()
     labels, shown = policy.labels, policy.labels.plan_of[0]
 
-    def proposed(cloud: Any, places: torch.Tensor, *_: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    def proposed(cloud: torch.Tensor, places: torch.Tensor, *_: Any) -> tuple[torch.Tensor, torch.Tensor]:
         code = encode_trajectory(labels.grasps[shown], labels.waypoints[shown], places[0, 0])
-        return code[None, None, None], torch.ones(1, 1, 1)
+        seen = 1e-3 * cloud.std()  # what is seen is in every number: who looked again would send other bits
+        return (code + seen)[None, None, None], torch.ones(1, 1, 1)
 
     policy.model.proposed = proposed
     direction = int(toy_world("bottle_000", 0).hidden["direction"])
