@@ -76,7 +76,8 @@ def fingers_swapped(pose: Tensor) -> Tensor:
 
 def angle_from(pose: Tensor, other: Tensor) -> Tensor:
     """Returns by how much poses (..., 10) are turned against others: (...) [rad]."""
-    return motion_between(pose, other)[..., 3:6].norm(dim=-1)
+    turned: Tensor = motion_between(pose, other)[..., 3:6].norm(dim=-1)
+    return turned
 
 
 @_whole
