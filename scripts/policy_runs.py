@@ -71,12 +71,14 @@ class Run:
 
     def train(self) -> None:
         """Trains, on from the last checkpoint if there is one."""
+        self._train("train", self.data, self.options.steps, self._begin())
+
+    def _begin(self) -> list[str]:
         begin = ["--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false"]
-        begin += [*(SEVERAL_TASKS if self.category == SUITE else ()), *self.options.train]
-        self._train("train", self.data, self.options.steps, begin)
+        return [*begin, *(SEVERAL_TASKS if self.category == SUITE else ()), *self.options.train]
 
     def correct(self) -> None:
-        """Lets the policy drive and the expert correct it; trains on with demonstrations and corrections (DAgger)."""
+        """Lets the policy drive and the expert correct it; trains anew, on demonstrations and corrections (DAgger)."""
         given, corrections, both = self.options, self.folder / "corrections", self.folder / "both"
         if not given.corrections:
             return
@@ -85,8 +87,7 @@ class Run:
             self._run("correct", *self._recording(corrections, given.corrections), *policy)
         if not _recorded(both):
             self._merge("merge", [self.data, corrections], both)
-        start = [f"--policy.path={self.checkpoint('train')}", "--policy.push_to_hub=false"]
-        self._train("train_on", both, given.correction_steps, start)
+        self._train("retrain", both, given.correction_steps, self._begin())
 
     def _merge(self, step: str, parts: list[Path], whole: Path) -> None:
         self._run(step, "adamanip", "merge", *map(str, parts), "--out", str(whole))
@@ -101,7 +102,7 @@ class Run:
         self._run(
             "evaluate",
             "lerobot-eval",
-            f"--policy.path={self.checkpoint('train_on' if given.corrections else 'train')}",
+            f"--policy.path={self.checkpoint('retrain' if given.corrections else 'train')}",
             "--policy.device=cpu",
             f"--env.type=adamanip{'' if self.category == SUITE else f'_{self.category}'}",
             f"--env.objects={objects}",
@@ -180,7 +181,7 @@ def steps(folder: Path) -> list[dict[str, Any]]:
 
 def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
     """Yields a row of numbers for each finished evaluation of a run, and each category in it."""
-    minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"].startswith("train")) / 60
+    minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"] in ("train", "retrain")) / 60
     for log in sorted(folder.glob("*-*.jsonl")):
         if not log.with_suffix(".done").exists():
             continue
@@ -233,7 +234,7 @@ def arguments() -> argparse.Namespace:
         "--train", action="append", default=[], help="one more option of lerobot-train, may be repeated"
     )
     parser.add_argument("--corrections", type=int, default=0, help="corrected episodes per object (%(default)s)")
-    parser.add_argument("--correction-steps", type=count, default=2000, help="trained with them (%(default)s)")
+    parser.add_argument("--correction-steps", type=count, default=6000, help="of the training with them (%(default)s)")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--objects", type=list_of(OBJECTS), default=("seen",), help="evaluated on: seen, unseen, novel")
     parser.add_argument("--episodes", type=count, default=100, help="of an evaluation (%(default)s)")

@@ -101,7 +101,7 @@ def test_an_evaluation_that_broke_off_is_begun_anew(tmp_path: Path, commands: Co
     assert run.log("seen").read_text() == "one\n"
 
 
-def test_a_policy_is_corrected_once_and_what_was_trained_on_is_evaluated(tmp_path: Path, commands: Commands) -> None:
+def test_a_policy_is_corrected_once_and_what_was_retrained_is_evaluated(tmp_path: Path, commands: Commands) -> None:
     for _ in range(2):
         all_of(run_of(tmp_path, corrections=3))
     train = "lerobot-train"
