@@ -8,11 +8,14 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
+
+from lerobot_adamanip.errors import AdaManipError
 
 # Before anything imports huggingface_hub or torch: both read these once. Subprocesses inherit them.
 _SCRATCH = Path(tempfile.mkdtemp(prefix="adamanip-tests-"))
@@ -58,6 +61,20 @@ def _scratch() -> Iterator[None]:
 # Machines are shared: how long an example takes says nothing about the code.
 hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
+
+
+@pytest.fixture(scope="session")
+def refuses() -> Callable[[type[AdaManipError], Callable[[], Any]], str]:
+    """Calls something that must raise; returns the message, which has to say all four things."""
+
+    def check(kind: type[AdaManipError], call: Callable[[], Any]) -> str:
+        with pytest.raises(kind) as caught:
+            call()
+        message = str(caught.value)
+        assert all(word in message for word in ("got:", "allowed:", "try:"))
+        return message
+
+    return check
 
 
 class _Progress:

@@ -6,10 +6,9 @@ whole by a PointNet, and each place that is asked for by the points around it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lerobot_policy_adamanip.affordance_config import AffordanceConfig
@@ -123,35 +122,6 @@ def scores_of_points(score: Callable[[Tensor, Tensor], Tensor], cloud: Tensor) -
 def mean_of_best(scores: Tensor, count: int) -> Tensor:
     """Returns the mean of the ``count`` largest scores. (..., K) -> (...)."""
     return scores.topk(min(count, scores.shape[-1]), dim=-1).values.mean(dim=-1)
-
-
-def weighted_mean(losses: Tensor, weights: Tensor) -> Tensor:
-    """Returns the mean of losses (...) with weights (...); 0 where no weight is."""
-    return (losses * weights).sum() / weights.sum().clamp(min=1e-6)
-
-
-def error_by_group(found: Tensor, wanted: Tensor, sizes: Sequence[int]) -> Tensor:
-    """Returns the sum over groups of numbers of their mean absolute error. (..., sum of sizes) each -> (...).
-
-    Each group counts alike: the three numbers of a grasp's offset decide whether it holds, however many there are of
-    what comes after it.
-    """
-    groups = torch.split((found - wanted).abs(), list(sizes), dim=-1)
-    return torch.stack([group.mean(dim=-1) for group in groups]).sum(dim=0)
-
-
-def logistic_loss(logits: Tensor, wanted: Tensor) -> Tensor:
-    """Binary cross-entropy of each logit. (...), (...) in [0, 1] -> (...)."""
-    return F.binary_cross_entropy_with_logits(logits, wanted, reduction="none")
-
-
-def counting_rows(counts: Tensor) -> Tensor:
-    """Returns the indices (R,) of the rows of (B,) bool that count; the first stands in, for nothing, if none does.
-
-    So every weight has a gradient in every step.
-    """
-    rows = counts.nonzero().squeeze(-1)
-    return rows if len(rows) else rows.new_zeros(1)
 
 
 def point_near(cloud: Tensor, place: Tensor, radius: float) -> Tensor:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.labels import CLOSED
 from lerobot_adamanip.keyframes import OPEN_HAND
 from lerobot_adamanip.schema import (
     ACTION_DIM,
@@ -30,8 +31,6 @@ from lerobot_adamanip.schema import (
     TRIED,
 )
 
-CLOSED = 0.5
-"""A gripper commanded below this opening is closed."""
 AWAY = 0.05
 """A hand at least this far from a grasp does not hide the part [m]."""
 IN_PLACE = 0.03

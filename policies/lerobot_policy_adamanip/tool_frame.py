@@ -74,12 +74,6 @@ def fingers_swapped(pose: Tensor) -> Tensor:
     return pose * constant((1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0), pose)
 
 
-def angle_from(pose: Tensor, other: Tensor) -> Tensor:
-    """Returns by how much poses (..., 10) are turned against others: (...) [rad]."""
-    turned: Tensor = motion_between(pose, other)[..., 3:6].norm(dim=-1)
-    return turned
-
-
 @_whole
 def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
     """Points (..., N, 3) [m, base frame] in the frame of tool poses (..., 10) -> (..., N, 3) [m]."""

@@ -45,7 +45,7 @@ def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
 
 
 @pytest.fixture
-def toy_batch() -> Callable[..., dict[str, Any]]:
+def batch_of() -> Callable[..., dict[str, Any]]:
     """Collates items of a dataset, all of them if none are named, and preprocesses them: what `forward` is given."""
 
     def build(dataset: Any, before: Any, *indices: int) -> dict[str, Any]:

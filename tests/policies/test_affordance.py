@@ -14,14 +14,13 @@ from lerobot_policy_adamanip.affordance import (
     ConditionalVAE,
     PlaceFeatures,
     Score,
-    counting_rows,
     mean_of_best,
     point_near,
     points_away,
     scores_of_points,
-    weighted_mean,
 )
 from lerobot_policy_adamanip.demonstrations import find_contacts
+from lerobot_policy_adamanip.losses import counting_rows, weighted_mean
 from lerobot_policy_adamanip.plans import (
     PlanQueue,
     approach,

@@ -18,17 +18,10 @@ from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordC
 from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
 from lerobot_policy_adamanip.adaafford.memory import Memory
 from lerobot_policy_adamanip.adaafford.network import AdaAffordNetwork, action_numbers, encode_proposal, sent_from
-from lerobot_policy_adamanip.affordance import (
-    counting_rows,
-    error_by_group,
-    logistic_loss,
-    mean_of_best,
-    point_near,
-    points_away,
-    weighted_mean,
-)
+from lerobot_policy_adamanip.affordance import mean_of_best, point_near, points_away
 from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
 from lerobot_policy_adamanip.demonstrations import Demonstrations
+from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
 from lerobot_policy_adamanip.plans import (
     GRASP_DIM,
     GRASP_GROUPS,
@@ -105,8 +98,7 @@ class AdaAffordPolicy(AffordancePolicy):
             "actor_loss": weighted_mean(*self._actor_error(cloud, asked)),
             "map_loss": weighted_mean(self._map_error(cloud, held, elsewhere, z.detach()), counts),
         }
-        total = torch.stack(list(losses.values()))
-        return total.sum(), dict(zip(losses, total.tolist(), strict=True))
+        return summed(losses)
 
     def _interactions(self, numbers: Tensor) -> Interactions:
         """Looks interactions (B, K) up; -1 is none."""

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
@@ -20,10 +20,11 @@ from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 from lerobot_policy_adamanip.encoders import make_encoder
 from lerobot_policy_adamanip.events import events
+from lerobot_policy_adamanip.losses import counting_rows
+from lerobot_policy_adamanip.rotations import angle_between
 from lerobot_policy_adamanip.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
-    angle_from,
     constant,
     fingers_swapped,
     motion_between,
@@ -225,9 +226,13 @@ def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
     Against what was chosen, which is seldom wrong by more than a quarter turn, and against the hand: half a turn more
     is often out of the arm's reach.
     """
+
+    def turned(pose: Tensor) -> Tensor:
+        rotation = pose[:, ROTATION_DIMS]
+        return angle_between(rotation, chosen[:, ROTATION_DIMS]) + angle_between(rotation, tool[:, ROTATION_DIMS])
+
     swapped = fingers_swapped(refined)
-    turned, otherwise = (angle_from(pose, chosen) + angle_from(pose, tool) for pose in (refined, swapped))
-    return torch.where((otherwise < turned)[:, None], swapped, refined)
+    return torch.where((turned(swapped) < turned(refined))[:, None], swapped, refined)
 
 
 def _rows_to_refine(aims: Tensor) -> Tensor:
@@ -235,9 +240,7 @@ def _rows_to_refine(aims: Tensor) -> Tensor:
     if aims.device.type != "cpu":
         # Which ones aim is not known without waiting for the device, to which the others are little work.
         return torch.arange(len(aims), device=aims.device)
-    rows = aims.nonzero().squeeze(-1)
-    # One that counts for nothing if none does: every weight has a gradient in every step.
-    return rows if len(rows) else rows.new_zeros(1)
+    return counting_rows(aims)
 
 
 def _drawn(likely: Tensor, noise: Tensor | None) -> Tensor:

@@ -15,17 +15,14 @@ from lerobot_policy_adamanip.affordance import (
     ConditionalVAE,
     PlaceFeatures,
     Score,
-    counting_rows,
-    error_by_group,
-    logistic_loss,
     point_near,
     points_away,
     scores_of_points,
-    weighted_mean,
 )
 from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
 from lerobot_policy_adamanip.contact_labels import ContactLabels, drawn_contact, label_contacts
 from lerobot_policy_adamanip.demonstrations import Demonstrations
+from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
 from lerobot_policy_adamanip.motion_clusters import cluster_motions
 from lerobot_policy_adamanip.plans import (
     GRASP_DIM,
@@ -131,8 +128,7 @@ class SamplingPolicy(AffordancePolicy):
             "affordance_loss": weighted_mean(affordance, weight),
             "grasp_loss": weighted_mean(grasping, weight),
         }
-        total = torch.stack(list(losses.values()))
-        return total.sum(), dict(zip(losses, total.tolist(), strict=True))
+        return summed(losses)
 
     # Run time ---------------------------------------------------------------------------------------------------
 

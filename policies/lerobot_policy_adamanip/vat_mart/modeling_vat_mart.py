@@ -17,17 +17,14 @@ from lerobot_policy_adamanip.affordance import (
     ConditionalVAE,
     PlaceFeatures,
     Score,
-    counting_rows,
-    error_by_group,
-    logistic_loss,
     mean_of_best,
     point_near,
     points_away,
     scores_of_points,
-    weighted_mean,
 )
 from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
 from lerobot_policy_adamanip.demonstrations import Demonstrations
+from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
 from lerobot_policy_adamanip.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, ON_PART
 from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
@@ -131,8 +128,7 @@ class VatMartPolicy(AffordancePolicy):
             "score_loss": weighted_mean(score, weight),
             "actionability_loss": weighted_mean(self._actionability_loss(cloud, places), weight),
         }
-        total = torch.stack(list(losses.values()))
-        return total.sum(), dict(zip(losses, total.tolist(), strict=True))
+        return summed(losses)
 
     def _score_loss(self, cloud: Tensor, places: Tensor, trajectory: Tensor, share: Tensor) -> Tensor:
         """Returns ``BCE(C, success)`` (B,) of a trajectory, of a spoilt grasp, and of the same numbers elsewhere.

@@ -111,10 +111,10 @@ def test_padding_is_cut_to_the_longest_row() -> None:
 # Training -----------------------------------------------------------------------------------------------------------
 
 
-def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batch: Any) -> None:
+def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, batch_of: Any) -> None:
     policy, before, _, dataset = make()
     for rows in ([], [len(dataset) - 1]):
-        loss, parts = policy.forward(toy_batch(dataset, before, *rows))
+        loss, parts = policy.forward(batch_of(dataset, before, *rows))
         assert torch.isfinite(loss)
         assert all(isinstance(value, float) for value in parts.values())
         policy.zero_grad()
@@ -124,27 +124,27 @@ def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batc
         assert len(moved) == (0 if rows else len(list(policy.model.parameters())))
 
 
-def test_success_is_taught_by_outcomes_alone(make: MakePolicy, toy_batch: Any) -> None:
+def test_success_is_taught_by_outcomes_alone(make: MakePolicy, batch_of: Any) -> None:
     """Neither information, nor maps, nor the actor move what decides about success."""
     policy, before, _, dataset = make()
-    policy.forward(toy_batch(dataset, before))[0].backward()
+    policy.forward(batch_of(dataset, before))[0].backward()
     shared = {name: weight.grad.clone() for name, weight in policy.model.features.named_parameters()}
     for module in (policy.model.information, policy.model.information_map, policy.model.success_map):
         module.out[-1].weight.data.mul_(3.0)
     policy.zero_grad()
     torch.manual_seed(0)
-    first = policy.forward(toy_batch(dataset, before))[1]["success_loss"]
+    first = policy.forward(batch_of(dataset, before))[1]["success_loss"]
     torch.manual_seed(0)
-    assert policy.forward(toy_batch(dataset, before))[1]["success_loss"] == first
+    assert policy.forward(batch_of(dataset, before))[1]["success_loss"] == first
     assert all(grad.any() for grad in shared.values())
 
 
-def test_it_learns_from_what_was_felt(make: MakePolicy, toy_batch: Any) -> None:
+def test_it_learns_from_what_was_felt(make: MakePolicy, batch_of: Any) -> None:
     """Outcomes are predicted better from interactions before them than from nothing."""
     policy, before, _, dataset = make()
     labels = policy.labels
     told_something = torch.nonzero((labels.history[:, 0] >= 0) & (labels.candidates[:, 0] >= 0)).flatten().tolist()
-    batch = toy_batch(dataset, before, *told_something)
+    batch = batch_of(dataset, before, *told_something)
     losses = trained(policy, batch, 150)
     assert np.mean(losses[-10:]) < 0.6 * np.mean(losses[:5])
     with torch.no_grad():

@@ -125,17 +125,6 @@ def make_tiny(make_config: Callable[..., Any], open_dataset: Callable[..., Any])
 
 
 @pytest.fixture
-def batch_of() -> Callable[..., dict[str, Any]]:
-    """Collates items of a dataset and preprocesses them: what `forward` is given in training."""
-
-    def build(dataset: Any, before: Any, *indices: int) -> dict[str, Any]:
-        items = [dataset[index] for index in indices]
-        return dict(before(torch.utils.data.default_collate(items)))
-
-    return build
-
-
-@pytest.fixture
 def observation_of() -> Callable[..., dict[str, Any]]:
     """Preprocesses the present observation of items: what `select_action` is given at run time."""
 

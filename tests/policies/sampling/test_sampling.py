@@ -218,10 +218,10 @@ def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, 
 # Training -----------------------------------------------------------------------------------------------------------
 
 
-def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batch: Any) -> None:
+def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, batch_of: Any) -> None:
     policy, before, _, dataset = make()
     for rows in ([], [len(dataset) - 1]):
-        loss, told = policy.forward(toy_batch(dataset, before, *rows))
+        loss, told = policy.forward(batch_of(dataset, before, *rows))
         assert all(isinstance(value, float) for value in told.values())
         policy.zero_grad()
         loss.backward()
@@ -242,9 +242,9 @@ def test_contacts_can_be_made_while_nothing_has_moved_and_the_hand_is_away(make:
         np.testing.assert_array_equal(labels.grasps[made], contact.grasp)
 
 
-def test_it_learns_to_take_hold_and_then_tries_everything(make: MakePolicy, toy_batch: Any) -> None:
+def test_it_learns_to_take_hold_and_then_tries_everything(make: MakePolicy, batch_of: Any) -> None:
     policy, before, _, dataset = make(feature_dim=64)
-    batch = toy_batch(dataset, before, *([0, 1] * 8))
+    batch = batch_of(dataset, before, *([0, 1] * 8))
     losses = trained(policy, batch, 200)
     assert np.mean(losses[-20:]) < 0.25 * np.mean(losses[:5])
     cloud, _ = policy.observed({key: value[:1] for key, value in batch.items() if key.startswith("observation")})

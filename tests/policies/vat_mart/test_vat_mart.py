@@ -85,10 +85,10 @@ def test_a_spoilt_grasp_is_turned_or_shifted_and_nothing_else() -> None:
 # Training -----------------------------------------------------------------------------------------------------------
 
 
-def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batch: Any) -> None:
+def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, batch_of: Any) -> None:
     policy, before, _, dataset = make()
     for rows in ([], [len(dataset) - 1]):
-        loss, told = policy.forward(toy_batch(dataset, before, *rows))
+        loss, told = policy.forward(batch_of(dataset, before, *rows))
         assert torch.isfinite(loss)
         assert all(isinstance(value, float) for value in told.values())
         policy.zero_grad()
@@ -98,20 +98,20 @@ def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, toy_batc
         assert still == ([] if not rows else [name for name, _ in policy.model.named_parameters()])
 
 
-def test_later_modules_do_not_teach_earlier_ones(make: MakePolicy, toy_batch: Any) -> None:
+def test_later_modules_do_not_teach_earlier_ones(make: MakePolicy, batch_of: Any) -> None:
     """Actionability follows scores and proposals; neither follows it."""
     policy, before, _, dataset = make()
-    cloud, _ = policy.observed(toy_batch(dataset, before, 0, 9))
+    cloud, _ = policy.observed(batch_of(dataset, before, 0, 9))
     policy._actionability_loss(cloud, cloud[:, :3]).sum().backward()
     moved = {name.split(".")[0] for name, weight in policy.model.named_parameters() if weight.grad is not None}
     assert moved == {"action_features", "actionability"}
 
 
-def test_what_it_is_shown_it_plans_again(make: MakePolicy, toy_batch: Any) -> None:
+def test_what_it_is_shown_it_plans_again(make: MakePolicy, batch_of: Any) -> None:
     policy, before, _, dataset = make(feature_dim=64)
-    losses = trained(policy, toy_batch(dataset, before, *[0] * 16), 200)
+    losses = trained(policy, batch_of(dataset, before, *[0] * 16), 200)
     assert np.mean(losses[-20:]) < 0.15 * np.mean(losses[:5])
-    plan = policy.predict_action_chunk(toy_batch(dataset, before, 0))
+    plan = policy.predict_action_chunk(batch_of(dataset, before, 0))
     wanted = policy.labels.grasps[policy.labels.plan_of[0]]
     assert (plan[0, 1, :3] - wanted[:3]).norm() < 0.008
     assert angle_between(plan[0, 1, 3:9], wanted[3:9]) < 0.1
@@ -120,10 +120,10 @@ def test_what_it_is_shown_it_plans_again(make: MakePolicy, toy_batch: Any) -> No
 
 
 def test_the_scorer_learns_the_share_that_opens_and_that_nothing_opens_elsewhere(
-    make: MakePolicy, toy_batch: Any
+    make: MakePolicy, batch_of: Any
 ) -> None:
     policy, before, _, dataset = make()
-    batch = toy_batch(dataset, before, *counting(policy))
+    batch = batch_of(dataset, before, *counting(policy))
     trained(policy, batch, 120)
     cloud, _ = policy.observed(batch)
     labels, plan = policy.labels, policy.labels.plan_of[batch["index"]]
