@@ -38,12 +38,12 @@ def count(text: str) -> int:
     return value
 
 
-def list_of(allowed: tuple[str, ...]) -> Callable[[str], tuple[str, ...]]:
-    """Returns a parser of names out of ``allowed``, separated by commas."""
+def list_of(allowed: tuple[str, ...] | None) -> Callable[[str], tuple[str, ...]]:
+    """Returns a parser of names out of ``allowed``, any if None, separated by commas."""
 
     def parse(text: str) -> tuple[str, ...]:
         chosen = tuple(dict.fromkeys(each.strip() for each in text.split(",")))
-        if unknown := [each for each in chosen if each not in allowed]:
+        if allowed is not None and (unknown := [each for each in chosen if each not in allowed]):
             raise argparse.ArgumentTypeError(f"{', '.join(unknown)} is none of {', '.join(allowed)}")
         return chosen
 

@@ -10,14 +10,17 @@ with. One thing at a time: two cores are no more. For example, the default on va
 
 ``suite`` is one policy of all categories: their demonstrations merged, told what to do, each category counting alike.
 Models are chosen on ``--split validation``; ``test`` is for numbers that are reported. A table of all runs in ``--out``
-follows from their logs: ``python scripts/policy_runs.py --table``.
+follows from their logs: ``python scripts/policy_runs.py --table``. ``--result FILE`` writes the runs of ``--name`` for
+docs/results.md; several settings (``--name default,wide``) stand side by side.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
+import shlex
 import subprocess
 import sys
 import time
@@ -33,6 +36,7 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.results import make_result, rows_of_records, write_result
 from lerobot_adamanip.files import write_atomically
 
 BIN = Path(sys.executable).parent
@@ -67,7 +71,8 @@ class Run:
             self._merge("merge", [part.data for part in parts], self.data)
             return
         given = self.options
-        self._run("collect", *self._recording(self.data, given.episodes_per_object), "--objects", given.train_objects)
+        of = ("--objects", given.train_objects, "--expert", given.expert)
+        self._run("collect", *self._recording(self.data, given.episodes_per_object), *of)
 
     def train(self) -> None:
         """Trains, on from the last checkpoint if there is one."""
@@ -181,7 +186,7 @@ def steps(folder: Path) -> list[dict[str, Any]]:
 
 def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
     """Yields a row of numbers for each finished evaluation of a run, and each category in it."""
-    minutes = sum(entry["seconds"] for entry in steps(folder) if entry["step"] in ("train", "retrain")) / 60
+    minutes = train_minutes(folder)
     for log in sorted(folder.glob("*-*.jsonl")):
         if not log.with_suffix(".done").exists():
             continue
@@ -190,6 +195,35 @@ def summary(folder: Path, episodes: int) -> Iterator[dict[str, Any]]:
             found = numbers([record for record in records if record.category == category])
             where = {"run": folder.name, "category": category, "scenes": log.stem}
             yield {**where, **found, "train_minutes": round(minutes, 1)}
+
+
+def train_minutes(folder: Path) -> float:
+    """Returns how long a run trained, in all."""
+    return float(sum(entry["seconds"] for entry in steps(folder) if entry["step"] in ("train", "retrain")) / 60)
+
+
+def write_results(options: argparse.Namespace) -> None:
+    """Writes a result file of the runs, settings and categories, that the command line names."""
+    rows, records = [], []
+    for name, category in itertools.product(options.name, options.category):
+        run = Run(options.out / f"{name}-{category}", category, options)
+        logs = [run.log(objects) for objects in options.objects if run.log(objects).with_suffix(".done").exists()]
+        found = [record for log in logs for record in first_episodes(read_log(log), options.episodes)]
+        rows += rows_of_records(found, name, round(train_minutes(run.folder), 1))
+        records += found
+    if not records:
+        raise SystemExit(f"nothing to write into {options.result}: no evaluation is finished")
+    result = make_result(
+        rows,
+        kind="policy",
+        title=options.title,
+        command=shlex.join(["python", "scripts/policy_runs.py", *sys.argv[1:]]),
+        fingerprint=", ".join(sorted({record.provenance.fingerprint for record in records})),
+        seeds=[record.seed for record in records],
+        scenes=options.split,
+    )
+    write_result(options.result, result)
+    say(f"written: {options.result}")
 
 
 def numbers(records: list[EpisodeRecord]) -> dict[str, Any]:
@@ -222,11 +256,16 @@ def arguments() -> argparse.Namespace:
     """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--category", type=list_of((*CATEGORIES, SUITE)), default=tuple(CATEGORIES))
-    parser.add_argument("--name", default="default", help="of the setting; a run is NAME-CATEGORY (%(default)s)")
+    parser.add_argument(
+        "--name", type=list_of(None), default=("default",), help="of the setting; a run is NAME-CATEGORY (default)"
+    )
     parser.add_argument("--data", default="outputs/suite/{category}", help="of the demonstrations (%(default)s)")
     parser.add_argument("--out", type=Path, default=ROOT / "outputs" / "runs", help="folder of the runs (%(default)s)")
     parser.add_argument("--train-objects", default="seen")
     parser.add_argument("--episodes-per-object", type=count, default=20)
+    parser.add_argument(
+        "--expert", default="adaptive", help="of the demonstrations: adaptive, or static, which sees all"
+    )
     parser.add_argument("--steps", type=count, default=4000)
     parser.add_argument("--batch-size", type=count, default=64)
     parser.add_argument("--seed", type=int, default=1000)
@@ -240,6 +279,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=count, default=100, help="of an evaluation (%(default)s)")
     parser.add_argument("--collect-only", action="store_true")
     parser.add_argument("--table", action="store_true", help="only print what is there")
+    parser.add_argument("--result", type=Path, help="write a result file, for docs/results.md, of these runs")
+    parser.add_argument("--title", default="policies", help="of the result file, one line (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
     return parser.parse_args()
 
@@ -248,8 +289,8 @@ def main() -> int:
     """Runs what is missing, and prints a table."""
     options = arguments()
     options.out = options.out.absolute()
-    for category in () if options.table else options.category:
-        run = Run(options.out / f"{options.name}-{category}", category, options)
+    for name, category in () if options.table else itertools.product(options.name, options.category):
+        run = Run(options.out / f"{name}-{category}", category, options)
         run.collect()
         if options.collect_only:
             continue
@@ -257,6 +298,8 @@ def main() -> int:
         run.correct()
         for objects in options.objects:
             run.evaluate(objects)
+    if options.result is not None:
+        write_results(options)
     rows = [row for folder in sorted(options.out.glob("*-*")) for row in summary(folder, options.episodes)]
     if options.json:
         sys.stdout.write(json.dumps(rows) + "\n")

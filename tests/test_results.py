@@ -24,7 +24,7 @@ from lerobot_adamanip.evaluation.results import (
     rows_of_records,
     write_result,
 )
-from lerobot_adamanip.evaluation.tables import END, NOTHING, START, readme_block, results_page, with_block
+from lerobot_adamanip.evaluation.tables import END, NOTHING, START, readme_block, result_table, results_page, with_block
 from lerobot_env_adamanip.fingerprint import (
     code_fingerprint,
     environment_fingerprint,
@@ -115,8 +115,34 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
     assert [(row.objects, row.successes, row.episodes) for row in rows] == [("seen", 15, 20)]
     block = readme_block({"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}, {NOW})
     assert (
-        "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | direction +1 15/20, locked 5/10, unlocked 10/10 |" in block
+        "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | -0.50 | 0/0 | "
+        "direction +1 15/20, locked 5/10, unlocked 10/10 |" in block
     )
+
+
+def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_were_measured() -> None:
+    measured = {"wasted_tries": 0.5, "repeated": (1, 10), "train_minutes": 9.6}
+    rows = [
+        ResultRow("ours", "paper", "safe", "seen", 10, 9, **measured),
+        ResultRow("ours", "paper", "safe", "unseen", 20, 10, wasted_tries=1.4, repeated=(2, 5), train_minutes=9.6),
+        ResultRow("ours", "paper", "lamp", "seen", 20, 20),
+        ResultRow("other", "paper", "safe", "seen", 10, 2),
+    ]
+    lines = result_table(result(kind="policy", rows=tuple(rows))).splitlines()
+    assert lines[0] == (
+        "| policy | category | seen objects | unseen objects | wasted tries | failed tries repeated | trained |"
+    )
+    # Weighted with successes: (9 * 0.5 + 10 * 1.4) / 19.
+    assert lines[2].endswith("| 0.97 | 3/15 | 10 min |")
+    assert lines[4] == "| ours | mean of 2 | 95.0 % | - |  |  |  |", "of unseen objects one category alone was measured"
+    assert lines[5].startswith("| other | safe | 2/10")
+    assert len(lines) == 6
+
+
+def test_the_readme_has_no_numbers_that_a_policy_was_chosen_by() -> None:
+    chosen_by = {"tuning.json": result(kind="policy", scenes="validation")}
+    assert "19/20" in results_page(chosen_by, {NOW})
+    assert readme_block(chosen_by, {NOW}) == readme_block({}, {NOW})
 
 
 def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
@@ -151,6 +177,9 @@ def test_more_successes_than_episodes_and_hidden_counts_beyond_them_are_refused(
         parse_result(content)
     content["rows"][0] |= {"successes": 19, "hidden": {"locked": [9, 30]}}
     with pytest.raises(ValueError, match="9 of 30"):
+        parse_result(content)
+    content["rows"][0] |= {"hidden": None, "repeated": [4, 3]}
+    with pytest.raises(ValueError, match="more tries are repeated than failed"):
         parse_result(content)
 
 

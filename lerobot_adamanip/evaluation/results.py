@@ -19,6 +19,7 @@ from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
 from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
 from lerobot_adamanip.evaluation.origin import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.recovery import recovery
 from lerobot_adamanip.files import write_atomically
 
 KINDS = ("expert", "policy")
@@ -41,6 +42,9 @@ class ResultRow:
         key_frames: mean of the successes; None without one.
         failed_tries: mean of the successes; None if not counted.
         hidden: hidden value's name -> (successes, episodes); see `groups.hidden_names`.
+        wasted_tries: mean of the successes, beyond the best possible; None if not counted.
+        repeated: failed tries that were repeated unchanged, and all that another try followed; None if not counted.
+        train_minutes: that a policy was trained; None if not measured.
     """
 
     subject: str
@@ -52,6 +56,9 @@ class ResultRow:
     key_frames: float | None = None
     failed_tries: float | None = None
     hidden: Mapping[str, tuple[int, int]] | None = None
+    wasted_tries: float | None = None
+    repeated: tuple[int, int] | None = None
+    train_minutes: float | None = None
 
 
 @dataclass(frozen=True)
@@ -169,12 +176,16 @@ def parse_result(content: object) -> ResultFile:
         for count, episodes in [(row["successes"], row["episodes"]), *(hidden or {}).values()]:
             if not 0 <= count <= episodes <= row["episodes"]:
                 raise ValueError(f"{row['subject']}, {row['category']}: {count} of {episodes} episodes cannot be")
+        if row["repeated"] is not None and row["repeated"][0] > row["repeated"][1]:
+            raise ValueError(f"{row['subject']}, {row['category']}: more tries are repeated than failed")
     if PRIVATE_PATH.search(found["command"]):
         raise ValueError("command holds a path of one machine")
     return ResultFile(rows=tuple(rows), **{**found, "seeds": tuple(found["seeds"])})
 
 
-def rows_of_records(records: Sequence[EpisodeRecord], subject: str) -> list[ResultRow]:
+def rows_of_records(
+    records: Sequence[EpisodeRecord], subject: str, train_minutes: float | None = None
+) -> list[ResultRow]:
     """Returns a row for each preset, category and split of objects in an evaluation's records."""
     kept = without_repeats(records)
     boundaries = hidden_boundaries(kept)
@@ -184,7 +195,7 @@ def rows_of_records(records: Sequence[EpisodeRecord], subject: str) -> list[Resu
         found.setdefault(key, []).append(record)
     rows = []
     for (preset, category, objects), chosen in sorted(found.items(), key=lambda item: _row_order(*item[0])):
-        result, hidden = group_result(chosen), dict[str, tuple[int, int]]()
+        result, hidden, again = group_result(chosen), dict[str, tuple[int, int]](), recovery(chosen).repeated
         for record in chosen:
             for name in hidden_names(category, record.hidden_state, boundaries):
                 count, episodes = hidden.get(name, (0, 0))
@@ -200,6 +211,9 @@ def rows_of_records(records: Sequence[EpisodeRecord], subject: str) -> list[Resu
                 result.key_frames_of_successes,
                 None if result.tries is None else result.tries.made,
                 dict(sorted(hidden.items())),
+                None if result.tries is None else result.tries.wasted,
+                (again.count, again.episodes),
+                train_minutes,
             )
         )
     return rows
@@ -221,6 +235,9 @@ _ROW = checked_json.table(
         "key_frames": checked_json.optional(checked_json.number(0, 10**6)),
         "failed_tries": checked_json.optional(checked_json.number(0, 10**6)),
         "hidden": checked_json.optional(checked_json.mapping(LINE, checked_json.listing(_COUNT, 2, 2), 100)),
+        "wasted_tries": checked_json.optional(checked_json.number(-(10**6), 10**6)),
+        "repeated": checked_json.optional(checked_json.listing(_COUNT, 2, 2)),
+        "train_minutes": checked_json.optional(checked_json.number(0, 10**6)),
     }
 )
 _RESULT = checked_json.table(

@@ -15,10 +15,12 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 with which command, commit and seeds it was measured, and by which code: the *fingerprint* is a hash of all that decides
 how an episode comes out (contract, mechanisms, objects, simulator; experts, where they acted). Only tables of the
 present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
-success.
+success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
+either. *Failed tries repeated*: unchanged, of those that another try followed.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _CONTINUOUS = ("<", ">=")
+_POLICY_TITLES = ("wasted tries", "failed tries repeated", "trained", "by what is hidden")
 
 
 def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
@@ -46,8 +48,11 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
 
 
 def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
-    """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint."""
-    known = (result for result in results.values() if result.fingerprint in present)
+    """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
+
+    What policies were chosen by is no number to show there: validation scenes stand on the page alone.
+    """
+    known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
     parts = [START]
     for result in fresh:
@@ -127,16 +132,62 @@ def _column_order(column: tuple[str, str, str]) -> tuple[str, str, int]:
 
 def _policy_table(rows: Sequence[ResultRow]) -> str:
     splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
-    keys = list(dict.fromkeys((row.subject, row.preset, row.category) for row in rows))
-    several = len({preset for _, preset, _ in keys}) > 1
+    several = len({row.preset for row in rows}) > 1
     lines = []
-    for subject, preset, category in keys:
-        mine = [row for row in rows if (row.subject, row.preset, row.category) == (subject, preset, category)]
-        by_split = {row.objects: row for row in mine}
+    for subject, preset in dict.fromkeys((row.subject, row.preset) for row in rows):
+        of_policy = [row for row in rows if (row.subject, row.preset) == (subject, preset)]
         name = f"{subject} ({preset})" if several else subject
-        cells = [_success(by_split[split]) if split in by_split else "-" for split in splits]
-        lines.append([name, category.replace("_", " "), *cells, _hidden(mine)])
-    return markdown_table(["policy", "category", *(f"{split} objects" for split in splits), "by what is hidden"], lines)
+        categories = list(dict.fromkeys(row.category for row in of_policy))
+        for category in categories:
+            mine = [row for row in of_policy if row.category == category]
+            by_split = {row.objects: row for row in mine}
+            cells = [_success(by_split[split]) if split in by_split else "-" for split in splits]
+            lines.append(
+                [
+                    name,
+                    category.replace("_", " "),
+                    *cells,
+                    _wasted(mine),
+                    _repeated(mine),
+                    _minutes(mine),
+                    _hidden(mine),
+                ]
+            )
+        if len(categories) > 1:
+            means = [
+                _mean_success([row for row in of_policy if row.objects == split], len(categories)) for split in splits
+            ]
+            lines.append([name, f"mean of {len(categories)}", *means, *[""] * 4])
+    titles = ["policy", "category", *(f"{split} objects" for split in splits), *_POLICY_TITLES]
+    # What nobody measured needs no column.
+    kept = [place for place in range(len(titles)) if any(line[place] not in ("-", "") for line in lines)]
+    return markdown_table([titles[place] for place in kept], [[line[place] for place in kept] for line in lines])
+
+
+def _mean_success(rows: Sequence[ResultRow], categories: int) -> str:
+    """Returns the mean of the categories' shares; nothing where one of them was not measured."""
+    shares = [row.successes / row.episodes for row in rows]
+    return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == categories else "-"
+
+
+def _wasted(rows: Iterable[ResultRow]) -> str:
+    """Returns tries wasted per success, of all splits of objects together."""
+    counted = [(row.wasted_tries, row.successes) for row in rows if row.wasted_tries is not None and row.successes]
+    if not counted:
+        return "-"
+    return f"{sum(tries * successes for tries, successes in counted) / sum(each for _, each in counted):.2f}"
+
+
+def _repeated(rows: Iterable[ResultRow]) -> str:
+    """Returns how many failed tries were repeated unchanged, of all splits of objects together."""
+    counted = [row.repeated for row in rows if row.repeated is not None]
+    return f"{sum(count for count, _ in counted)}/{sum(tries for _, tries in counted)}" if counted else "-"
+
+
+def _minutes(rows: Iterable[ResultRow]) -> str:
+    """Returns how long the policy was trained; its rows say the same."""
+    known = [row.train_minutes for row in rows if row.train_minutes is not None]
+    return f"{max(known):.0f} min" if known else "-"
 
 
 def interval_text(share: Rate) -> str:

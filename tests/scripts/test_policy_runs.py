@@ -11,8 +11,11 @@ from typing import Any
 import policy_runs
 import pytest
 from policy_runs import Run, numbers, summary
+from records import record
 
 from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.log import append_record
+from lerobot_adamanip.evaluation.results import read_result
 
 
 class Commands:
@@ -59,7 +62,8 @@ def run_of(folder: Path, category: str = "door", **changes: Any) -> Run:
     values = {
         "data": str(folder / "data" / "{category}"), "episodes_per_object": 2, "train_objects": "seen", "steps": 10,
         "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
-        "corrections": 0, "correction_steps": 4,
+        "corrections": 0, "correction_steps": 4, "expert": "adaptive", "out": folder / "runs", "objects": ("seen",),
+        "name": ("default",), "category": ("door",), "result": folder / "result.json", "title": "policies",
     }  # fmt: skip
     return Run(folder / "runs" / f"default-{category}", category, argparse.Namespace(**{**values, **changes}))
 
@@ -120,6 +124,30 @@ def test_the_suite_is_all_categories_in_one_and_is_told_what_to_do(tmp_path: Pat
     assert [Path(root).name for root in merge[2 : merge.index("--out")]] == list(CATEGORIES)
     assert {"--policy.use_instruction=true", "--policy.balance_tasks=true"} < set(train)
     assert "--env.type=adamanip" in evaluation
+
+
+def test_a_result_file_holds_the_settings_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = run_of(tmp_path, name=("narrow", "wide"), category=("door", "lamp"), objects=("seen", "unseen")).options
+    with pytest.raises(SystemExit, match="nothing to write"):
+        policy_runs.write_results(options)
+    for name, seconds in (("narrow", 60), ("wide", 90)):
+        folder = tmp_path / "runs" / f"{name}-door"
+        folder.mkdir(parents=True)
+        trained = [{"step": step, "command": [], "seconds": seconds} for step in ("train", "retrain", "evaluate")]
+        (folder / "steps.json").write_text(json.dumps(trained))
+        log = folder / "validation-seen.jsonl"
+        for seed in range(7):
+            opened = record(object_id="door_000", seed=seed, success=seed > 2)
+            append_record(log, opened)
+        log.with_suffix(".done").touch()
+        (folder / "validation-unseen.jsonl").write_text("half of it")
+    monkeypatch.setattr(policy_runs.sys, "argv", ["policy_runs.py", "--name", "narrow,wide"])
+    policy_runs.write_results(options)
+    found = read_result(options.result)
+    assert found.command == "python scripts/policy_runs.py --name narrow,wide"
+    told = [(row.subject, row.category, row.objects, row.successes, row.train_minutes) for row in found.rows]
+    # Five episodes were asked for; what was not finished does not count.
+    assert told == [("narrow", "door", "seen", 2, 2.0), ("wide", "door", "seen", 2, 3.0)]
 
 
 def test_numbers_of_no_episode_are_no_success() -> None:
