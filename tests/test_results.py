@@ -226,6 +226,12 @@ def test_the_readme_leaves_other_presets_than_the_papers_to_the_page() -> None:
     assert readme_block(hard, {NOW}) == readme_block({}, {NOW})
 
 
+def test_the_readme_leaves_experts_to_the_page_once_a_policy_was_measured() -> None:
+    experts, policy = {"experts.json": result()}, {"policy.json": result(kind="policy", scenes="test")}
+    assert "adaptive, novel" in readme_block(experts, {NOW})
+    assert readme_block({**experts, **policy}, {NOW}) == readme_block(policy, {NOW})
+
+
 def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> None:
     module, folder = script(), tmp_path / "benchmark" / "cpu"
     alone = module.documents(tmp_path, {CODE.episodes})[module.PAGE]

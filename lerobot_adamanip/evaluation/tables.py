@@ -50,10 +50,12 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
 def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
     """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
 
-    What policies were chosen by is no number to show there: validation scenes stand on the page alone.
+    What policies were chosen by is no number to show there: validation scenes stand on the page alone. So do experts,
+    once a policy was measured.
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
+    fresh = [result for result in fresh if result.kind == "policy"] or fresh
     parts = [START]
     for result in fresh:
         parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result)}\n")
