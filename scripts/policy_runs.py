@@ -85,7 +85,7 @@ class Run:
     def correct(self) -> None:
         """Lets the policy drive and the expert correct it; trains anew, on demonstrations and corrections (DAgger)."""
         given, corrections, both = self.options, self.folder / "corrections", self.folder / "both"
-        if not given.corrections:
+        if not self.corrected:
             return
         if not _recorded(corrections):
             policy = ("--policy", str(self.checkpoint("train")), "--objects", given.train_objects)
@@ -93,6 +93,12 @@ class Run:
         if not _recorded(both):
             self._merge("merge", [self.data, corrections], both)
         self._train("retrain", both, given.correction_steps, self._begin())
+
+    @property
+    def corrected(self) -> bool:
+        """Whether this category's policy is corrected."""
+        given = self.options
+        return bool(given.corrections) and (not given.corrected or self.category in given.corrected)
 
     def _merge(self, step: str, parts: list[Path], whole: Path) -> None:
         self._run(step, "adamanip", "merge", *map(str, parts), "--out", str(whole))
@@ -107,7 +113,7 @@ class Run:
         self._run(
             "evaluate",
             "lerobot-eval",
-            f"--policy.path={self.checkpoint('retrain' if given.corrections else 'train')}",
+            f"--policy.path={self.checkpoint('retrain' if self.corrected else 'train')}",
             "--policy.device=cpu",
             f"--env.type=adamanip{'' if self.category == SUITE else f'_{self.category}'}",
             f"--env.objects={objects}",
@@ -273,6 +279,9 @@ def arguments() -> argparse.Namespace:
         "--train", action="append", default=[], help="one more option of lerobot-train, may be repeated"
     )
     parser.add_argument("--corrections", type=int, default=0, help="corrected episodes per object (%(default)s)")
+    parser.add_argument(
+        "--corrected", type=list_of((*CATEGORIES, SUITE)), default=(), help="categories; all if left out"
+    )
     parser.add_argument("--correction-steps", type=count, default=6000, help="of the training with them (%(default)s)")
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--objects", type=list_of(OBJECTS), default=("seen",), help="evaluated on: seen, unseen, novel")

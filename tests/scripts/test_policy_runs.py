@@ -64,6 +64,7 @@ def run_of(folder: Path, category: str = "door", **changes: Any) -> Run:
         "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
         "corrections": 0, "correction_steps": 4, "expert": "adaptive", "out": folder / "runs", "objects": ("seen",),
         "name": ("default",), "category": ("door",), "result": folder / "result.json", "title": "policies",
+        "corrected": (),
     }  # fmt: skip
     return Run(folder / "runs" / f"default-{category}", category, argparse.Namespace(**{**values, **changes}))
 
@@ -113,6 +114,15 @@ def test_a_policy_is_corrected_once_and_what_was_retrained_is_evaluated(tmp_path
     first, on = (next(word for word in call if word.startswith("--output_dir=")) for call in commands.called[1:5:3])
     assert commands.called[2][commands.called[2].index("--policy") + 1].startswith(first.partition("=")[2])
     assert commands.called[5][1].startswith(f"--policy.path={on.partition('=')[2]}")
+
+
+def test_only_the_categories_that_were_named_are_corrected(tmp_path: Path, commands: Commands) -> None:
+    for category in ("bottle", "door"):
+        all_of(run_of(tmp_path, category, corrections=3, corrected=("door",)))
+    assert commands.names.count("lerobot-train") == 3
+    evaluated = [call[1] for call in commands.called if call[0] == "lerobot-eval"]
+    assert "default-bottle/train/" in evaluated[0]
+    assert "default-door/retrain/" in evaluated[1]
 
 
 def test_the_suite_is_all_categories_in_one_and_is_told_what_to_do(tmp_path: Path, commands: Commands) -> None:
