@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup pictures test nightly check format bench demo clean
+.PHONY: help setup pictures test nightly check format docs release bench demo clean
 export NO_SYSTEM
 
 BIN := .venv/bin
@@ -56,6 +56,15 @@ check: .venv/.installed  ## format, lint, types, layers
 format: .venv/.installed  ## rewrite the files as `make check` wants them
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+docs: .venv/.installed  ## the documentation as a site, in outputs/site
+	$(BIN)/python -m mkdocs build --strict
+
+# What the workflow of a release does, up to the upload, on the packages of .venv instead of downloaded ones.
+release: .venv/.simulates  ## wheel and source archive in dist/, tried in an environment of their own
+	rm -rf dist
+	$(BIN)/python -m build --no-isolation --outdir dist
+	$(BIN)/python scripts/smoke_test_release.py dist --share-packages
 
 # The policy of `make demo`, if it has been trained, is what the evaluation is timed with.
 bench: pictures  ## measure: each lever against the plain path, then this code against an older revision of it, in one run

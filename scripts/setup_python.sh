@@ -68,7 +68,7 @@ create_venv() {
 }
 
 install_project() {
-    local what=(-e '.[sim,annotate,assets,cluster,dev]' -c constraints.txt)
+    local what=(-e '.[sim,annotate,assets,cluster,docs,dev]' -c constraints.txt)
     say "installing the project and its dependencies (6.6 GB; a few minutes the first time)"
     if has uv; then
         # pip may be configured for a mirror that uv does not know of.
