@@ -2,100 +2,101 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
 import sys
-import sysconfig
+import tarfile
 import tomllib
-import venv
 import zipfile
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from smoke_test_release import ReleaseError, check_tag, find_wheel
 
 import lerobot_adamanip
 
 ROOT = Path(__file__).resolve().parents[1]
-SHOW_REGISTRATIONS = """
-import json, lerobot_adamanip, lerobot_env_adamanip, lerobot_policy_adamanip
-from lerobot.configs.policies import PreTrainedConfig
-from lerobot.envs.configs import EnvConfig
-from lerobot.utils.import_utils import register_third_party_plugins
-register_third_party_plugins()
-modules = (lerobot_adamanip, lerobot_env_adamanip, lerobot_policy_adamanip)
-print(json.dumps({"env": sorted(EnvConfig.get_known_choices()), "policy": sorted(PreTrainedConfig.get_known_choices()),
-                  "files": [m.__file__ for m in modules]}))
-"""
+TEXT = {".py", ".typed", ".toml", ".md", ".txt", ".cff", ""}
+"""Endings of what a release holds; the last one is that of LICENSE, PKG-INFO and .gitignore."""
 
 
-def run(command: list[str], **kwargs: object) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, check=False, **kwargs)  # type: ignore[call-overload]
+def run(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    return str(done.stdout)
+    return done.stdout
+
+
+def tracked(folder: str) -> set[str]:
+    """Files of a folder of the checkout that a release may hold: those that are no build product."""
+    found = (ROOT / folder).rglob("*")
+    return {path.relative_to(ROOT).as_posix() for path in found if path.is_file() and "__pycache__" not in path.parts}
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built without build isolation: hatchling is one of the dev packages, so nothing is downloaded."""
-    folder = tmp_path_factory.mktemp("wheel")
-    run([sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)])
-    (built,) = folder.glob("*.whl")
-    return built
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Source archive, and the wheel built of what is in it.
 
-
-@pytest.fixture(scope="module")
-def empty_environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A fresh environment with the wheel alone; the dependencies are seen through links to this one's packages.
-
-    Links, one per installed package, rather than a .pth line with the whole folder: that one holds the editable
-    installation of this checkout, and the test would find the sources instead of the wheel.
+    Without build isolation: hatchling is one of the dev packages, so nothing is downloaded.
     """
-    folder = tmp_path_factory.mktemp("empty") / "venv"
-    venv.create(folder, with_pip=False, symlinks=True)
-    python = folder / "bin" / "python"
-    site = Path(run([str(python), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]).strip())
-    with zipfile.ZipFile(wheel) as archive:
-        names = [n for n in archive.namelist() if not n.endswith("/")]
-    run(
-        [
-            sys.executable,
-            "-m",
-            "pip",
-            "--python",
-            str(python),
-            "install",
-            "--no-deps",
-            "--no-index",
-            "--quiet",
-            str(wheel),
-        ]
-    )
-    assert all((site / n).exists() for n in names)
-    for package in Path(sysconfig.get_path("purelib")).iterdir():
-        if "adamanip" not in package.name and not (site / package.name).exists():
-            (site / package.name).symlink_to(package)
-    return python
+    folder = tmp_path_factory.mktemp("dist")
+    run([sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)])
+    return folder
 
 
-def test_wheel_holds_all_packages_and_no_tests(wheel: Path) -> None:
+@pytest.fixture(scope="module")
+def wheel(dist: Path) -> Path:
+    return find_wheel(dist)
+
+
+@pytest.fixture(scope="module")
+def in_wheel(wheel: Path) -> set[str]:
     with zipfile.ZipFile(wheel) as archive:
-        names = set(archive.namelist())
-    assert {name.partition("/")[0] for name in names if ".dist-info" not in name} == {
-        "lerobot_adamanip",
-        "lerobot_env_adamanip",
-        "lerobot_policy_adamanip",
+        return set(archive.namelist())
+
+
+@pytest.fixture(scope="module")
+def in_archive(dist: Path) -> set[str]:
+    """Paths in the source archive, its top folder left off."""
+    (path,) = dist.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        return {name.partition("/")[2] for name in archive.getnames()}
+
+
+def test_wheel_holds_all_packages_and_nothing_else(in_wheel: set[str]) -> None:
+    packages = {
+        "lerobot_adamanip": ROOT,
+        "lerobot_env_adamanip": ROOT / "envs",
+        "lerobot_policy_adamanip": ROOT / "policies",
     }
-    packages = ("lerobot_adamanip", "lerobot_env_adamanip", "lerobot_policy_adamanip")
-    assert {f"{package}/py.typed" for package in packages} <= names
-    assert not [name for name in names if "test" in Path(name).name or "/tests/" in name]
-    cards = {p.relative_to(ROOT).as_posix() for p in (ROOT / "hub_cards").rglob("*") if p.is_file()}
-    assert cards
-    assert {f"lerobot_adamanip/{card}" for card in cards} <= names
-    sources = {p.relative_to(ROOT).as_posix() for p in (ROOT / "lerobot_adamanip").rglob("*.py")}
-    assert sources <= names
+    wanted = {f"lerobot_adamanip/{path}" for path in tracked("hub_cards")}
+    for package, home in packages.items():
+        wanted |= {(ROOT / path).relative_to(home).as_posix() for path in tracked((home / package).as_posix())}
+    assert {name for name in in_wheel if ".dist-info/" not in name} == wanted
+    assert {f"{package}/py.typed" for package in packages} | {"lerobot_adamanip/benchmark/paper_table.toml"} <= wanted
+
+
+def test_source_archive_holds_what_the_wheel_is_built_of(in_archive: set[str]) -> None:
+    folders = ("lerobot_adamanip", "envs", "policies", "hub_cards")
+    files = {
+        "CHANGELOG.md",
+        "CITATION.cff",
+        "LICENSE",
+        "PKG-INFO",
+        "README.md",
+        "constraints.txt",
+        "pyproject.toml",
+        ".gitignore",
+    }
+    assert in_archive == files | {path for folder in folders for path in tracked(folder)}
+
+
+def test_a_release_holds_no_test_output_or_asset(in_wheel: set[str], in_archive: set[str]) -> None:
+    """No folder of them, and nothing that is a mesh, a picture, a video or a checkpoint, wherever it lies."""
+    names = in_wheel | in_archive
+    assert not [name for name in names if {"tests", "outputs", "results"} & set(name.split("/")[:-1])]
+    assert {Path(name).suffix for name in names if ".dist-info/" not in name} <= TEXT
 
 
 def test_wheel_name_is_one_that_lerobot_looks_for(wheel: Path) -> None:
@@ -107,19 +108,49 @@ def test_wheel_name_is_one_that_lerobot_looks_for(wheel: Path) -> None:
     assert "License-Expression: Apache-2.0" in lines
 
 
-def test_lerobot_finds_everything_from_the_wheel(empty_environment: Path, tmp_path: Path) -> None:
-    variables = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    answer = run([str(empty_environment), "-c", SHOW_REGISTRATIONS], cwd=tmp_path, env=variables)
-    found = json.loads(answer.strip().splitlines()[-1])
-    assert "adamanip_safe" in found["env"]
-    assert "dp3_adaptive" in found["policy"]
-    assert all(Path(f).is_relative_to(empty_environment.parent.parent) for f in found["files"])
+def test_the_release_works_in_an_environment_of_its_own(dist: Path) -> None:
+    done = smoke_test(dist, "--no-simulator")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [line.split()[0] for line in done.stdout.splitlines()] == ["ok"] * 4
 
 
-def test_wheel_installs_the_command(empty_environment: Path, tmp_path: Path) -> None:
-    command = empty_environment.parent / "adamanip"
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    assert run([str(command), "--version"], cwd=tmp_path).strip() == f"adamanip {version}"
+@pytest.mark.sim
+@pytest.mark.timeout(900)  # `adamanip doctor` renders, in a process of its own
+def test_an_environment_of_the_release_resets(dist: Path) -> None:
+    done = smoke_test(dist)
+    assert "an environment resets" in done.stdout, done.stdout + done.stderr
+
+
+def test_a_wheel_that_lacks_something_fails(wheel: Path, tmp_path: Path) -> None:
+    poor = tmp_path / wheel.name
+    with zipfile.ZipFile(wheel) as archive, zipfile.ZipFile(poor, "w") as copy:
+        for name in archive.namelist():
+            if not name.endswith("model_card.md"):
+                copy.writestr(name, archive.read(name))
+    done = smoke_test(poor, "--no-simulator")
+    assert done.returncode == 1
+    assert "model_card.md" in done.stderr
+
+
+def smoke_test(dist: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """What a release goes through before it is published, on the packages that are here."""
+    script = ROOT / "scripts" / "smoke_test_release.py"
+    command = [sys.executable, str(script), str(dist), "--share-packages", *options]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("tag", ["0.2.0", "v0.2", "v99.0.0", "v0.2.0-rc1"])
+def test_a_tag_that_is_not_the_version_publishes_nothing(wheel: Path, tag: str) -> None:
+    check_tag(wheel, f"v{lerobot_adamanip.__version__}")
+    with pytest.raises(ReleaseError, match="tag v"):
+        check_tag(wheel, tag)
+
+
+def test_two_versions_in_one_folder_publish_nothing(tmp_path: Path) -> None:
+    for version in ("0.2.0", "0.3.0"):
+        (tmp_path / f"lerobot_env_adamanip-{version}-py3-none-any.whl").touch()
+    with pytest.raises(ReleaseError, match="one wheel wanted"):
+        find_wheel(tmp_path)
 
 
 def test_constraints_pin_every_dependency() -> None:
@@ -127,14 +158,15 @@ def test_constraints_pin_every_dependency() -> None:
     assert all(line.count("==") == 1 and "@" not in line and "://" not in line for line in lines)
     pinned = {line.partition("==")[0].lower().replace("_", "-") for line in lines}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = project["dependencies"] + project["optional-dependencies"]["sim"] + project["optional-dependencies"]["dev"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["sim"], *extras["docs"], *extras["dev"]]
     assert {Requirement(w).name.lower().replace("_", "-") for w in wanted} <= pinned
 
 
-def test_one_version() -> None:
-    """In the distribution, the package and the citation."""
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    assert lerobot_adamanip.__version__ == version
+def test_one_version(wheel: Path) -> None:
+    """The package's, which the distribution is built with; citation and changelog follow."""
+    version = lerobot_adamanip.__version__
+    assert wheel.name.startswith(f"lerobot_env_adamanip-{version}-")
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
 
@@ -145,7 +177,7 @@ def test_every_extra_is_imported_by_something() -> None:
     modules = {"mani-skill": "mani_skill", "opencv-python": "cv2", "pycollada": "collada"}
     packages = ("lerobot_adamanip", "envs", "policies")
     text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
-    for extra in set(extras) - {"dev"}:
+    for extra in set(extras) - {"dev", "docs"}:
         for name in (Requirement(line).name for line in extras[extra]):
             assert re.search(rf"\b(import|from) {modules.get(name, name)}\b", text), f"{extra}: {name}"
 

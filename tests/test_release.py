@@ -1,0 +1,139 @@
+"""Workflows, templates and what else GitHub reads: valid, and what they name is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
+VERSION = re.compile(r"[\w.-]+/[\w.-]+@(v\d+\.\d+\.\d+|[0-9a-f]{40})")
+INPUTS = {"input", "textarea", "dropdown", "checkboxes"}
+
+
+def read(path: Path) -> dict[Any, Any]:
+    found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert isinstance(found, dict)
+    return found
+
+
+def steps(workflow: dict[Any, Any]) -> list[dict[str, Any]]:
+    return [step for job in workflow["jobs"].values() for step in job["steps"]]
+
+
+def commands(workflow: dict[Any, Any]) -> str:
+    return "\n".join(step["run"] for step in steps(workflow) if "run" in step)
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.name)
+def test_a_workflow_is_whole(path: Path) -> None:
+    workflow = read(path)
+    assert workflow["name"] == path.stem
+    assert workflow[True]  # YAML reads the key `on` as a boolean, GitHub does not
+    jobs = workflow["jobs"]
+    for name, job in jobs.items():
+        assert job.get("needs", name) in jobs, name
+        assert job["runs-on"]
+        assert all(("run" in step) != ("uses" in step) for step in job["steps"]), name
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.name)
+def test_actions_are_pinned(path: Path) -> None:
+    used = [step["uses"] for step in steps(read(path)) if "uses" in step]
+    assert [action for action in used if not VERSION.fullmatch(action)] == []
+
+
+def test_one_version_of_each_action() -> None:
+    used = {step["uses"] for path in WORKFLOWS for step in steps(read(path)) if "uses" in step}
+    assert len({action.partition("@")[0] for action in used}) == len(used)
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.name)
+def test_what_a_workflow_runs_is_there(path: Path) -> None:
+    text = commands(read(path))
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    named = {word for line in re.findall(r"\bmake ([a-z ]+)", text) for word in line.split()}
+    assert named <= targets
+    files = set(re.findall(r"(?<![\w./-])((?:scripts|tests|\.ci)/[\w./-]+|constraints\.txt|CHANGELOG\.md)", text))
+    assert {name for name in files if not (ROOT / name).exists()} == set()
+
+
+def test_the_workflows_name_targets_and_scripts() -> None:
+    """What the test before looks for is what they say."""
+    text = "\n".join(commands(read(path)) for path in WORKFLOWS)
+    assert all(word in text for word in ("make docs", "make check", "scripts/smoke_test_release.py", ".ci/run"))
+
+
+def test_only_what_publishes_may_write() -> None:
+    """A job of a workflow reads the repository; the two that publish may say who they are, and nothing else."""
+    found = {}
+    for path in WORKFLOWS:
+        workflow = read(path)
+        assert workflow["permissions"] == {"contents": "read"}, path.name
+        for name, job in workflow["jobs"].items():
+            if "permissions" in job:
+                found[f"{path.stem}.{name}"] = job["permissions"]
+    pages = {"pages": "write", "id-token": "write"}
+    assert found == {"docs.publish": pages, "release.publish": {"id-token": "write"}}
+
+
+def test_no_workflow_keeps_a_secret_or_runs_a_stranger_with_rights() -> None:
+    for path in WORKFLOWS:
+        text = path.read_text(encoding="utf-8")
+        assert "secrets." not in text, path.name
+        assert "pull_request_target" not in text, path.name
+        # What others choose (a branch's name, a title) is an environment variable, never part of a script.
+        chosen = r"\$\{\{\s*github\.(head_ref|ref_name|event\.(issue|pull_request|comment|head_commit))"
+        assert not re.search(chosen, commands(read(path))), path.name
+
+
+def test_a_release_uploads_what_was_tried_and_by_tag_alone() -> None:
+    release = read(ROOT / ".github" / "workflows" / "release.yml")
+    jobs = release["jobs"]
+    assert release[True]["push"] == {"tags": ["v*"]}
+    publish, tried = jobs["publish"], jobs["smoke-test"]
+    assert (publish["needs"], tried["needs"]) == ("smoke-test", "build")
+    assert publish["if"] == "github.ref_type == 'tag'"
+    assert publish["environment"] == "pypi"
+    assert not [step for step in publish["steps"] if "run" in step]  # it only takes what was tried
+    names = {step["with"]["name"] for step in steps(release) if "artifact@" in step.get("uses", "")}
+    assert names == {"dist"}
+    assert '--tag "$TAG"' in commands(release)
+    assert tried["strategy"]["matrix"]["extras"] == ["", "sim"]
+
+
+@pytest.mark.parametrize("path", FORMS, ids=lambda p: p.name)
+def test_an_issue_form_is_one(path: Path) -> None:
+    form = read(path)
+    assert all(isinstance(form[key], str) and form[key] for key in ("name", "description"))
+    fields = [field for field in form["body"] if field["type"] in INPUTS]
+    assert len(fields) + sum(field["type"] == "markdown" for field in form["body"]) == len(form["body"])
+    names = [field["id"] for field in fields]
+    assert len(set(names)) == len(names)
+    assert all(re.fullmatch(r"[\w-]+", name) for name in names)
+    assert all(field["attributes"]["label"] for field in fields)
+    assert any(field.get("validations", {}).get("required") for field in fields)
+    for field in fields:
+        for option in field["attributes"].get("options", []):
+            assert isinstance(option["label"] if field["type"] == "checkboxes" else option, str)
+    text = path.read_text(encoding="utf-8")
+    assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/[\w/-]+\.md|SECURITY\.md)\b", text))
+
+
+def test_there_are_forms_for_what_is_reported() -> None:
+    assert [path.stem for path in FORMS] == ["bug", "category", "hardware", "method"]
+    bug = {field["id"]: field for field in read(FORMS[0])["body"] if "id" in field}
+    assert bug["doctor"]["attributes"]["label"] == "adamanip doctor --json"
+    assert bug["doctor"]["validations"]["required"]
+
+
+def test_what_a_pull_request_is_asked_for_exists() -> None:
+    text = (ROOT / ".github" / "PULL_REQUEST_TEMPLATE.md").read_text(encoding="utf-8")
+    assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/\w+\.md|CHANGELOG\.md)\b", text))
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(re.findall(r"`make ([a-z]+)`", text)) == {"check", "test"} <= set(targets)
