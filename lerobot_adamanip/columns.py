@@ -32,7 +32,7 @@ class ColumnStore:
         self._views: dict[str, list[NDArray[Any]]] = {}
         self._starts: dict[str, NDArray[np.int64]] = {}
         for name in hf_dataset.column_names:
-            views = [_view(chunk) for chunk in table.column(name).chunks if len(chunk)]
+            views = [numeric_view(chunk) for chunk in table.column(name).chunks if len(chunk)]
             kept = [view for view in views if view is not None]
             if kept and len(kept) == len(views):
                 if kept[0][0].nbytes <= NARROW_BYTES:
@@ -70,7 +70,7 @@ def _is_list(kind: pa.DataType) -> bool:
     return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
 
 
-def _view(chunk: pa.Array) -> NDArray[Any] | None:
+def numeric_view(chunk: pa.Array) -> NDArray[Any] | None:
     """An Arrow chunk as (rows, ...) numpy; None for text, nulls and ragged lists."""
     shape = [len(chunk)]
     while True:

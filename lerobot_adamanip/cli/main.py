@@ -16,7 +16,7 @@ from lerobot_adamanip.jobs import preload
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
-_WITHOUT_PLUGIN = ("collect", "render", "merge")
+_WITHOUT_PLUGIN = ("collect", "render", "merge", "check", "stats")
 """Commands to which our environments and policy are no plugin of LeRobot: registering them takes each process 3 s."""
 _WORKER_MODULES = ("lerobot_adamanip.demos.record", "lerobot_adamanip.experts", "lerobot_env_adamanip.preload")
 """What workers that record need, named here so that they are imported while this process is busy with its own."""
@@ -37,6 +37,10 @@ COMMANDS = {
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
     "render": Entry("lerobot_adamanip.cli.render:Render", "add pictures to a dataset that was collected without them"),
+    "check": Entry("lerobot_adamanip.cli.check:Check", "check a dataset, and mend what a kill has left"),
+    "stats": Entry(
+        "lerobot_adamanip.cli.stats:Stats", "count what is in a dataset: episodes, tries, lengths, hidden values"
+    ),
     "merge": Entry("lerobot_adamanip.cli.merge:Merge", "write one dataset with the episodes of several"),
     "objects": Entry(
         "lerobot_adamanip.cli.objects.command:Objects", "draw a contact sheet of the objects of a category"

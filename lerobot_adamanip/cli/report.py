@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
-_FILE_WIDTH = 200
+FILE_WIDTH = 200
 """Columns of a table that goes into a file or a pipe."""
 Evaluations = dict[str, list[EpisodeRecord]]
 
@@ -92,10 +92,7 @@ class Report:
         return 0
 
     def _check(self) -> None:
-        if self.plot is not None and self.plot.suffix.lower() not in _PLOT_FORMATS:
-            raise ConfigurationError(
-                "Unknown kind of picture.", got=self.plot, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
-            )
+        check_plot(self.plot)
         if self.episodes is not None and self.episodes < 1:
             raise ConfigurationError("Nothing to count.", got=self.episodes, allowed=">= 1", hint="--episodes 100")
         if self.result is not None and not self.command:
@@ -154,6 +151,14 @@ class Report:
         write_result(self.result, result)
 
 
+def check_plot(path: Path | None) -> None:
+    """Raises `ConfigurationError` for a picture of a kind that cannot be drawn."""
+    if path is not None and path.suffix.lower() not in _PLOT_FORMATS:
+        raise ConfigurationError(
+            "Unknown kind of picture.", got=path, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
+        )
+
+
 def percent(value: Rate) -> str:
     """Returns ``90.0 %  [76.9, 96.0]  36/40``."""
     if value.rate is None:
@@ -167,7 +172,7 @@ def print_tables(comparison: Comparison) -> None:
 
     console = Console(file=sys.stdout, soft_wrap=True)
     if not console.is_terminal:
-        console.width = _FILE_WIDTH
+        console.width = FILE_WIDTH
     summaries = comparison.summaries
     console.print("Success with 95 % Wilson intervals", style="bold")
     console.print(_table(comparison, _success_rows(comparison)))

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.checked_json import parse
 from lerobot_adamanip.demos.collection import CollectionPaths, EpisodeSpec
 from lerobot_adamanip.demos.manifest import AttemptCounts
 
@@ -72,6 +74,14 @@ def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]
 def attempts_jsonl(attempts: Iterable[AttemptRecord]) -> bytes:
     """Returns attempts as lines of JSON."""
     return "".join(json.dumps(vars(attempt), sort_keys=True) + "\n" for attempt in attempts).encode()
+
+
+def read_attempts(path: Path) -> list[AttemptRecord]:
+    """Returns the attempts that ``meta/attempts.jsonl`` lists; raises OSError or ValueError."""
+    try:
+        return [AttemptRecord(**parse(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+    except TypeError as error:
+        raise ValueError(f"not an attempt: {error}") from error
 
 
 def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:

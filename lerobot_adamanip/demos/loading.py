@@ -18,6 +18,7 @@ from lerobot_adamanip.errors import DatasetError
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 """LeRobot's own templates. A dataset that names other places in its metadata is refused: they could lie anywhere."""
+MAX_STATISTICS_BYTES = 100_000_000
 _KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 _DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
@@ -35,7 +36,7 @@ def load_check(root: str | Path, *, num_points: int | None = None) -> dict[str, 
     """
     folder = Path(root).absolute()
     if not folder.is_dir():
-        raise _missing(folder)
+        raise missing_dataset(folder)
     info = _info(folder)
     _check_rows(folder, info)
     _check_features(folder, info, num_points)
@@ -59,7 +60,8 @@ def episode_table(root: str | Path) -> pa.Table:
     return table.select([name for name in table.column_names if not name.startswith("stats/")])
 
 
-def _missing(folder: Path) -> DatasetError:
+def missing_dataset(folder: Path) -> DatasetError:
+    """Returns the error for a folder without a dataset: a collection may be under way beside it."""
     partial = CollectionPaths(folder)
     if partial.partial.is_dir():
         done = len(list(partial.episodes.glob("*.safetensors")))
@@ -86,10 +88,15 @@ def _half_written(what: object) -> DatasetError:
     )
 
 
-def _info(folder: Path) -> dict[str, Any]:
+def read_info(folder: Path) -> dict[str, Any]:
+    """Returns ``meta/info.json``, whose columns and places can be used.
+
+    Raises:
+        OSError: it is not there.
+        ValueError: it is no JSON, or says what cannot be.
+    """
+    info: dict[str, Any] = read(folder / "meta" / "info.json")
     try:
-        info: dict[str, Any] = read(folder / "meta" / "info.json")
-        read(folder / "meta" / "stats.json", max_bytes=100_000_000)
         for total in ("total_frames", "total_episodes", "fps"):
             if not isinstance(info[total], int) or isinstance(info[total], bool):
                 raise ValueError(f"{total} is no whole number")
@@ -98,7 +105,16 @@ def _info(folder: Path) -> dict[str, Any]:
                 raise ValueError(f"{name} is not LeRobot's: {str(info[name])[:100]!r}")
         for key, feature in info["features"].items():
             _check_feature(key, feature)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"it lacks or garbles {error}") from error
+    return info
+
+
+def _info(folder: Path) -> dict[str, Any]:
+    try:
+        info = read_info(folder)
+        read(folder / "meta" / "stats.json", max_bytes=MAX_STATISTICS_BYTES)
+    except (OSError, ValueError) as error:
         raise _half_written(f"{folder}: {error}") from error
     return info
 

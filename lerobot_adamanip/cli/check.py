@@ -1,0 +1,89 @@
+"""`adamanip check`: is a dataset what it says it is?"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from lerobot_adamanip.cli.progress import Progress, show_progress
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hub.check.dataset import check, check_replays
+from lerobot_adamanip.hub.check.findings import CheckResult
+from lerobot_adamanip.hub.check.repair import Repair, repair
+
+_SHOWN = 20
+"""Findings of a kind that are printed; `--json` has more."""
+_STAGES = {"rows": "rows checked", "frames": "frames decoded", "replay": "episodes replayed"}
+
+
+@dataclass
+class Check:
+    """Checks a dataset: files, columns, counts, rows, videos, statistics, and what it says of its collection.
+
+    Exit status 0 if nothing was found, 1 if something was, 2 if there is no dataset. Only --repair changes anything.
+    """
+
+    root: tyro.conf.Positional[Path]
+    """Folder of a LeRobotDataset."""
+
+    repair: bool = False
+    """Mend what a kill leaves behind, then check again. Every episode whose saving had ended is kept; what is taken out
+    of the dataset is moved into DIR.before-repair."""
+
+    replay: int = 0
+    """Replay so many episodes, spread over the dataset, in the simulator."""
+
+    tolerance: float = 1e-4
+    """Largest difference a replay may have in any column, in its own units (m, rad, rad/s, N m)."""
+
+    assets: Path | None = None
+    """Folder of external assets, if the dataset was recorded with any."""
+
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        """Checks; 0 if nothing is wrong."""
+        if self.replay < 0:
+            hint = "--replay 3"
+            raise ConfigurationError("Nothing to replay.", got=self.replay, allowed=">= 0", hint=hint)
+        with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
+            mended = repair(self.root, progress=progress) if self.repair else None
+            result = check(self.root, assets=self.assets, progress=progress)
+            if self.replay and result.clean:
+                result = self._with_replays(result, progress)
+        if self.json:
+            told = {} if mended is None else {"repair": mended.to_json()}
+            print(json.dumps({**result.to_json(), **told}))
+        else:
+            _print(result, mended)
+        return 0 if result.clean else 1
+
+    def _with_replays(self, result: CheckResult, progress: Progress) -> CheckResult:
+        from lerobot_env_adamanip.factory import make_keyframe_env
+
+        count = min(self.replay, result.episodes)
+        chosen = [number * result.episodes // count for number in range(count)]
+        report = check_replays(
+            self.root, chosen, make_keyframe_env, tolerance=self.tolerance, assets=self.assets, progress=progress
+        )
+        return replace(result, findings=tuple(report.findings), counts=dict(report.counts))
+
+
+def _print(result: CheckResult, mended: Repair | None) -> None:
+    for line in [] if mended is None else mended.lines():
+        print(line)
+    for kind, count in result.counts.items():
+        listed = [finding for finding in result.findings if finding.kind == kind]
+        for finding in listed[:_SHOWN]:
+            print(finding)
+        if count > _SHOWN:
+            print(f"{kind}: {count - _SHOWN} more")
+    total = sum(result.counts.values())
+    verdict = "clean" if result.clean else f"{total} finding{'s' if total > 1 else ''}"
+    print(f"{result.root}: {result.episodes} episodes, {result.rows} rows: {verdict}")

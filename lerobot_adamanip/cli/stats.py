@@ -1,0 +1,88 @@
+"""`adamanip stats`: what is in a dataset."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from lerobot_adamanip.cli.report import FILE_WIDTH, check_plot, percent
+from lerobot_adamanip.hub.contents import Contents, GroupContents, contents
+
+
+@dataclass
+class Stats:
+    """Counts what is in a dataset: episodes, key frames, tries, failed tries, recoveries, success.
+
+    By category, split of objects and hidden value; how long episodes are; and what was tried for it and not kept.
+    """
+
+    root: tyro.conf.Positional[Path]
+    """Folder of a LeRobotDataset."""
+
+    plot: Path | None = None
+    """Write a picture (.png, .pdf or .svg): episodes by length, by failed tries, and by what they have in common."""
+
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+    def run(self) -> int:
+        """Counts, prints and plots; 0."""
+        check_plot(self.plot)
+        found = contents(self.root)
+        if self.plot is not None:
+            from lerobot_adamanip.hub.contents_plot import plot_contents
+
+            plot_contents(found, self.plot)
+        if self.json:
+            print(json.dumps({**found.to_json(), "plot": None if self.plot is None else str(self.plot)}))
+            return 0
+        _print(found)
+        if self.plot is not None:
+            print(f"plot: {self.plot}")
+        return 0
+
+
+def _print(found: Contents) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Column, Table
+
+    console = Console(file=sys.stdout, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = FILE_WIDTH
+    names = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
+    table = Table(*(Column(name, no_wrap=True) for name in names), box=None, pad_edge=False)
+    for group, each in found.groups.items():
+        table.add_row(escape(group.label), *_cells(each))
+    console.print(table)
+    for line in _lines(found):
+        console.print(line, markup=False, highlight=False)
+
+
+def _cells(found: GroupContents) -> Iterator[str]:
+    count = max(1, found.episodes)
+    yield str(found.episodes)
+    yield f"{found.key_frames}, {found.key_frames / count:.1f} each"
+    yield f"{found.tries}, {found.tries / count:.2f} each"
+    yield f"{found.failed_tries}, {found.failed_tries / count:.2f} each"
+    yield "-" if not found.recovered.episodes else f"{found.recovered.count}/{found.recovered.episodes}"
+    yield percent(found.success)
+
+
+def _lines(found: Contents) -> Iterator[str]:
+    lengths = found.length_summary()
+    told = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
+    yield f"Key frames of an episode: {told}"
+    yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in found.failures.items())}"
+    yield f"Objects: {found.objects}. Late starts: {found.late}. Rows: {found.rows}. Size: {found.bytes / 1e6:.1f} MB"
+    if found.recovery is not None:
+        yield f"After a try that failed, the same again: {percent(found.recovery.repeated)}"
+    if found.attempts is not None:
+        yield f"Attempts kept: {percent(found.attempts.kept)}; given up: {found.attempts.given_up}"
+        for label, (kept, tried) in found.attempts.hidden.items():
+            yield f"  {label}: {kept} of {tried}"

@@ -1,0 +1,183 @@
+"""The whole check of a dataset: reads everything once, in pieces, and changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.demos.loading import missing_dataset
+from lerobot_adamanip.demos.record import EnvFactory
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hub.check.contract import check_features
+from lerobot_adamanip.hub.check.facts import (
+    Collected,
+    check_course,
+    check_facts,
+    count_labels,
+    has_facts,
+    read_collection,
+)
+from lerobot_adamanip.hub.check.findings import CheckResult, Progress, Report
+from lerobot_adamanip.hub.check.layout import INFO, Layout, leftovers, read_layout, unlisted_files
+from lerobot_adamanip.hub.check.reading import batches, open_file, place
+from lerobot_adamanip.hub.check.statistics import (
+    Stored,
+    check_episode_statistics,
+    check_statistics,
+    stored_statistics,
+)
+from lerobot_adamanip.hub.check.values import check_values
+from lerobot_adamanip.hub.check.videos import check_videos
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
+
+
+@dataclass
+class _Checked:
+    """What the checks of one dataset share."""
+
+    layout: Layout
+    collected: Collected | None
+    workspace: Workspace
+    stored: Stored
+    report: Report
+    progress: Progress
+    rows: int = 0
+    counted: dict[int, dict[str, int]] = field(default_factory=dict)
+
+
+def check(
+    root: str | Path,
+    *,
+    assets: Path | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> CheckResult:
+    """Checks a dataset: files, columns, counts, rows, videos, statistics, and what it says of its collection.
+
+    Memory does not grow with the dataset's rows. Nothing is written.
+
+    Args:
+        root: folder of a LeRobotDataset.
+        assets: folder of external assets, if the dataset was recorded with any.
+        progress: told of stage (``rows``, ``frames``), how much of it is done, and all.
+
+    Raises:
+        DatasetError: there is no dataset.
+    """
+    folder, report = require_dataset(root), Report()
+    for path in leftovers(folder):
+        report.add("leftover", "of a process that ended early", path.relative_to(folder).as_posix())
+    layout = read_layout(folder, report)
+    if layout is None:
+        return _result(folder, report, 0, 0)
+    collected = read_collection(folder, assets, report)
+    check_features(layout.features, report, collected=collected is not None)
+    workspace = _workspace(layout, collected)
+    shared = _Checked(layout, collected, workspace, stored_statistics(layout.table), report, progress)
+    for name in unlisted_files(layout):
+        report.add("unlisted", "no episode is in this file", name)
+    for name in layout.by_data_file():
+        _check_data(shared, name)
+    frames = sum(episode.length for episode in layout.episodes) * len(layout.video_keys)
+    check_videos(layout, shared.stored, report, _counting(progress, "frames", frames))
+    check_statistics(layout, shared.stored, report)
+    check_facts(layout, collected, shared.counted, report)
+    return _result(folder, report, len(layout.episodes), shared.rows)
+
+
+def require_dataset(root: str | Path) -> Path:
+    """Returns the folder of a dataset, whole or not; raises `DatasetError` if there is nothing of one."""
+    folder = Path(root).absolute()
+    if not folder.is_dir():
+        raise missing_dataset(folder)
+    if not (folder / INFO).exists() and not any(folder.glob("data/*/*.parquet")):
+        raise DatasetError(
+            "There is no dataset.",
+            got=f"{folder}, without {INFO} and data/",
+            allowed="the folder of a LeRobotDataset",
+            hint="adamanip collect, or another folder",
+        )
+    return folder
+
+
+def _workspace(layout: Layout, collected: Collected | None) -> Workspace:
+    """The box of clouds: the collection's, or what the column's description says, or the default one."""
+    if collected is not None and collected.manifest is not None:
+        return collected.manifest.spec.environment.workspace
+    told = (layout.features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("workspace")
+    try:
+        return DEFAULT_WORKSPACE if told is None else Workspace(tuple(told["lower"]), tuple(told["upper"]))
+    except (KeyError, TypeError):
+        return DEFAULT_WORKSPACE
+
+
+def _check_data(shared: _Checked, name: str) -> None:
+    layout, report = shared.layout, shared.report
+    episodes = layout.by_data_file()[name]
+    file = open_file(layout, name, episodes[0], report)
+    if file is None:
+        return
+    where = place(layout, name, file, episodes, report)
+    if where is None:
+        return
+    total = sum(episode.length for episode in layout.episodes)
+    row_of = {number: row for row, number in enumerate(layout.table["episode_index"].to_pylist())}
+    recorded = has_facts(layout)
+    for batch in batches(file, where, layout.data_keys, report):
+        columns = check_values(batch, layout.features, shared.workspace, report)
+        if recorded:
+            check_course(batch, columns, report)
+        report.damaged |= set(batch.where.episodes.tolist()) - set(row_of)
+        check_episode_statistics(batch, columns, shared.stored, row_of, report)
+        shared.counted.update(count_labels(batch, columns))
+        shared.rows += len(batch.where)
+        shared.progress("rows", shared.rows, total)
+
+
+def _counting(progress: Progress, stage: str, total: int) -> Callable[[int], None]:
+    done = 0
+
+    def count(more: int) -> None:
+        nonlocal done
+        done += more
+        progress(stage, done, total)
+
+    return count
+
+
+def check_replays(
+    root: Path,
+    episodes: Iterable[int],
+    make_env: EnvFactory,
+    *,
+    tolerance: float,
+    assets: Path | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> Report:
+    """Replays episodes in the simulator; returns findings of kind ``replay``.
+
+    Args:
+        root: of a clean dataset that `adamanip collect` made.
+        episodes: to be replayed.
+        make_env: builds the environment.
+        tolerance: largest difference in any column, in its own units.
+        assets: folder of external assets, if the dataset was recorded with any.
+        progress: told of stage ``replay``, episodes done, and all.
+    """
+    from lerobot_adamanip.demos.replay import replay
+
+    report, chosen = Report(), list(episodes)
+    for done, number in enumerate(chosen, start=1):
+        result = replay(root, number, make_env, assets=assets)
+        if not result.agrees(tolerance):
+            largest = max(result.differences, key=lambda key: result.differences[key])
+            told = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
+            changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
+            report.add("replay", told + changed, None, number)
+        progress("replay", done, len(chosen))
+    return report
+
+
+def _result(folder: Path, report: Report, episodes: int, rows: int) -> CheckResult:
+    return CheckResult(str(folder), episodes, rows, tuple(report.findings), dict(report.counts))

@@ -1,0 +1,192 @@
+"""What a check finds: its kinds, one finding, and the list that grows while a dataset is read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Progress = Callable[[str, int, int], None]
+"""Told of a stage's name, how much of it is done, and how much there is."""
+
+
+class Kind(NamedTuple):
+    """What a kind of finding means, and what `adamanip check --repair` does about it."""
+
+    meaning: str
+    repair: str
+
+
+_NO = "no"
+_AT_END = "at the dataset's end"
+KINDS: Mapping[str, Kind] = {
+    "missing": Kind(
+        "a file that the dataset names is not there", _AT_END + ", and descriptions that can be made again"
+    ),
+    "unreadable": Kind(
+        "a file, or a part of it, is cut off or cannot be parsed", "as `missing`; rows before the cut stay"
+    ),
+    "leftover": Kind("a temporary file or picture of a process that ended early", "moved away"),
+    "unlisted": Kind(
+        "rows, or frames of a video, of no episode", "whole episodes get metadata, the rest is moved away"
+    ),
+    "metadata": Kind("an episode's metadata contradicts itself, or the dataset is of another format", _AT_END),
+    "count": Kind("totals in `meta/info.json` are not those of the episodes", "counted again"),
+    "schema": Kind("a column is missing, or of another type, shape or names than the contract's", _NO),
+    "shape": Kind("a cell is empty, or of another shape than its column", _NO),
+    "length": Kind("an episode has more or fewer rows than its metadata says", _AT_END),
+    "index": Kind("`index`, `frame_index` or `episode_index` do not count on", _NO),
+    "timestamp": Kind("the time of a row, or of a frame, is not its number over the frame rate", _NO),
+    "task": Kind("a row's task does not exist, or is not its episode's", _NO),
+    "not-finite": Kind("NaN or infinity", _NO),
+    "rotation": Kind("rotation 6D of a state's or an action's pose is not two orthonormal rows", _NO),
+    "workspace": Kind("a cloud has points outside the workspace", _NO),
+    "gripper": Kind("a gripper's opening is not in [0, 1]", _NO),
+    "label": Kind("a label is none of the contract's codes, or contradicts those before it", _NO),
+    "video-length": Kind("a video is shorter than its episodes, or cut elsewhere than they are", _AT_END),
+    "video-content": Kind("a video shows something else than its episode's statistics say", _NO),
+    "episode-statistics": Kind("an episode's statistics are not those of its rows", _NO),
+    "statistics": Kind("`meta/stats.json` is not that of the episodes, poses fixed", "computed again"),
+    "facts": Kind("an episode's columns (object, hidden state, tries ...) cannot be, or contradict its rows", _NO),
+    "collection": Kind("`meta/collection.json` cannot be, or an episode is none of that collection", _NO),
+    "fingerprint": Kind("an episode was recorded under another fingerprint than its collection", _NO),
+    "attempts": Kind("`meta/attempts.jsonl` tells otherwise of an episode, or has lost lines", _NO),
+    "replay": Kind("the simulator does not do again what was recorded (`--replay`)", _NO),
+}
+"""Kind -> what it means. docs/checking.md shows this table."""
+MOST_OF_A_KIND = 200
+"""Findings of a kind that are listed; more are counted."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong.
+
+    Attributes:
+        kind: one of `KINDS`.
+        message: what is wrong.
+        file: path within the dataset.
+        episode: index.
+        frame: within the episode, from 0.
+    """
+
+    kind: str
+    message: str
+    file: str | None = None
+    episode: int | None = None
+    frame: int | None = None
+
+    def __str__(self) -> str:
+        """One line: kind, place, message."""
+        place = [] if self.file is None else [self.file]
+        place += [] if self.episode is None else [f"episode {self.episode}"]
+        place += [] if self.frame is None else [f"frame {self.frame}"]
+        return f"{self.kind}: {', '.join(place)}{': ' if place else ''}{self.message}"
+
+
+@dataclass
+class Report:
+    """Findings so far.
+
+    Attributes:
+        findings: at most `MOST_OF_A_KIND` of each kind.
+        counts: kind -> how many there are.
+        damaged: episodes with a finding about their rows. What follows from it is not told again.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    damaged: set[int] = field(default_factory=set)
+
+    def add(
+        self, kind: str, message: str, file: str | None = None, episode: int | None = None, frame: int | None = None
+    ) -> None:
+        """Takes a finding."""
+        if kind not in KINDS:
+            raise ValueError(f"No kind of finding: {kind}")
+        self.counts[kind] += 1
+        if episode is not None:
+            self.damaged.add(episode)
+        if self.counts[kind] <= MOST_OF_A_KIND:
+            self.findings.append(Finding(kind, message, file, episode, frame))
+
+    def add_rows(self, kind: str, message: str, where: Rows, wrong: NDArray[np.bool_]) -> None:
+        """Takes one finding for each episode that has wrong rows, at the first of them."""
+        if not wrong.any():
+            return
+        episodes, frames = where.episodes[wrong], where.frames[wrong]
+        for episode in np.unique(episodes).tolist():
+            mine = frames[episodes == episode]
+            more = f", and {len(mine) - 1} more rows" if len(mine) > 1 else ""
+            self.add(kind, message + more, where.file, episode, int(mine.min()))
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing was found."""
+        return not self.counts
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Where rows belong.
+
+    Attributes:
+        file: path within the dataset.
+        episodes: (R,) index of each row's episode.
+        frames: (R,) each row's number within it.
+    """
+
+    file: str
+    episodes: NDArray[np.int64]
+    frames: NDArray[np.int64]
+
+    def __getitem__(self, part: slice) -> Rows:
+        """Some of the rows."""
+        return Rows(self.file, self.episodes[part], self.frames[part])
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What a check found.
+
+    Attributes:
+        root: of the dataset.
+        episodes: checked.
+        rows: checked.
+        findings: at most `MOST_OF_A_KIND` of each kind.
+        counts: kind -> how many there are.
+    """
+
+    root: str
+    episodes: int
+    rows: int
+    findings: tuple[Finding, ...]
+    counts: Mapping[str, int]
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing was found."""
+        return not self.counts
+
+    def kinds(self) -> set[str]:
+        """Returns the kinds found."""
+        return set(self.counts)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        plain = {"root": self.root, "clean": self.clean, "episodes": self.episodes, "rows": self.rows}
+        return {**plain, "counts": dict(self.counts), "findings": [asdict(each) for each in self.findings]}
+
+
+def listed(names: Iterable[object], most: int = 4) -> str:
+    """Returns ``a, b, c, d and 3 more``."""
+    found = [str(name) for name in names]
+    rest = f" and {len(found) - most} more" if len(found) > most else ""
+    return ", ".join(found[:most]) + rest

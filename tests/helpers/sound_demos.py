@@ -1,0 +1,88 @@
+"""Demonstrations of the fake environment that are sound in every value: what `adamanip check` finds nothing in."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import demos_fake_env
+import numpy as np
+from demos_helpers import make_spec, patiently
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.rotations import pose_vector
+from lerobot_adamanip.seeds import split_of
+
+POINTS, PIXELS = 16, 64
+
+
+class SoundEnv(demos_fake_env.FakeEnv):
+    """Points in the workspace, tools turned by rotations, pictures of one colour an episode, a record of every try."""
+
+    def reset(self, **given: Any) -> Any:
+        self.tries: list[tuple[int, int, bool]] = []
+        return super().reset(**given)
+
+    def drive(self, action: np.ndarray) -> tuple[bool, bool]:
+        result = super().drive(action)
+        if self.labels.tried >= 0:
+            self.tries.append((self.labels.tried, 1, bool(self.labels.failed)))
+        return result
+
+    def observe(self) -> dict[str, Any]:
+        pose = pose_vector(self.pose, float(self.generator.random()))
+        rest = self.generator.normal(size=schema.STATE_DIM - schema.ACTION_DIM)
+        lower, upper = np.array(DEFAULT_WORKSPACE.lower), np.array(DEFAULT_WORKSPACE.upper)
+        cloud = self.generator.uniform(lower, upper, (self.num_points, 3))
+        return {
+            **({"pixels": {"front": self.render()}} if self.options.observe_images else {}),
+            "agent_pos": np.concatenate([pose, rest]).astype(np.float32),
+            "effort": self.generator.normal(size=schema.NUM_JOINTS).astype(np.float32),
+            "point_cloud": cloud.astype(np.float32),
+        }
+
+    def picture_at(self, joints: np.ndarray) -> np.ndarray:
+        colour = np.array(
+            (40 + (self.seed or 0) % 151, 40 + (self.seed or 0) // 7 % 151, 90 + 10 * joints[0]), np.uint8
+        )
+        return np.full((self.image_size, self.image_size, 3), colour, dtype=np.uint8)
+
+    def episode_record(self) -> dict[str, Any]:
+        seed, failed = self.seed or 0, sum(fails for _, _, fails in self.tries)
+        return EpisodeRecord(
+            seed=seed,
+            given_seed=seed,
+            split=split_of(seed),
+            object_id=self.object_id,
+            object_split="seen",
+            hidden_state=self.hidden_state(),
+            success=self.opened,
+            key_frames=self.steps,
+            tries=len(self.tries),
+            blocked_pulls=failed,
+            wrong_turns=0,
+            key_moved=False,
+            first_part="handle" if self.tries else None,
+            first_try_failed=bool(self.tries and self.tries[0][2]),
+            try_sequence=tuple(self.tries),
+            provenance=Provenance("0123456789abcdef", "0", "paper"),
+        ).to_json()
+
+
+def make_sound_env(options: EnvironmentOptions) -> SoundEnv:
+    """Builds a `SoundEnv`."""
+    return SoundEnv(options, delay=0.0, crash=None, hopeless=None, code="a")
+
+
+def collect_sound(root: Path, **changes: Any) -> Path:
+    """A complete dataset, with a video, of six episodes of two safes; returns its folder."""
+    made = functools.partial(make_sound_env)
+    spec = make_spec(num_points=POINTS, image_size=PIXELS, **changes)
+    collect(root, spec, Factories(made, demos_fake_env.make_expert), patiently())
+    return root

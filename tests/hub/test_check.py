@@ -1,0 +1,285 @@
+"""Every damage is found, named and placed, nothing else is; and what a repair mends is clean afterwards."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import check_damages as to
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from check_damages import ATTEMPTS, CAMERAS, COLLECTION, DATA, INFO, META, STATS, TASKS, VIDEO, Damage
+from sound_demos import collect_sound, make_sound_env
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.loading import open_dataset
+from lerobot_adamanip.demos.merge import merge
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hub.check import reading
+from lerobot_adamanip.hub.check.dataset import check, check_replays
+from lerobot_adamanip.hub.check.findings import KINDS, MOST_OF_A_KIND, Report
+from lerobot_adamanip.hub.check.repair import repair
+
+NAN = float("nan")
+FAR = [9.0, 9.0, 9.0]
+DAMAGES = [
+    Damage("data cut off", to.cut(DATA, 0.5), [("unreadable", DATA, 0, None)], mended=True, episodes=5),
+    Damage("data without footer", to.cut(DATA, 0.9999), [("unreadable", DATA, 0, None)], mended=True),
+    Damage("data lost", to.remove(DATA), [("missing", DATA, 0, None)]),
+    Damage("pages overwritten", to.break_pages(2), [("unreadable", DATA, 2, None)]),
+    Damage("video lost", to.remove(VIDEO), [("missing", VIDEO, 0, None)]),
+    Damage("video cut off", to.cut(VIDEO, 0.7), [("unreadable", VIDEO, 3, 2)], mended=True, episodes=3),
+    Damage("video short", to.edit_film(lambda frames: frames[:-2]), [("video-length", VIDEO, 5, 2)], True, 5),
+    Damage("video long", to.edit_film(lambda frames: [*frames, frames[-1]]), [("unlisted", VIDEO, None, None)], True),
+    Damage(
+        "video of another episode", to.edit_film(lambda frames: [*frames[4:8], *frames[:4], *frames[8:]]),
+        [("video-content", VIDEO, 0, None), ("video-content", VIDEO, 1, None)],
+    ),
+    Damage(
+        "video shifted", to.edit_episode(3, **{f"videos/{schema.FRONT_IMAGE}/to_timestamp": lambda end: end + 1.0}),
+        [("video-length", META, 3, None)],
+    ),
+    Damage("NaN", to.edit_cell(schema.STATE, 3, 2, to.at((5,), NAN)), [("not-finite", DATA, 3, 2)]),
+    Damage("infinity", to.edit_cell(schema.POINT_CLOUD, 1, 1, to.at((3, 2), np.inf)), [("not-finite", DATA, 1, 1)]),
+    Damage("wrong shape", to.edit_cell(schema.POINT_CLOUD, 4, 5, lambda cloud: cloud[:-1]), [("shape", DATA, 4, 5)]),
+    Damage("empty cell", to.edit_cell(schema.PROGRESS, 2, 3, lambda _: None), [("shape", DATA, 2, 3)]),
+    Damage("rotation of no rotation", to.edit_cell(schema.ACTION, 0, 1, to.at((3,), 0.5)), [("rotation", DATA, 0, 1)]),
+    Damage("hand too open", to.edit_cell(schema.STATE, 2, 0, to.at((9,), 1.5)), [("gripper", DATA, 2, 0)]),
+    Damage("point far away", to.edit_cell(schema.POINT_CLOUD, 5, 3, to.at((0,), 9.0)), [("workspace", DATA, 5, 3)]),
+    Damage("row lost", to.without_row(3, 2), [("length", DATA, 3, None)]),
+    Damage(
+        "last episode's rows lost", to.edit_rows(to.without_last_episode), [("length", DATA, 5, None)], True, 5
+    ),
+    Damage("index jumps", to.edit_cell("index", 2, 1, lambda _: 99), [("index", DATA, 2, 1)]),
+    Damage("frame_index jumps", to.edit_cell("frame_index", 4, 2, lambda _: 7), [("index", DATA, 4, 2)]),
+    Damage("row of another episode", to.edit_cell("episode_index", 1, 3, lambda _: 4), [("index", DATA, 1, 3)]),
+    Damage("time stands still", to.edit_cell("timestamp", 3, 4, lambda _: 0.75), [("timestamp", DATA, 3, 4)]),
+    Damage("unknown task", to.edit_cell("task_index", 0, 2, lambda _: 7), [("task", DATA, 0, 2)]),
+    Damage("label of no code", to.edit_cell(schema.PHASE, 1, 2, lambda _: 17), [("label", DATA, 1, 2)]),
+    Damage("failed without a try", to.edit_cell(schema.TRIED, 3, 1, lambda _: -1), [("label", DATA, 3, 1)]),
+    Damage("no end", to.edit_cell(schema.DONE, 4, 5, lambda _: False), [("label", DATA, 4, 5)]),
+    Damage(
+        "episodes swapped", to.swap_contents(0, 1),
+        [("episode-statistics", DATA, 0, None), ("episode-statistics", DATA, 1, None)],
+    ),
+    Damage("statistics of another dataset", to.edit_json(STATS, to.of_another),
+           [("statistics", STATS, None, None)], mended=True),
+    Damage("pose statistics as measured", to.edit_json(STATS, lambda stats: stats["action"]["min"].__setitem__(9, 0.0)),
+           [("statistics", STATS, None, None)], mended=True),
+    Damage("statistics lost", to.remove(STATS), [("missing", STATS, None, None)], mended=True),
+    Damage("statistics cut off", to.cut(STATS, 0.5), [("unreadable", STATS, None, None)], mended=True),
+    Damage("statistics of an episode", to.edit_episode(2, **{"stats/action/mean": to.more}),
+           [("episode-statistics", DATA, 2, None), ("statistics", STATS, None, None)]),
+    Damage("description lost", to.remove(INFO), [("missing", INFO, None, None)], mended=True),
+    Damage("description cut off", to.cut(INFO, 0.5), [("unreadable", INFO, None, None)], mended=True),
+    Damage("wrong totals", to.edit_json(INFO, lambda info: info.update(total_frames=29)),
+           [("count", INFO, None, None)], mended=True),
+    Damage("older format", to.edit_json(INFO, lambda info: info.update(codebase_version="v2.1")),
+           [("metadata", INFO, None, None)]),
+    Damage("other names", to.edit_json(INFO, lambda info: info["features"]["action"].update(names=list("abcdefghij"))),
+           [("schema", INFO, None, None)]),
+    Damage("column lost", to.edit_json(INFO, lambda info: info["features"].pop(schema.EFFORT)),
+           [("schema", INFO, None, None)]),
+    Damage("hidden state as an observation", to.edit_json(
+        INFO, lambda info: info["features"].update({"observation.hidden": info["features"].pop(schema.TRIAL)})),
+        [("schema", INFO, None, None), ("schema", INFO, None, None), ("schema", DATA, 0, None)]),
+    Damage("tasks lost", to.remove(TASKS), [("missing", TASKS, None, None)], mended=True),
+    Damage("metadata lost", to.without_metadata(4), [
+        ("count", INFO, None, None), ("unlisted", DATA, 4, None), ("unlisted", VIDEO, None, None),
+    ]),
+    Damage("metadata contradicts itself", to.edit_episode(1, length=3), [
+        ("count", INFO, None, None), ("metadata", META, 1, None), ("video-length", META, 1, None),
+        ("length", DATA, 1, None),
+    ]),
+    Damage("object of no id", to.edit_episode(4, object_id="table_000"), [("facts", META, 4, None)]),
+    Damage("tries miscounted", to.edit_episode(3, tries=9), [("facts", META, 3, None)]),
+    Damage("record of another episode", to.edit_episode(0, episode_record=to.other_record), [("facts", META, 0, None)]),
+    Damage("hidden state is no JSON", to.edit_episode(2, hidden_state="{locked"), [("facts", META, 2, None)]),
+    Damage("seed of no place", to.edit_episode(5, slot=1), [("collection", META, 5, None)]),
+    Damage("collection of another format", to.edit_json(COLLECTION, lambda it: it.update(format=99)),
+           [("collection", COLLECTION, None, None)]),
+    Damage("another fingerprint", to.edit_episode(1, fingerprint="0" * 16), [("fingerprint", META, 1, None)]),
+    Damage("attempt of another hidden state", to.edit_attempt(10, hidden_state={"locked": True}),
+           [("attempts", ATTEMPTS, 5, None)]),
+    Damage("attempts lost", to.drop_line, [("attempts", ATTEMPTS, None, None)]),
+    Damage("camera lost", to.remove(CAMERAS), [("missing", CAMERAS, None, None)]),
+    Damage("orphaned picture", to.leave(f"images/{schema.FRONT_IMAGE}/episode-000006/frame-000000.png"),
+           [("leftover", "images", None, None)], mended=True),
+    Damage("temporary file", to.leave("meta/.info.json.17.tmp"),
+           [("leftover", "meta/.info.json.17.tmp", None, None)], mended=True),
+    Damage("temporary folder", to.leave("tmpabc123/x_006.mp4"), [("leftover", "tmpabc123", None, None)], mended=True),
+    Damage("data of nobody", to.copy_data, [("unlisted", "data/chunk-000/file-001.parquet", None, None)], mended=True),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sound dataset. Not to be written to."""
+    return collect_sound(tmp_path_factory.mktemp("sound") / "dataset")
+
+
+@pytest.fixture
+def copy(tmp_path: Path, sound: Path) -> Path:
+    """One that may be damaged."""
+    return Path(shutil.copytree(sound, tmp_path / "dataset"))
+
+
+def places(root: Path) -> list[to.Place]:
+    return [(found.kind, found.file, found.episode, found.frame) for found in check(root).findings]
+
+
+def test_nothing_is_found_in_a_sound_dataset(sound: Path) -> None:
+    result = check(sound)
+    assert result.findings == ()
+    assert (result.clean, result.episodes, result.rows) == (True, 6, 28)
+
+
+def test_the_damages_are_many() -> None:
+    assert len({damage.name for damage in DAMAGES}) == len(DAMAGES) >= 20
+    assert {kind for damage in DAMAGES for kind, *_ in damage.found} == set(KINDS) - {"replay"}
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.name)
+def test_a_damage_is_found_and_placed_and_nothing_else_is(copy: Path, damage: Damage) -> None:
+    damage.do(copy)
+    assert sorted(places(copy), key=str) == sorted(damage.found, key=str)
+
+
+@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.name)
+def test_what_a_repair_mends_is_clean(copy: Path, damage: Damage) -> None:
+    damage.do(copy)
+    done = repair(copy)
+    result = check(copy)
+    if damage.mended:
+        assert result.findings == ()
+        assert done.left == []
+        assert done.mended
+        assert result.episodes == damage.episodes
+        assert len(open_dataset(copy, video_backend="pyav")) == result.rows
+    else:
+        assert not result.clean
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    assert repair(copy).mended == []  # nothing is left to be done
+    assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
+
+
+def test_a_check_changes_nothing(sound: Path) -> None:
+    before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in sound.rglob("*") if path.is_file()}
+    check(sound)
+    assert {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in sound.rglob("*") if path.is_file()} == before
+
+
+def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(tmp_path: Path) -> None:
+    one, other = (collect_sound(tmp_path / str(seed), seed=seed, observe_images=False) for seed in (0, 1))
+    merge([one, other], tmp_path / "both")
+    assert check(tmp_path / "both").findings == ()
+    merge([one, one], tmp_path / "twice")
+    found = check(tmp_path / "twice").findings
+    assert {(each.kind, each.episode) for each in found} == {("facts", number) for number in range(6, 12)}
+
+
+def test_a_dataset_without_pictures_or_columns_of_ours_is_clean(sound: Path, tmp_path: Path) -> None:
+    plain = collect_sound(tmp_path / "plain", observe_images=False)
+    assert check(plain).findings == ()
+    for name in ("collection.json", "attempts.jsonl", "cameras.json"):
+        (plain / "meta" / name).unlink()
+    table = pq.read_table(plain / META)
+    own = [name for name in table.column_names if "/" not in name and name not in to.OF_LEROBOT]
+    pq.write_table(table.drop_columns(own), plain / META)
+    assert check(plain).findings == ()
+
+
+def test_episodes_are_read_whole_however_few_rows_are_held(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "_BATCH_BYTES", 1)
+    assert check(sound).findings == ()
+
+
+def test_episodes_may_go_on_in_another_row_group(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pq.write_table(pq.read_table(copy / DATA), copy / DATA, row_group_size=3)
+    monkeypatch.setattr(reading, "_BATCH_BYTES", 1)
+    assert check(copy).findings == ()
+
+
+def test_findings_of_a_kind_are_listed_up_to_a_number_and_counted_beyond() -> None:
+    report = Report()
+    for episode in range(MOST_OF_A_KIND + 5):
+        report.add("label", "wrong", DATA, episode, 0)
+    assert len(report.findings) == MOST_OF_A_KIND
+    assert report.counts["label"] == MOST_OF_A_KIND + 5
+    with pytest.raises(ValueError, match="No kind"):
+        report.add("odd", "wrong")
+
+
+def test_a_damaged_middle_is_left_alone(copy: Path) -> None:
+    to.without_row(2, 1)(copy)
+    before = (copy / DATA).read_bytes()
+    done = repair(copy)
+    assert "episode 2 is damaged" in done.left[0]
+    assert (copy / DATA).read_bytes() == before
+    assert not done.backup.exists()
+
+
+def test_what_is_taken_out_lies_beside_the_dataset(copy: Path) -> None:
+    to.leave("meta/.info.json.17.tmp")(copy)
+    to.edit_rows(to.without_last_episode)(copy)
+    metadata, description = (copy / META).read_bytes(), (copy / INFO).read_bytes()
+    backup = repair(copy).backup
+    assert backup == copy.with_name("dataset.before-repair")
+    assert (backup / META).read_bytes() == metadata
+    assert (backup / INFO).read_bytes() == description
+    assert (backup / "meta/.info.json.17.tmp").exists()
+
+
+def test_replays_tell_what_does_not_happen_again(copy: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    report = check_replays(copy, [0, 3], make_sound_env, tolerance=1e-4, progress=lambda *done: told.append(done))
+    assert report.clean
+    assert told == [("replay", 1, 2), ("replay", 2, 2)]
+    to.edit_cell(schema.EXECUTED, 3, 0, lambda action: [action[0] + 0.05, *action[1:]])(copy)
+    report = check_replays(copy, [0, 3], make_sound_env, tolerance=1e-4)
+    assert [(each.kind, each.episode) for each in report.findings] == [("replay", 3)]
+
+
+@pytest.mark.parametrize("folder", ["nothing", "empty", "other"])
+def test_no_dataset_is_one_clear_error(
+    tmp_path: Path, refuses: Callable[..., str], capsys: pytest.CaptureFixture[str], folder: str
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").touch()
+    for work in (check, repair):
+        refuses(DatasetError, lambda work=work: work(tmp_path / folder))
+    assert main(["check", str(tmp_path / folder)]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_the_command_tells_findings_and_mends_them(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(copy)]) == 0
+    assert capsys.readouterr().out.rstrip().endswith("6 episodes, 28 rows: clean")
+    to.edit_cell(schema.STATE, 3, 2, to.at((5,), NAN))(copy)
+    to.remove(STATS)(copy)
+    assert main(["check", str(copy)]) == 1
+    out = capsys.readouterr().out
+    assert f"not-finite: {DATA}, episode 3, frame 2: NaN or infinity in {schema.STATE}" in out
+    assert "2 findings" in out
+    assert main(["check", str(copy), "--json", "--repair"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["counts"] == {"not-finite": 1}
+    assert told["findings"][0] | {"message": ""} == {
+        "kind": "not-finite", "message": "", "file": DATA, "episode": 3, "frame": 2,
+    }  # fmt: skip
+    assert told["repair"]["mended"] == [f"{STATS}: computed again from the episodes"]
+    assert main(["check", str(copy), "--replay", "-1"]) == 2
+
+
+def test_the_documented_kinds_are_the_codes(project_root: Path) -> None:
+    text = (project_root / "docs" / "checking.md").read_text(encoding="utf-8")
+    match = re.search(r"<!-- kinds -->\n(.*?)<!-- /kinds -->", text, re.DOTALL)
+    assert match is not None
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in match[1].splitlines()[2:]]
+    assert rows == [[f"`{kind}`", told.meaning, told.repair] for kind, told in KINDS.items()]

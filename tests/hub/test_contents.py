@@ -1,0 +1,125 @@
+"""What `adamanip stats` counts is what the rows say."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+from sound_demos import collect_sound
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.loading import episode_table
+from lerobot_adamanip.demos.merge import merge
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.evaluation.groups import Group
+from lerobot_adamanip.hub.contents import contents
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Episodes of two categories, without pictures. Not to be written to."""
+    root = tmp_path_factory.mktemp("contents") / "demos"
+    return collect_sound(root, objects=("safe_000", "door_001"), episodes_per_object=5, observe_images=False)
+
+
+def rows(root: Path) -> list[dict[str, object]]:
+    names = ["episode_index", schema.TRIED, schema.FAILED, schema.SUCCESS]
+    return list(pq.read_table(sorted((root / "data").glob("*/*.parquet")), columns=names).to_pylist())
+
+
+def test_counts_are_those_of_the_rows(demos: Path) -> None:
+    found, told = contents(demos), rows(demos)
+    lengths = Counter(row["episode_index"] for row in told)
+    failing = {row["episode_index"] for row in told if row[schema.FAILED]}
+    overall = found.overall
+    assert overall.episodes == len(lengths) == 10
+    assert overall.key_frames == len(told) - 10
+    assert overall.tries == sum(int(row[schema.TRIED] >= 0) for row in told)  # type: ignore[operator]
+    assert overall.failed_tries == sum(bool(row[schema.FAILED]) for row in told)
+    assert 0 < overall.failed_tries < overall.tries
+    assert (overall.recovered.count, overall.recovered.episodes) == (len(failing), len(failing))
+    assert overall.success.count == 10
+    assert found.lengths == dict(sorted(Counter(length - 1 for length in lengths.values()).items()))
+    assert sum(count * episodes for count, episodes in found.failures.items()) == overall.failed_tries
+    assert found.length_summary()["mean"] == pytest.approx(overall.key_frames / 10)
+    assert (found.objects, found.rows) == (2, len(told))
+    assert found.late == sum(episode_table(demos)["late"].to_pylist())
+
+
+def test_groups_part_the_episodes(demos: Path) -> None:
+    groups = contents(demos).groups
+    table = episode_table(demos).to_pylist()
+    locked = [json.loads(row["hidden_state"])["locked"] for row in table if row["object_id"] == "door_001"]
+    assert groups[Group("category", "door")].episodes == groups[Group("category", "safe")].episodes == 5
+    assert groups[Group("hidden", "door: locked")].episodes == sum(locked)
+    assert groups[Group("hidden", "door: unlocked")].episodes == len(locked) - sum(locked)
+    assert groups[Group("objects", "seen")].episodes == 10
+    assert {group.by for group in groups} == {"all", "category", "objects", "hidden"}
+
+
+def test_attempts_are_counted_where_they_are_told(demos: Path, tmp_path: Path) -> None:
+    attempts = contents(demos).attempts
+    lines = [json.loads(line) for line in (demos / "meta" / "attempts.jsonl").read_text().splitlines()]
+    assert attempts is not None
+    assert (attempts.kept.count, attempts.kept.episodes) == (10, len(lines))
+    assert sum(tried for _, tried in attempts.hidden.values()) == len(lines)
+    merge([demos, demos], tmp_path / "both")
+    both = contents(tmp_path / "both")
+    assert both.attempts is None
+    assert both.overall.episodes == 20
+    assert both.recovery is not None
+
+
+def test_what_follows_a_failed_try_is_counted_as_evaluations_count_it(demos: Path) -> None:
+    found = contents(demos).recovery
+    assert found is not None
+    assert found.repeated.episodes == contents(demos).overall.failed_tries  # the fake always tries once more
+    assert found.repeated.count == found.repeated.episodes  # the same way, with the lock open
+
+
+def test_a_dataset_without_columns_of_ours_is_counted_from_its_rows(demos: Path, tmp_path: Path) -> None:
+    plain = Path(shutil.copytree(demos, tmp_path / "plain"))
+    for name in ("collection.json", "attempts.jsonl"):
+        (plain / "meta" / name).unlink()
+    path = plain / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    table = pq.read_table(path)
+    lerobots = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
+    pq.write_table(table.drop_columns([n for n in table.column_names if "/" not in n and n not in lerobots]), path)
+    found, whole = contents(plain), contents(demos)
+    assert found.overall == whole.overall
+    assert (found.lengths, found.failures) == (whole.lengths, whole.failures)
+    assert (list(found.groups), found.objects, found.recovery) == ([Group("all", "all")], 0, None)
+
+
+def test_the_command_prints_a_table_and_draws(demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "new" / "demos.png"
+    assert main(["stats", str(demos), "--plot", str(picture)]) == 0
+    out = capsys.readouterr().out
+    assert "door: locked" in out
+    assert "100.0 %" in out
+    with Image.open(picture) as image:
+        assert image.width > 600
+        assert np.asarray(image.convert("L")).std() > 10
+    assert main(["stats", str(demos), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["groups"][0]["by"] == "all"
+    assert told["groups"][0]["success"]["count"] == 10
+    assert told["attempts"]["kept"]["count"] == 10
+    assert told["key_frames"]["min"] >= 1
+    assert main(["stats", str(demos), "--plot", "demos.txt"]) == 2
+
+
+def test_no_dataset_and_half_of_one_are_one_clear_error(demos: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="no dataset"):
+        contents(tmp_path / "nothing")
+    half = Path(shutil.copytree(demos, tmp_path / "half"))
+    (half / "meta" / "attempts.jsonl").write_text('{"odd": 1}\n')
+    with pytest.raises(DatasetError, match="cannot be"):
+        contents(half)
