@@ -84,5 +84,6 @@ def _lines(found: Contents) -> Iterator[str]:
         yield f"After a try that failed, the same again: {percent(found.recovery.repeated)}"
     if found.attempts is not None:
         yield f"Attempts kept: {percent(found.attempts.kept)}; given up: {found.attempts.given_up}"
-        for label, (kept, tried) in found.attempts.hidden.items():
-            yield f"  {label}: {kept} of {tried}"
+        if found.attempts.kept.count < found.attempts.kept.episodes:
+            for label, (kept, tried) in found.attempts.hidden.items():
+                yield f"  {label}: {kept} of {tried}"

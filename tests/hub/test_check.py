@@ -10,6 +10,7 @@ from pathlib import Path
 
 import check_damages as to
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from check_damages import ATTEMPTS, CAMERAS, COLLECTION, DATA, INFO, META, STATS, TASKS, VIDEO, Damage
@@ -24,6 +25,7 @@ from lerobot_adamanip.hub.check import reading
 from lerobot_adamanip.hub.check.dataset import check, check_replays
 from lerobot_adamanip.hub.check.findings import KINDS, MOST_OF_A_KIND, Report
 from lerobot_adamanip.hub.check.repair import repair
+from lerobot_adamanip.hub.check.statistics import check_episode_statistics
 
 NAN = float("nan")
 FAR = [9.0, 9.0, 9.0]
@@ -205,6 +207,22 @@ def test_episodes_may_go_on_in_another_row_group(copy: Path, monkeypatch: pytest
     assert check(copy).findings == ()
 
 
+@pytest.mark.parametrize(("rows", "points"), [(20, 1024), (45, 4096)])
+def test_lerobots_rounding_is_no_finding_and_a_true_difference_is(rows: int, points: int) -> None:
+    from lerobot.datasets.compute_stats import get_feature_stats
+
+    draw = np.random.default_rng(rows)
+    cloud = (draw.uniform((0.3, -0.3, 0.5), (0.8, 0.3, 0.9), (rows, points, 3)) // 0.1 * 0.1).astype(np.float32)
+    key, at = schema.POINT_CLOUD, reading.Rows(DATA, np.zeros(rows, np.int64), np.arange(rows))
+    batch = reading.Batch(at, pa.table({"index": np.arange(rows)}))
+    told = {name: value[None].astype(float) for name, value in get_feature_stats(cloud, 0, keepdims=False).items()}
+    for name in (None, "min", "max", "mean", "std", "q10", "q50", "q90", "count"):
+        report = Report()
+        changed = told if name is None else {**told, name: told[name] * 1.1 + 0.03}
+        check_episode_statistics(batch, {key: cloud}, {key: changed}, {0: 0}, report)
+        assert report.clean == (name is None), name
+
+
 def test_findings_of_a_kind_are_listed_up_to_a_number_and_counted_beyond() -> None:
     report = Report()
     for episode in range(MOST_OF_A_KIND + 5):
@@ -270,9 +288,8 @@ def test_the_command_tells_findings_and_mends_them(copy: Path, capsys: pytest.Ca
     assert main(["check", str(copy), "--json", "--repair"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["counts"] == {"not-finite": 1}
-    assert told["findings"][0] | {"message": ""} == {
-        "kind": "not-finite", "message": "", "file": DATA, "episode": 3, "frame": 2,
-    }  # fmt: skip
+    place = {name: told["findings"][0][name] for name in ("kind", "file", "episode", "frame")}
+    assert place == {"kind": "not-finite", "file": DATA, "episode": 3, "frame": 2}
     assert told["repair"]["mended"] == [f"{STATS}: computed again from the episodes"]
     assert main(["check", str(copy), "--replay", "-1"]) == 2
 

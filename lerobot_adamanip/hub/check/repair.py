@@ -94,10 +94,7 @@ def repair(root: str | Path, *, progress: Progress = lambda stage, done, total: 
     """
     folder = require_dataset(root)
     done = Repair(folder, folder.with_name(folder.name + ".before-repair"))
-    for path in list(leftovers(folder)):
-        name = path.relative_to(folder).as_posix()
-        done.keep(name, move=True)
-        done.mended.append(f"{name}: moved away")
+    _move_leftovers(done)
     layout = _described(done)
     if layout is None:
         return done
@@ -121,6 +118,13 @@ def repair(root: str | Path, *, progress: Progress = lambda stage, done, total: 
         return done
     _mend(done, layout, found, runs)
     return done
+
+
+def _move_leftovers(done: Repair) -> None:
+    for path in list(leftovers(done.root)):
+        name = path.relative_to(done.root).as_posix()
+        done.keep(name, move=True)
+        done.mended.append(f"{name}: moved away")
 
 
 def _described(done: Repair) -> Layout | None:

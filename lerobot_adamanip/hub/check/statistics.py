@@ -23,8 +23,8 @@ QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 NEEDED = frozenset(("min", "max", "mean", "std", "count"))
 _BINS = 5000
 """LeRobot reads quantiles off a histogram of so many bins."""
-_ROUNDING = 1e-5
-"""Of float32 means, relative to the largest value."""
+_ROUNDING, _ROUNDING_EACH = 1e-5, 2e-8
+"""Of float32 means, relative to the largest value; and more for each number that numpy sums up one after the other."""
 Stored = dict[str, dict[str, NDArray[np.float64]]]
 """Column -> statistic -> (episodes, D)."""
 Statistics = dict[str, dict[str, NDArray[np.float64]]]
@@ -92,11 +92,12 @@ def _differ(values: NDArray[Any], starts: NDArray[np.int64], told: dict[str, NDA
     if any(each.shape[1] != mean.shape[1] for name, each in told.items() if name != "count"):
         return np.ones(len(starts), bool)
     largest = np.maximum(np.abs(lowest), np.abs(highest)) + 1e-6
+    rounding = _ROUNDING + _ROUNDING_EACH * elements
     near = np.abs(told["min"] - lowest) <= _ROUNDING * largest
     near &= np.abs(told["max"] - highest) <= _ROUNDING * largest
-    near &= np.abs(told["mean"] - mean) <= _ROUNDING * largest
+    near &= np.abs(told["mean"] - mean) <= rounding * largest
     # A difference of squares in float32 rounds by as much as the squares do.
-    near &= np.abs(told["std"] ** 2 - (squares - mean**2)) <= _ROUNDING * largest**2
+    near &= np.abs(told["std"] ** 2 - (squares - mean**2)) <= rounding * largest**2
     near &= told["count"] == counts[:, None]
     for name, share in QUANTILES.items():
         if name in told and (counts > 1).any():
