@@ -22,7 +22,7 @@ from lerobot_adamanip.demos.parts import Part
 from lerobot_adamanip.demos.record import Factories
 from lerobot_adamanip.demos.summary import CollectSummary
 from lerobot_adamanip.errors import ConfigurationError, require_choice
-from lerobot_adamanip.hub.publish import publish, require_hub_name
+from lerobot_adamanip.hub.endpoint import require_hub_name
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
 from lerobot_adamanip.options import EnvironmentOptions, require_known
@@ -127,7 +127,7 @@ class Collect:
     """Write the dataset even if some episodes could not be recorded."""
 
     push_to_hub: bool = False
-    """Upload the finished dataset as --repo-id (licence apache-2.0)."""
+    """Publish the finished dataset as --repo-id, as `adamanip push dataset` does."""
 
     private: bool = False
     """Make the uploaded dataset private."""
@@ -153,9 +153,17 @@ class Collect:
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
             return EXIT_INTERRUPTED
         if self.push_to_hub:
-            publish(self.root, str(self.repo_id), private=self.private)
+            self._publish()
         self._print(summary)
         return 0
+
+    def _publish(self) -> None:
+        """What `adamanip push dataset` does: that command goes on if this is interrupted."""
+        from lerobot_adamanip.cli.push import Push
+
+        push = Push("dataset", str(self.repo_id), self.root, assets=self.assets, private=self.private)
+        _, result = push.publish()
+        print(f"Published: {result.url if result else self.repo_id}", file=sys.stderr)
 
     def _require_whole(self) -> None:
         """A part makes no dataset, so there is none to upload."""

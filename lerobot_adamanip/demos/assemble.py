@@ -19,7 +19,7 @@ from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl
 from lerobot_adamanip.demos.card import dataset_card
 from lerobot_adamanip.demos.collection import assembling, manifest_path
 from lerobot_adamanip.demos.crew import Crews
-from lerobot_adamanip.demos.loading import read_back
+from lerobot_adamanip.demos.loading import JSON_COLUMNS, read_back
 from lerobot_adamanip.demos.manifest import Manifest, write_manifest
 from lerobot_adamanip.demos.prepare import (
     ENCODER_THREADS,
@@ -40,7 +40,6 @@ _PLAIN_COLUMNS = (
     "object_id", "seed", "expert", "tries", "failed_tries", "success", "attempts", "attempt", "slot", "late",
     "fingerprint",
 )  # fmt: skip
-_JSON_COLUMNS = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "failures", "episode_record")
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,7 @@ def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str
 def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:
     fix_statistics(root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
-    add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in _JSON_COLUMNS})
+    add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(_cameras([record["camera"] for record in records]))
     (root / "meta" / "attempts.jsonl").write_bytes(attempts_jsonl(contents.attempts))
     shutil.rmtree(root / "images", ignore_errors=True)

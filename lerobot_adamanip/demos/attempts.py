@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.checked_json import parse
+from lerobot_adamanip import checked_json
 from lerobot_adamanip.demos.collection import CollectionPaths, EpisodeSpec
-from lerobot_adamanip.demos.manifest import AttemptCounts
+from lerobot_adamanip.demos.manifest import HIDDEN_STATE, AttemptCounts
+from lerobot_adamanip.errors import DatasetError
 
 NO_LAYOUT = "(no layout)"
 """Stands for the hidden state of an attempt for which no reachable layout was found."""
@@ -77,11 +78,17 @@ def attempts_jsonl(attempts: Iterable[AttemptRecord]) -> bytes:
 
 
 def read_attempts(path: Path) -> list[AttemptRecord]:
-    """Returns the attempts that ``meta/attempts.jsonl`` lists; raises OSError or ValueError."""
+    """Reads ``meta/attempts.jsonl``; raises `DatasetError` if it is missing or a line of it is no attempt."""
     try:
-        return [AttemptRecord(**parse(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-    except TypeError as error:
-        raise ValueError(f"not an attempt: {error}") from error
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return [AttemptRecord(**_ATTEMPT("an attempt", checked_json.parse(line))) for line in lines]
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            "Cannot read the list of attempts.",
+            got=f"{path.name}: {error}",
+            allowed="the file `adamanip collect` wrote",
+            hint="another --root",
+        ) from error
 
 
 def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
@@ -119,3 +126,13 @@ def _groups(name: str, attempts: list[AttemptRecord]) -> dict[str, list[AttemptR
     for label, attempt in zip(labels, attempts, strict=True):
         groups[label].append(attempt)
     return groups
+
+
+_COUNT = checked_json.integer(0, 2**31)
+_LINE = checked_json.text(r"[^\r\n|`]{1,500}", "one line")
+_FIELDS: Mapping[str, checked_json.Check] = {
+    "object_id": _LINE, "slot": _COUNT, "attempt": _COUNT, "seed": _COUNT,
+    "hidden_state": checked_json.optional(HIDDEN_STATE), "kept": checked_json.flag, "reason": _LINE,
+    "key_frames": _COUNT, "late": checked_json.flag,
+}  # fmt: skip
+_ATTEMPT = checked_json.table(_FIELDS)

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.categories import ALL
-from lerobot_adamanip.demos.attempts import AttemptRecord, by_hidden_value
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.manifest import Manifest
+from lerobot_adamanip.demos.attempts import AttemptRecord, by_hidden_value, read_attempts
+from lerobot_adamanip.demos.collection import CollectionSpec, manifest_path
+from lerobot_adamanip.demos.loading import episode_records
+from lerobot_adamanip.demos.manifest import Manifest, read_manifest
 from lerobot_adamanip.fingerprint import combined
-from lerobot_adamanip.hub.cards import LICENSE, TAGS, card_template
+from lerobot_adamanip.hub.cards import LICENSE, TAGS, card_template, citation, front_matter
 
 COLUMNS = {
     schema.POINT_CLOUD: "m; in farthest-point order, so any prefix is itself a farthest-point sample",
@@ -33,14 +35,42 @@ COLUMNS = {
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
 }
 """What a column means."""
+_SIZES = (
+    (1_000, "n<1K"),
+    (10_000, "1K<n<10K"),
+    (100_000, "10K<n<100K"),
+    (1_000_000, "100K<n<1M"),
+    (10_000_000, "1M<n<10M"),
+)
+"""Rows below which the Hub's word for a dataset's size is what follows."""
 _OF_LEROBOT = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+def read_dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | None = None) -> str:
+    """Returns the README of a finished dataset, from what is in its folder.
+
+    Args:
+        folder: that the dataset is in.
+        name: that its folder will have, in the command that collects the same.
+        repo_id: its name on the Hub.
+        assets: folder of the external assets that it was collected with, if any.
+
+    Raises:
+        DatasetError: its manifest or its list of attempts is damaged, or it lacks the columns of a collection.
+    """
+    path = manifest_path(folder)
+    manifest = read_manifest(path, assets) if path.exists() else None
+    attempts = read_attempts(folder / "meta" / "attempts.jsonl") if manifest is not None else []
+    return dataset_card(
+        folder, name, manifest=manifest, records=episode_records(folder), attempts=attempts, repo_id=repo_id
+    )
 
 
 def dataset_card(
     folder: Path,
     name: str,
     *,
-    manifest: Manifest,
+    manifest: Manifest | None,
     records: list[dict[str, Any]],
     attempts: list[AttemptRecord],
     repo_id: str,
@@ -50,65 +80,99 @@ def dataset_card(
     Args:
         folder: that the dataset is in.
         name: that its folder will have.
-        manifest: of the collection.
+        manifest: of the collection; None for a dataset that is not one collection, as merged ones.
         records: of its episodes.
         attempts: all that were made for the collection.
         repo_id: its name on the Hub.
     """
     info = json.loads((folder / "meta" / "info.json").read_text())
     return card_template("dataset_card.md").substitute(
-        _collected(manifest.spec, name.removesuffix("-failed")),
+        _made(manifest, records, name.removesuffix("-failed")),
         **_recorded(records),
-        **_attempted(manifest, attempts),
-        tags="\n".join(f"  - {tag}" for tag in TAGS),
-        license=LICENSE,
+        **_attempted(manifest, attempts, records),
+        front_matter=front_matter("dataset", _header(info, name)),
         repo_id=repo_id,
         frames=info["total_frames"],
         features=_features(info["features"]),
         fps=info["fps"],
-        fingerprint=combined(manifest.fingerprint),
-        fingerprint_table="\n".join(f"| {part} | `{value}` |" for part, value in sorted(manifest.fingerprint.items())),
+        citation=citation(),
     )
 
 
-def _collected(spec: CollectionSpec, folder: str) -> dict[str, str]:
-    """Returns the fields of a card that say what was asked for."""
-    together = spec.category == ALL
+def _header(info: dict[str, Any], name: str) -> dict[str, Any]:
+    rows = info["total_frames"]
+    size = next((text for least, text in _SIZES if rows < least), "n>1T")
     return {
-        "title": "all categories" if together else spec.category.replace("_", " "),
-        "env_type": "adamanip" if together else f"adamanip_{spec.category}",
-        "expert": spec.expert,
-        "command": command(spec, folder),
+        "license": LICENSE,
+        "task_categories": ["robotics"],
+        "tags": list(TAGS),
+        "pretty_name": f"AdaManip demonstrations ({name})",
+        "size_categories": [size],
+        "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
     }
+
+
+def _made(manifest: Manifest | None, records: list[dict[str, Any]], folder: str) -> dict[str, str]:
+    """Returns the fields of a card that say what was asked for."""
+    categories = list(dict.fromkeys(category_of(record["object_id"]) for record in records))
+    together = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
+    parts = _fingerprints(records) if manifest is None else manifest.fingerprint
+    several = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
+    return {
+        "title": "all categories" if together else categories[0].replace("_", " "),
+        "env_type": "adamanip" if together else f"adamanip_{categories[0]}",
+        "expert": "/".join(sorted({str(record["expert"]) for record in records})),
+        "made": several if manifest is None else f"```bash\n{command(manifest.spec, folder)}\n```",
+        "fingerprint": ", ".join(parts.values()) if manifest is None else combined(manifest.fingerprint),
+        "fingerprint_table": "\n".join(f"| {part} | `{value}` |" for part, value in sorted(parts.items())),
+    }
+
+
+def _fingerprints(records: list[dict[str, Any]]) -> dict[str, str]:
+    """Fingerprints of episodes where no manifest tells their parts."""
+    found = Counter(str(record["fingerprint"]) for record in records)
+    return {f"of {count} episodes": value for value, count in found.items()}
 
 
 def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
     """Returns the fields of a card that count the dataset's episodes."""
-    failed = not any(record["success"] for record in records)
+    successes = sum(bool(record["success"]) for record in records)
     tries = Counter(record["failed_tries"] for record in records)
+    opened = Counter(record["failed_tries"] for record in records if record["success"])
+    kept = {0: "Only episodes that failed are in it", len(records): "Only episodes that ended in success are in it"}
     return {
-        "split": ", failed episodes" if failed else "",
-        "kept": "Only episodes that failed are in it" if failed else "Only episodes that ended in success are in it",
+        "split": "" if successes else ", failed episodes",
+        "kept": kept.get(successes, f"{successes} of its episodes ended in success"),
         "episodes": len(records),
         "objects": len({record["object_id"] for record in records}),
         "late": sum(record["late"] for record in records),
-        "trial_table": "\n".join(f"| {count} | {tries[count]} |" for count in sorted(tries)),
+        "recovered": sum(count for failed, count in opened.items() if failed),
+        "trial_table": "\n".join(f"| {failed} | {tries[failed]} | {opened[failed]} |" for failed in sorted(tries)),
         "versions": ", ".join(f"{name} {version}" for name, version in sorted(records[0]["versions"].items())),
     }
 
 
-def _attempted(manifest: Manifest, attempts: list[AttemptRecord]) -> dict[str, object]:
+def _attempted(
+    manifest: Manifest | None, attempts: list[AttemptRecord], records: list[dict[str, Any]]
+) -> dict[str, object]:
     """Returns the fields of a card that count all attempts of the collection."""
-    counts = manifest.attempts
-    assert counts is not None
-    rows = (f"| `{label}` | {kept} | {tried} |" for label, (kept, tried) in by_hidden_value(attempts).items())
-    return {
-        "attempted": counts.attempted,
-        "successes": counts.kept,
-        "given_up": counts.given_up,
-        "success_rate": f"{100.0 * counts.kept / max(1, counts.attempted):.1f}",
-        "hidden_table": "\n".join(rows),
-    }
+    counts = None if manifest is None else manifest.attempts
+    account = "what was attempted for them is told by the collections that it is made of"
+    if counts is not None:
+        rate = 100.0 * counts.kept / max(1, counts.attempted)
+        account = (
+            f"for the collection {counts.attempted} episodes were attempted, of which {counts.kept} "
+            f"({rate:.1f} %) succeeded and were kept, and\n{counts.given_up} wanted episodes were given up"
+        )
+    listed = attempts or [_as_attempt(record) for record in records]
+    rows = (f"| `{label}` | {kept} | {tried} |" for label, (kept, tried) in by_hidden_value(listed).items())
+    return {"account": account, "hidden_table": "\n".join(rows)}
+
+
+def _as_attempt(record: dict[str, Any]) -> AttemptRecord:
+    """An episode that is all that is known of the attempts at it."""
+    facts = {key: record[key] for key in ("object_id", "slot", "attempt", "seed", "hidden_state", "late")}
+    return AttemptRecord(**facts, kept=True, reason="", key_frames=0)
 
 
 def _features(features: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.checked_json import read
+from lerobot_adamanip.checked_json import parse, read
 from lerobot_adamanip.demos.collection import CollectionPaths
 from lerobot_adamanip.errors import DatasetError
 
@@ -19,6 +19,8 @@ DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 """LeRobot's own templates. A dataset that names other places in its metadata is refused: they could lie anywhere."""
 MAX_STATISTICS_BYTES = 100_000_000
+JSON_COLUMNS = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "failures", "episode_record")
+"""Columns of episodes that hold JSON."""
 _KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 _DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
@@ -58,6 +60,20 @@ def episode_table(root: str | Path) -> pa.Table:
     tables = [pq.read_table(path) for path in paths]
     table = pa.concat_tables(tables).sort_by("episode_index")
     return table.select([name for name in table.column_names if not name.startswith("stats/")])
+
+
+def episode_records(root: str | Path) -> list[dict[str, Any]]:
+    """Returns what the episodes' columns tell of each, JSON decoded; raises `DatasetError` if that is not there."""
+    rows: list[dict[str, Any]] = episode_table(root).to_pylist()
+    try:
+        return [{**row, **{name: parse(row[name]) for name in JSON_COLUMNS}} for row in rows]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(
+            "The episodes do not say how they were made.",
+            got=f"{Path(root).name}: {type(error).__name__} {error}",
+            allowed="the columns that `adamanip collect` writes into meta/episodes",
+            hint="a dataset of `adamanip collect`",
+        ) from error
 
 
 def missing_dataset(folder: Path) -> DatasetError:

@@ -24,7 +24,9 @@ from lerobot_adamanip.files import write_atomically
 
 KINDS = ("expert", "policy")
 OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
-PRIVATE_PATH = re.compile(r"(?<![\w.])/(home|root|work|tmp|Users|mnt|data)/|[A-Za-z]:\\|://|@")
+MACHINE_PATH = r"(?<![\w.])/(?:home|root|work|tmp|Users|mnt|data)/|(?<![A-Za-z])[A-Za-z]:\\"
+"""Pattern of how an absolute path of one machine begins."""
+PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")
 """What a command in a published file may not hold: paths of one machine, addresses, users."""
 
 

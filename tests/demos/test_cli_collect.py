@@ -16,6 +16,7 @@ from demos_helpers import ATTEMPTS, HERE, fakes
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.cli.push import Push
 from lerobot_adamanip.demos.collect import CollectOptions
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec
 from lerobot_adamanip.demos.loading import episode_table
@@ -111,12 +112,17 @@ def test_impossible_requests_fail_before_anything_is_recorded(
 
 
 def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    published: list[tuple[Path, str, bool]] = []
+    published: list[tuple[object, ...]] = []
     monkeypatch.setattr(command, "factories", fakes)
-    monkeypatch.setattr(command, "publish", lambda root, name, private: published.append((root, name, private)))
+
+    def publish(push: Push) -> tuple[dict[str, int], None]:
+        published.append((push.kind, push.folder, push.repo_id, push.private))
+        return {}, None
+
+    monkeypatch.setattr(Push, "publish", publish)
     call = tyro.cli(Collect, args=["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
     assert call.run() == 0
-    assert published == [(tmp_path / "d", "me/safes", False)]
+    assert published == [("dataset", tmp_path / "d", "me/safes", False)]
     monkeypatch.setattr(command, "factories", lambda: fakes(hopeless="safe_001"))
     call.root = tmp_path / "e"
     with pytest.raises(DatasetError):

@@ -1,23 +1,34 @@
-"""The dataset card: complete, true of the data, and free of what belongs to a machine."""
+"""Cards: complete, valid, true of what they describe, and free of what belongs to a machine."""
 
 from __future__ import annotations
 
 import getpass
 import json
+import re
+import shutil
 import socket
+from collections.abc import Callable
 from pathlib import Path
 
+import make_cards
 import pyarrow.parquet as pq
 import pytest
 import yaml
 from demos_helpers import make_spec
+from huggingface_hub import ModelCard
+from records import record
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.collect import Collect
-from lerobot_adamanip.demos.card import COLUMNS
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.demos.card import COLUMNS, read_dataset_card
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.fingerprint import combined
 from lerobot_adamanip.hub import cards
+from lerobot_adamanip.hub.cards import check_card
+from lerobot_adamanip.hub.model_card import Checkpoint, model_card
+from lerobot_adamanip.hub.model_index import read_results
+from lerobot_adamanip.hub.scan import Names, scan
 
 
 @pytest.fixture
@@ -29,7 +40,7 @@ def test_its_front_matter_is_what_the_hub_reads(card: str) -> None:
     front_matter = yaml.safe_load(card.split("---")[1])
     assert front_matter["license"] == "apache-2.0"
     assert "LeRobot" in front_matter["tags"]
-    assert "$" not in card
+    check_card(card, "dataset")
 
 
 def test_every_column_is_described(card: str) -> None:
@@ -71,6 +82,97 @@ def test_nothing_of_this_machine_is_published(published: Path) -> None:
         if path.is_file():
             content = path.read_bytes()
             assert not [secret for secret in secrets if secret.encode() in content], path
+
+
+def test_recoveries_are_counted(published: Path, card: str) -> None:
+    episodes = pq.read_table(published / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    failed = [each["failed_tries"] for each in episodes if each["success"]]
+    assert f"{sum(map(bool, failed))} episodes recover" in card
+    for count in set(failed):
+        assert f"| {count} | {failed.count(count)} | {failed.count(count)} |" in card
+
+
+def test_a_dataset_of_several_collections_has_a_card_too(published: Path, tmp_path: Path) -> None:
+    merged = shutil.copytree(published, tmp_path / "merged")
+    for name in ("collection.json", "attempts.jsonl"):
+        (merged / "meta" / name).unlink()
+    text = read_dataset_card(merged, "merged", "someone/safes")
+    check_card(text, "dataset")
+    assert "adamanip collect" not in text
+    kept = pq.read_table(published / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    locked = sum(json.loads(each["hidden_state"])["locked"] for each in kept)
+    assert f"| `locked = true` | {locked} | {locked} |" in text
+    assert kept[0]["fingerprint"] in text
+
+
+VALID = "---\nlicense: apache-2.0\ntags: [robotics]\n---\n\n# Card\n"
+INDEX = "model-index: [{name: a, results: [{task: {type: robotics}, dataset: {name: a}, metrics: []}]}]"
+INVALID = {
+    "no header": VALID.replace("---", ""),
+    "a header that is no YAML": VALID.replace("tags: [robotics]", "tags: [robotics"),
+    "a header that is a list": VALID.replace("license: apache-2.0\ntags: [robotics]", "- license"),
+    "a licence that is none": VALID.replace("apache-2.0", "apache2"),
+    "no licence": VALID.replace("license: apache-2.0\n", ""),
+    "a misspelt key": VALID.replace("tags:", "tag:"),
+    "tags that are numbers": VALID.replace("[robotics]", "[1, 2]"),
+    "a dataset that cannot be": VALID.replace("tags:", "datasets: [a/b/c]\ntags:"),
+    "results without a dataset's type": VALID.replace("tags:", f"{INDEX}\ntags:"),
+    "a placeholder": VALID + "$repo_id",
+}
+
+
+@pytest.mark.parametrize("name", INVALID)
+def test_an_invalid_card_is_one_clear_error(refuses: Callable[..., str], name: str) -> None:
+    check_card(VALID, "model")
+    refuses(DatasetError, lambda: check_card(INVALID[name], "model"))
+
+
+def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
+    (result,) = read_results([project_root / "results" / "demo.json"])
+    checkpoint = Checkpoint({"type": "dp3_adaptive"}, {"env": {"type": "adamanip_safe"}, "steps": 5}, 1_500_000)
+    text = model_card(checkpoint, "someone/policy", results=[result], dataset="someone/safes")
+    check_card(text, "model")
+    card = ModelCard(text)
+    (row,) = result.rows
+    (found,) = card.data.eval_results
+    assert (found.metric_type, found.metric_value) == ("success_rate", round(row.successes / row.episodes, 4))
+    assert (found.dataset_type, found.dataset_split) == ("adamanip_safe", "seen")
+    assert found.dataset_args["command"] == result.command
+    assert f"{row.successes}/{row.episodes}: " in card.text
+    assert result.fingerprint in card.text
+    assert card.data.datasets == ["someone/safes"]
+    assert "1.5 M parameters" in card.text
+    assert "--steps=5" in card.text
+
+
+def test_results_of_an_episode_log_need_its_command(
+    project_root: Path, tmp_path: Path, refuses: Callable[..., str]
+) -> None:
+    log = tmp_path / "eval.jsonl"
+    for seed, success in ((1, True), (2, False), (3, True)):
+        append_record(log, record(seed=seed, given_seed=seed, success=success))
+    assert "--results-command" in refuses(ConfigurationError, lambda: read_results([log]))
+    (result,) = read_results([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
+    assert [(row.successes, row.episodes) for row in result.rows] == [(2, 3)]
+    refuses(ConfigurationError, lambda: read_results([log], "lerobot-eval --policy.path=/home/x/policy"))
+
+
+CARDS = {"dataset": "dataset", "model": "model", "environment": "model"}
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_cards_in_the_documents_are_valid_and_tell_of_no_machine(project_root: Path, name: str) -> None:
+    path = project_root / "docs" / "cards" / f"{name}.md"
+    check_card(path.read_text(encoding="utf-8"), CARDS[name])
+    assert scan({path.name: path}, Names.here(project_root), owner="USER") == []
+
+
+def test_the_documents_card_of_the_environments_is_the_present_one(project_root: Path, tmp_path: Path) -> None:
+    (tmp_path / "staged").mkdir()
+    present = (make_cards.environment(tmp_path / "staged").folder / "README.md").read_text()
+    written = (project_root / "docs" / "cards" / "environment.md").read_text()
+    hashes = re.compile(r"`[0-9a-f]{16}`|`(?:python|embreex)[^`]*`")
+    assert hashes.sub("HASH", written) == hashes.sub("HASH", present)
 
 
 def test_templates_are_found_in_a_checkout_and_in_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

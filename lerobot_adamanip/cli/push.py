@@ -1,0 +1,122 @@
+"""`adamanip push`: datasets, policies and the environments, to the Hugging Face Hub."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from lerobot_adamanip.categories import ALL
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hub.endpoint import require_hub_name, require_release_name
+from lerobot_adamanip.hub.model_index import read_results
+from lerobot_adamanip.hub.push import PushResult, push
+from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
+
+
+@dataclass
+class Push:
+    """Publishes a dataset, a policy or the environments, under a card made from what is in them.
+
+    Checks, creates the repository, uploads, moves the version's tag, reads back. Interrupted at any point, the same
+    command goes on; what has arrived is not sent again. What tells of this machine is left out or refused.
+    """
+
+    kind: tyro.conf.Positional[Literal["dataset", "model", "environment"]]
+    """What to publish."""
+
+    repo_id: str
+    """Name on the Hub: USER/NAME."""
+
+    folder: tyro.conf.Positional[Path | None] = None
+    """Of the dataset, or pretrained_model of a checkpoint."""
+
+    results: tuple[Path, ...] = ()
+    """Evaluations for the card of a policy or of the environments: files of `adamanip report --result`, or episode logs
+    with --results-command."""
+
+    results_command: str | None = None
+    """Command that made the episode logs given as --results, as typed."""
+
+    dataset: str | None = None
+    """Name on the Hub of what a policy was trained on. That of its training if left out."""
+
+    assets: Path | None = None
+    """Folder of the external assets that a dataset was collected with, if any."""
+
+    category: str = ALL
+    """What the environments' env.py opens; all for the nine together."""
+
+    release: str | None = None
+    """Tag for what is published now: release-1. Nothing that looks like a version, which LeRobot would load."""
+
+    private: bool = False
+    """Make the repository private."""
+
+    dry_run: bool = False
+    """Check, and list what would be published; send nothing."""
+
+    json: bool = False
+    """Print one JSON object when done. Progress goes to stderr."""
+
+    def run(self) -> int:
+        """Publishes and prints; 0 when what is on the Hub is what was sent."""
+        sizes, result = self.publish()
+        self._print(sizes, result)
+        return 0
+
+    def publish(self) -> tuple[dict[str, int], PushResult | None]:
+        """Publishes; returns the files with their bytes, and what came of it, None for a dry run."""
+        self._check()
+        with tempfile.TemporaryDirectory(prefix="adamanip-push-") as scratch, contextlib.redirect_stdout(sys.stderr):
+            staged = self._staged(Path(scratch) / "staged")
+            sizes = {name: path.stat().st_size for name, path in staged.files().items()}
+            return sizes, None if self.dry_run else push(staged, private=self.private, release=self.release)
+
+    def _check(self) -> None:
+        require_hub_name(self.repo_id)
+        if self.release is not None:
+            require_release_name(self.release)
+        if self.dataset is not None:
+            require_hub_name(self.dataset)
+        if (self.folder is None) != (self.kind == "environment"):
+            raise ConfigurationError(
+                "A dataset and a model are folders, the environment is not.",
+                got=f"{self.kind} {self.folder or ''}".strip(),
+                allowed="dataset DIR, model DIR or environment",
+                hint="adamanip push dataset outputs/demos --repo-id YOU/adamanip-safe",
+            )
+
+    def _staged(self, into: Path) -> Staged:
+        into.mkdir()
+        results = read_results(self.results, self.results_command)
+        if self.kind == "environment":
+            from lerobot_env_adamanip.fingerprint import code_fingerprint
+
+            return stage_environment(self.repo_id, into, code_fingerprint(), category=self.category, results=results)
+        assert self.folder is not None
+        if self.kind == "model":
+            return stage_model(self.folder, self.repo_id, into, results=results, dataset=self.dataset)
+        return stage_dataset(self.folder, self.repo_id, into, assets=self.assets)
+
+    def _print(self, sizes: dict[str, int], result: PushResult | None) -> None:
+        if self.json:
+            print(json.dumps({"dry_run": True, "files": sizes} if result is None else result.to_json()))
+        elif result is None:
+            for name, size in sizes.items():
+                print(f"{size:>12}  {name}")
+            print(
+                f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB, would go to {self.repo_id}. Nothing was sent."
+            )
+        else:
+            did = "published" if result.changed else "was there already"
+            tags = f", tagged {', '.join(result.tags)}" if result.tags else ""
+            print(
+                f"{result.url} {did}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."
+            )

@@ -1,0 +1,181 @@
+"""The card of a policy, from its checkpoint and its results."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.demos.card import COLUMNS
+from lerobot_adamanip.evaluation.results import ResultFile
+from lerobot_adamanip.hub.cards import LICENSE, card_template, citation, front_matter
+from lerobot_adamanip.hub.model_index import eval_results, results_table
+
+_HIDDEN = "articulated objects whose mechanism cannot be seen"
+_SUMMARIES = {
+    "dp3_adaptive": f"A policy over 3D point clouds that remembers what it has tried, for {_HIDDEN} "
+    "([AdaManip](https://adamanip.github.io), ICLR 2025).",
+    "vat_mart": f"VAT-Mart's point-level policy for {_HIDDEN}.",
+    "adaafford": f"AdaAfford's point-level policy for {_HIDDEN}.",
+    "sampling": "Random macro actions: the baseline that knows where a part is held, and nothing else.",
+}
+_KEY_FRAME = "One action is one key frame: the arm is driven to the pose, or until it is stopped."
+_NOTES = {
+    "dp3_adaptive": f"{_KEY_FRAME} The policy's own past actions\ntell it what has been tried, as far as its "
+    "demonstrations show attempts that fail and are corrected.",
+}
+_ROWS = {
+    "preset": ("preset", "`{}`"),
+    "num_points": ("points", "the first {} of a cloud, which is farthest-point ordered"),
+    "n_obs_steps": ("observations", "{}"),
+    "n_action_history_steps": ("memory", "the last {} actions"),
+    "horizon": ("generates", "{} actions"),
+    "chunk_size": ("generates", "{} actions"),
+    "n_action_steps": ("executes", "{} before it looks again"),
+    "encoder": ("encoder", "{}"),
+    "vision_backbone": ("encoder", "{}"),
+    "head": ("head", "{}"),
+    "num_anchors": ("chooses among", "{} motions"),
+    "num_refinements": ("refines poses", "{} times"),
+    "noise_scheduler_type": ("sampler", "{}"),
+    "num_inference_steps": ("sampling steps", "{}"),
+}
+"""Options of a policy that a card tells, if it has them: what it calls them, and how it says their values."""
+_UNUSED = {
+    "anchors": ("noise_scheduler_type", "num_inference_steps"), "diffusion": ("num_anchors", "num_refinements"),
+}  # fmt: skip
+"""Head of a policy -> options that say nothing of it."""
+_TRAINING = ("steps", "batch_size", "seed", "num_workers")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a card tells of a policy.
+
+    Attributes:
+        config: its ``config.json``.
+        training: its ``train_config.json``; empty if unknown.
+        parameters: of the network that acts.
+        updates: of averaged weights; None where nothing is averaged.
+    """
+
+    config: Mapping[str, Any]
+    training: Mapping[str, Any]
+    parameters: int
+    updates: int | None = None
+
+    @classmethod
+    def read(cls, folder: Path) -> Checkpoint:
+        """Returns that of a folder ``pretrained_model``, whose files have been checked."""
+        read = {name: json.loads((folder / name).read_text()) for name in ("config.json", "train_config.json")}
+        shapes = tensor_shapes(folder / "model.safetensors")
+        acting = {name: shape for name, shape in shapes.items() if not name.startswith("ema_")}
+        updates = _scalar(folder / "model.safetensors", "ema_steps") if "ema_steps" in shapes else None
+        return cls(
+            read["config.json"], read["train_config.json"], sum(math.prod(shape) for shape in acting.values()), updates
+        )
+
+
+def tensor_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Returns the shapes of a safetensors file's tensors; raises ValueError or OSError for another or a cut file."""
+    with open(path, "rb") as file:
+        (length,) = struct.unpack("<Q", file.read(8).ljust(8, b"\0"))
+        if not 0 < length < 100_000_000:
+            raise ValueError("no safetensors header")
+        header = json.loads(file.read(length))
+    header.pop("__metadata__", None)
+    end = max((entry["data_offsets"][1] for entry in header.values()), default=0)
+    if path.stat().st_size != 8 + length + end:
+        raise ValueError(f"{path.stat().st_size} bytes, where its header tells of {8 + length + end}")
+    return {name: tuple(entry["shape"]) for name, entry in header.items()}
+
+
+def _scalar(path: Path, name: str) -> int:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="np") as tensors:
+        return int(tensors.get_tensor(name))
+
+
+def model_card(
+    checkpoint: Checkpoint, repo_id: str, *, results: Sequence[ResultFile] = (), dataset: str | None = None
+) -> str:
+    """Returns the README of a policy.
+
+    Args:
+        checkpoint: what is known of it.
+        repo_id: its name on the Hub.
+        results: of its evaluations; they become the card's `model-index` too.
+        dataset: name on the Hub of what it was trained on; that of the training's configuration if left out.
+    """
+    config, training = checkpoint.config, checkpoint.training
+    kind, demos = str(config["type"]), dataset or _dataset_of(training)
+    env_type = str((training.get("env") or {}).get("type") or "adamanip")
+    fields: dict[str, Any] = {
+        "license": config.get("license") or LICENSE,
+        "library_name": "lerobot",
+        "pipeline_tag": "robotics",
+        "tags": sorted({"robotics", "lerobot", "lerobot_env_adamanip", "adamanip", kind, *(config.get("tags") or ())}),
+        "model_name": repo_id.rpartition("/")[2],
+    }
+    if demos is not None:
+        fields["datasets"] = [demos]
+    if results:
+        fields["eval_results"] = eval_results(results)
+    return card_template("model_card.md").substitute(
+        front_matter=front_matter("model", fields),
+        title=kind,
+        summary=_SUMMARIES.get(kind, f"LeRobot's `{kind}`, trained on demonstrations at articulated objects."),
+        repo_id=repo_id,
+        env_type=env_type,
+        facts=_facts(checkpoint),
+        notes=_NOTES.get(kind, _KEY_FRAME),
+        results=results_table(results),
+        training=_training(training, demos),
+        command=train_command(training, kind, env_type, demos),
+        citation=citation(),
+    )
+
+
+def _dataset_of(training: Mapping[str, Any]) -> str | None:
+    name = (training.get("dataset") or {}).get("repo_id")
+    return name if isinstance(name, str) and name.count("/") == 1 and not name.startswith("local/") else None
+
+
+def _facts(checkpoint: Checkpoint) -> str:
+    config = checkpoint.config
+    rows = [(f"input `{key}`", _feature(key, each)) for key, each in (config.get("input_features") or {}).items()]
+    rows += [(f"output `{key}`", _feature(key, each)) for key, each in (config.get("output_features") or {}).items()]
+    used = [key for key in _ROWS if config.get(key) is not None and key not in _UNUSED.get(str(config.get("head")), ())]
+    rows += [(_ROWS[key][0], _ROWS[key][1].format(config[key])) for key in used]
+    averaged = "" if checkpoint.updates is None else f"; averaged over {checkpoint.updates} updates"
+    rows.append(("size", f"{checkpoint.parameters / 1e6:.1f} M parameters{averaged}"))
+    return "\n".join(f"| {name} | {said} |" for name, said in rows)
+
+
+def _feature(key: str, feature: Mapping[str, Any]) -> str:
+    return f"{tuple(feature['shape'])}: {COLUMNS.get(key, feature['type'])}"
+
+
+def _training(training: Mapping[str, Any], dataset: str | None) -> str:
+    if not training:
+        return "How it was trained is not recorded."
+    said = ", ".join(f"{name.replace('_', ' ')} {training[name]}" for name in _TRAINING if name in training)
+    source = f"`{dataset}`" if dataset else "a dataset that is not published"
+    return f"On {source}: {said}. `train_config.json` holds every option; where things lay is left out."
+
+
+def train_command(training: Mapping[str, Any], kind: str, env_type: str, dataset: str | None) -> str:
+    """Returns a command that trains the same; what is not told are defaults and what `train_config.json` holds."""
+    options = {
+        "policy.type": kind,
+        "env.type": env_type,
+        "dataset.repo_id": dataset or "DATASET",
+        **{name: training[name] for name in ("steps", "batch_size", "seed") if training.get(name) is not None},
+        "policy.push_to_hub": "false",
+    }
+    return "lerobot-train " + " ".join(f"--{name}={value}" for name, value in options.items())

@@ -1,0 +1,58 @@
+"""Configurations of a training without what tells of the trainer's machine or account."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+_HUB_NAME = re.compile(r"[\w.-]+/[\w.-]+")
+_PRIVATE = (
+    ("output_dir",), ("checkpoint_path",), ("dataset", "root"), ("env", "assets"), ("env", "episode_log"),
+    ("wandb", "entity"), ("wandb", "notes"), ("wandb", "run_id"),
+)  # fmt: skip
+"""Fields of a training's configuration that do; all may be null."""
+
+
+def shareable(training: Mapping[str, Any], dataset: str | None = None) -> dict[str, Any]:
+    """Returns a JSON-able configuration, of a training or of a policy, without private fields.
+
+    Args:
+        training: JSON-able.
+        dataset: name on the Hub of what it was trained on, in place of a local one.
+    """
+    found: dict[str, Any] = json.loads(json.dumps(training))
+    for *parents, name in _PRIVATE:
+        place: Any = found
+        for parent in parents:
+            place = place.get(parent) or {}
+        if name in place:
+            place[name] = None
+    for policy in (found, found.get("policy") or {}):  # a policy's configuration stands alone, or in a training's
+        if is_local(policy.get("pretrained_path")):
+            policy["pretrained_path"] = None
+    if dataset is not None and isinstance(found.get("dataset"), dict):
+        found["dataset"]["repo_id"] = dataset
+    return found
+
+
+def shareable_copy(training: Any) -> Any:
+    """Returns a copy of a ``TrainPipelineConfig`` without private fields, for LeRobot's own push."""
+    found = copy.deepcopy(training)
+    for *parents, name in _PRIVATE:
+        place: Any = found
+        for parent in parents:
+            place = getattr(place, parent, None)
+        if hasattr(place, name):
+            setattr(place, name, None)
+    if is_local(getattr(found.policy, "pretrained_path", None)):
+        found.policy.pretrained_path = None
+    return found
+
+
+def is_local(path: object) -> bool:
+    """Whether where a policy came from is a folder, not a name on the Hub."""
+    return path is not None and (Path(str(path)).exists() or _HUB_NAME.fullmatch(str(path)) is None)

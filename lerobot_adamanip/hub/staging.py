@@ -1,0 +1,161 @@
+"""What a repository is to hold: checked, with its card, in a folder of its own. Sources are linked, never changed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip import checked_json
+from lerobot_adamanip.categories import ALL
+from lerobot_adamanip.demos.card import read_dataset_card
+from lerobot_adamanip.demos.loading import load_check, read_back
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.evaluation.results import ResultFile
+from lerobot_adamanip.hub.cards import check_card
+from lerobot_adamanip.hub.environment import write_environment
+from lerobot_adamanip.hub.model_card import Checkpoint, model_card, tensor_shapes
+from lerobot_adamanip.hub.scan import Names, require_clean
+from lerobot_adamanip.hub.sharing import shareable
+
+PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
+_DATASET = ("meta/", "data/", "videos/")
+_STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
+
+
+@dataclass(frozen=True)
+class Staged:
+    """What is to be published.
+
+    Attributes:
+        kind: ``dataset`` or ``model``, as the Hub calls repositories (environments are models there).
+        repo_id: its name.
+        folder: holds the files, links among them.
+        replaced: folders in the repository of which nothing stays that is not in ``folder``.
+        version_tag: tag that has to be at the newest commit, or None.
+    """
+
+    kind: str
+    repo_id: str
+    folder: Path
+    replaced: tuple[str, ...] = ()
+    version_tag: str | None = None
+
+    def files(self) -> dict[str, Path]:
+        """Returns path in the repository -> file."""
+        found = (path for path in sorted(self.folder.rglob("*")) if path.is_file())
+        return {path.relative_to(self.folder).as_posix(): path for path in found}
+
+
+def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None = None) -> Staged:
+    """Checks a dataset (every row, every frame of its videos) and stages it under a card made from what is in it.
+
+    Args:
+        root: of the dataset.
+        repo_id: its name on the Hub.
+        into: an empty folder.
+        assets: folder of the external assets that it was collected with, if any.
+
+    Raises:
+        DatasetError: it is missing, unfinished or damaged, or holds what belongs to a machine.
+    """
+    root = root.absolute()
+    info = load_check(root)
+    read_back(root)
+    version = str(info.get("codebase_version"))
+    if re.fullmatch(r"v\d+\.\d+", version) is None:
+        raise DatasetError(
+            "This dataset names no version of LeRobot's format.", got=version[:40], allowed="v3.0", hint=str(root)
+        )
+    names = [path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()]
+    _link(root, (name for name in names if name.startswith(_DATASET) and "/." not in name), into)
+    card = read_dataset_card(root, root.name, repo_id, assets)
+    return _finished(Staged("dataset", repo_id, into, _DATASET, version), card, root)
+
+
+def stage_model(
+    folder: Path, repo_id: str, into: Path, *, results: Sequence[ResultFile] = (), dataset: str | None = None
+) -> Staged:
+    """Checks a checkpoint and stages it: weights, both pipelines and their states, configurations free of local paths.
+
+    Args:
+        folder: ``pretrained_model`` of a checkpoint, or the checkpoint.
+        repo_id: its name on the Hub.
+        into: an empty folder.
+        results: of its evaluations, for the card.
+        dataset: name on the Hub of what it was trained on.
+
+    Raises:
+        DatasetError: a file is missing or damaged, or holds what belongs to a machine.
+    """
+    folder = folder.absolute()
+    folder = inner if (inner := folder / "pretrained_model").is_dir() else folder
+    states = _checked_checkpoint(folder)
+    _link(folder, ("model.safetensors", *PIPELINES, *states), into)
+    for name in ("config.json", "train_config.json"):
+        told = shareable(json.loads((folder / name).read_text()), dataset)
+        (into / name).write_text(json.dumps(told, indent=4) + "\n", encoding="utf-8")
+    card = model_card(Checkpoint.read(into), repo_id, results=results, dataset=dataset)
+    return _finished(Staged("model", repo_id, into), card, folder)
+
+
+def stage_environment(
+    repo_id: str,
+    into: Path,
+    fingerprint: Mapping[str, str],
+    *,
+    category: str = ALL,
+    results: Sequence[ResultFile] = (),
+) -> Staged:
+    """Stages the environments' repository; arguments and errors as of `write_environment`."""
+    write_environment(into, repo_id, fingerprint, category=category, results=results)
+    return _finished(Staged("model", repo_id, into, ("envs/",)), (into / "README.md").read_text(), into)
+
+
+def _finished(staged: Staged, card: str, source: Path) -> Staged:
+    check_card(card, staged.kind)
+    (staged.folder / "README.md").write_text(card, encoding="utf-8")
+    require_clean(staged.files(), Names.here(source), owner=staged.repo_id.partition("/")[0])
+    return staged
+
+
+def _link(source: Path, names: Iterator[str] | Sequence[str], into: Path) -> None:
+    for name in names:
+        target = into / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.symlink_to((source / name).resolve())
+
+
+def _checked_checkpoint(folder: Path) -> list[str]:
+    """Returns the names of the pipelines' state files; raises `DatasetError` if anything is missing or cut."""
+    try:
+        for name in ("config.json", "train_config.json"):
+            if not isinstance(checked_json.read(folder / name), dict):
+                raise ValueError(f"{name} is no table")
+        states = [state for name in PIPELINES for state in _states(checked_json.read(folder / name))]
+        for name in ("model.safetensors", *states):
+            try:
+                tensor_shapes(folder / name)
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                raise ValueError(f"{name}: {error}") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        missing = f"no {Path(str(error.filename)).name}" if isinstance(error, FileNotFoundError) else str(error)
+        raise DatasetError(
+            "This is not a whole checkpoint.",
+            got=f"{folder}: {missing}"[:400],
+            allowed="the folder pretrained_model of a LeRobot checkpoint: weights, configurations, both pipelines",
+            hint="adamanip push model outputs/train/checkpoints/last/pretrained_model --repo-id YOU/NAME",
+        ) from error
+    return states
+
+
+def _states(pipeline: Any) -> Iterator[str]:
+    for step in pipeline["steps"]:
+        name = step.get("state_file")
+        if name is not None:
+            if not isinstance(name, str) or _STATE_FILE.fullmatch(name) is None:
+                raise ValueError(f"{str(name)[:80]!r} is no file of states")
+            yield name

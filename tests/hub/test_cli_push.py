@@ -1,0 +1,53 @@
+"""`adamanip push` as typed: to HF_ENDPOINT, with what it prints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loopback_hub import LoopbackHub
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.cli.main import main
+
+COMMAND = ("-m", "lerobot_adamanip.cli.main", "push")
+
+
+def test_the_environments_go_to_hf_endpoint(run: Any, hub: LoopbackHub) -> None:
+    options = (*COMMAND, "environment", "--repo-id", "someone/env", "--release", "release-1", "--json")
+    told = json.loads(run(*options).stdout)
+    remote = hub.files("models", "someone/env")
+    assert {f"envs/{name}.py" for name in CATEGORIES} | {"env.py", "README.md", "requirements.txt"} == set(remote)
+    assert told["commit"] == hub.repositories["models", "someone/env"].tags["release-1"]
+    assert told["bytes"] == sum(map(len, remote.values()))
+    assert "was there already: 12 files" in run(*options[:-1]).stdout
+    assert json.loads(run(*options).stdout) == {**told, "changed": False}
+
+
+def test_a_dry_run_lists_and_sends_nothing(published: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["push", "dataset", str(published), "--repo-id", "someone/safes", "--dry-run", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["files"].keys() == {str(p.relative_to(published)) for p in published.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["dataset", "--repo-id", "someone/safes"],
+        ["environment", "somewhere", "--repo-id", "someone/safes"],
+        ["environment", "--repo-id", "safes"],
+        ["environment", "--repo-id", "someone/safes", "--release", "1.0"],
+        ["environment", "--repo-id", "someone/safes", "--category", "fridge", "--dry-run"],
+        ["environment", "--repo-id", "someone/safes", "--results", "nothing.json", "--dry-run"],
+        ["model", "nowhere", "--repo-id", "someone/safes"],
+        ["model", "nowhere", "--repo-id", "someone/safes", "--dataset", "local/safes"],
+        ["dataset", "nowhere", "--repo-id", "someone/safes"],
+    ],
+)
+def test_bad_input_is_one_clear_error(options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["push", *options]) == 2
+    told = capsys.readouterr().err
+    assert told.count("error: ") == 1
+    assert "allowed:" in told

@@ -1,0 +1,200 @@
+"""Publishing to a Hub on loopback: complete, in one commit, again, after every kind of cut, and one error each."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hub_store import is_lfs
+from huggingface_hub import HfApi
+from loopback_hub import TOKEN, Cut, LoopbackHub
+
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hub.endpoint import HubError, require_hub_name, require_release_name
+from lerobot_adamanip.hub.push import push
+from lerobot_adamanip.hub.staging import Staged, stage_dataset
+
+Refuses = Callable[[type, Callable[[], Any]], str]
+NAME = "someone/safes"
+
+
+def content(staged: Staged) -> dict[str, bytes]:
+    return {name: path.read_bytes() for name, path in staged.files().items()}
+
+
+def changed(staged: Staged, name: str, more: bytes) -> None:
+    """Changes a staged file, not what it is a link to."""
+    path = staged.folder / name
+    old = path.read_bytes()
+    path.unlink()
+    path.write_bytes(old + more)
+
+
+def test_the_hub_holds_what_was_sent_in_one_commit_under_our_card(
+    published: Path, staged: Staged, hub: LoopbackHub, api: HfApi
+) -> None:
+    result = push(staged, api)
+    remote = hub.files("datasets", NAME)
+    assert remote == content(staged)
+    assert {name for name in remote if name != "README.md"} == {
+        str(path.relative_to(published)) for path in published.rglob("*") if path.is_file() and path.name != "README.md"
+    }
+    assert hub.count(r"POST .*/commit/") == 1
+    assert hub.count(r"POST /api/validate-yaml")
+    assert f'LeRobotDataset("{NAME}")' in remote["README.md"].decode()
+    repository = hub.repositories["datasets", NAME]
+    assert repository.tags == {"v3.0": repository.branches["main"]} == {"v3.0": result.commit}
+    assert (result.changed, result.files) == (True, len(remote))
+    assert result.bytes == sum(map(len, remote.values()))
+    assert not repository.private
+
+
+def test_again_sends_nothing(staged: Staged, hub: LoopbackHub, api: HfApi) -> None:
+    first = push(staged, api)
+    hub.requests.clear()
+    second = push(staged, api)
+    assert second == replace(first, changed=False)
+    assert hub.count(r"^PUT|/commit/|/tag/") == 0
+    assert sum(request.sent for request in hub.requests) < 30_000  # samples of 512 bytes, and the card for its check
+
+
+def test_what_changed_is_sent_alone_and_what_is_gone_is_removed(staged: Staged, hub: LoopbackHub, api: HfApi) -> None:
+    push(staged, api)
+    first = hub.repositories["datasets", NAME].tags["v3.0"]
+    changed(staged, "meta/tasks.parquet", b"more")
+    (staged.folder / "meta" / "cameras.json").unlink()
+    hub.requests.clear()
+    result = push(staged, api)
+    assert hub.count("^PUT") == 1
+    assert hub.files("datasets", NAME) == content(staged)
+    assert hub.repositories["datasets", NAME].tags["v3.0"] == result.commit != first
+    assert "meta/cameras.json" in hub.files("datasets", NAME, first)  # history keeps it
+
+
+CUTS = {
+    "in the first file": (Cut("^PUT"), False),
+    "in the second file": (Cut("^PUT", after=2), False),
+    "in a file's confirmation": (Cut("POST /lfs-verify"), False),
+    "at the commit": (Cut("/commit/"), False),
+    "before the tag is deleted": (Cut("DELETE .*/tag/"), True),
+    "between deleting and setting the tag": (Cut("POST .*/tag/"), True),
+    "reading back": (Cut("GET .*/tree/", after=2), False),
+}
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_a_cut_is_healed_by_doing_it_again(
+    staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses, name: str
+) -> None:
+    cut, later = CUTS[name]
+    if later:  # there is a tag to be moved
+        push(staged, api)
+        changed(staged, "meta/tasks.parquet", b"more")
+    hub.cut = replace(cut)
+    assert "again" in refuses(HubError, lambda: push(staged, api))
+    repository = hub.repositories["datasets", NAME]
+    if "setting" in name:
+        assert repository.tags == {}  # what LeRobot cannot load
+    hub.cut = None
+    kept, began = set(hub.stored), len(hub.requests)
+    result = push(staged, api)
+    assert hub.files("datasets", NAME) == content(staged)
+    assert repository.tags == {"v3.0": result.commit} == {"v3.0": repository.branches["main"]}
+    sent_again = {request.path.rpartition("/")[2] for request in hub.requests[began:] if request.method == "PUT"}
+    assert not sent_again & kept
+    if "second" in name:
+        assert kept
+    if name == "in the first file":
+        assert len(sent_again) == sum(map(is_lfs, staged.files()))
+
+
+def test_reading_back_finds_what_the_hub_changed(
+    staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses
+) -> None:
+    def tamper(line: str) -> None:
+        if re.match(r"GET .*/refs", line):
+            repository = hub.repositories["datasets", NAME]
+            files = repository.commits[repository.branches["main"]]
+            files["meta/info.json"] = files["meta/info.json"].replace(b"3", b"4", 1)
+
+    hub.on_request = tamper
+    assert "meta/info.json" in refuses(HubError, lambda: push(staged, api))
+
+
+def test_private_is_private_and_never_public_by_accident(
+    staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses
+) -> None:
+    push(staged, api, private=True)
+    assert hub.repositories["datasets", NAME].private
+    other = replace(staged, repo_id="someone/other")
+    api.create_repo("someone/other", repo_type="dataset")
+    assert "public" in refuses(HubError, lambda: push(other, api, private=True))
+    assert hub.files("datasets", "someone/other") == {}
+
+
+def test_a_release_is_tagged_once_and_stays(staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses) -> None:
+    first = push(staged, api, release="release-1")
+    assert first.tags == ("v3.0", "release-1")
+    assert push(staged, api, release="release-1").commit == first.commit
+    changed(staged, "meta/tasks.parquet", b"more")
+    assert "release-1" in refuses(HubError, lambda: push(staged, api, release="release-1"))
+    assert hub.repositories["datasets", NAME].tags["release-1"] == first.commit
+
+
+@pytest.mark.parametrize("tag", ["1.0", "v3.1", "2026.11", "3", "main", "a b", ""])
+def test_release_tags_never_parse_as_versions(refuses: Refuses, tag: str) -> None:
+    assert "elease" in refuses(ConfigurationError, lambda: require_release_name(tag)) or tag in ("main", "a b", "")
+
+
+@pytest.mark.parametrize(
+    "name", [None, "safes", "local/safes", "someone/", "someone/a/b", "someone/a b", "some--one/-"]
+)
+def test_publishing_needs_a_name_on_the_hub(refuses: Refuses, name: str | None) -> None:
+    refuses(ConfigurationError, lambda: require_hub_name(name))
+
+
+def test_without_a_token_nothing_is_asked_for(
+    staged: Staged, hub: LoopbackHub, online: None, refuses: Refuses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    assert "hf auth login" in refuses(HubError, lambda: push(staged, HfApi(endpoint=hub.url)))
+    assert hub.requests == []
+
+
+def test_a_wrong_token_is_one_clear_error(staged: Staged, hub: LoopbackHub, online: None, refuses: Refuses) -> None:
+    assert "login" in refuses(HubError, lambda: push(staged, HfApi(endpoint=hub.url, token="hf_wrong")))
+
+
+def test_a_name_of_somebody_else_is_one_clear_error(staged: Staged, api: HfApi, refuses: Refuses) -> None:
+    message = refuses(HubError, lambda: push(replace(staged, repo_id="nobody/safes"), api))
+    assert "does not let this login write" in message
+
+
+def test_without_a_network_is_one_clear_error(staged: Staged, api: HfApi, online: None, refuses: Refuses) -> None:
+    nobody = HfApi(endpoint="http://127.0.0.1:9", token=TOKEN)
+    message = refuses(HubError, lambda: push(staged, nobody))
+    assert "cannot be reached" in message
+    assert "http://127.0.0.1:9" in message
+
+
+def test_offline_is_one_clear_error(staged: Staged, refuses: Refuses) -> None:
+    assert "HF_HUB_OFFLINE" in refuses(HubError, lambda: push(staged, HfApi(token=TOKEN)))
+
+
+def test_an_unfinished_dataset_is_one_clear_error(tmp_path: Path, refuses: Refuses) -> None:
+    (tmp_path / "safes.partial" / "episodes").mkdir(parents=True)
+    message = refuses(DatasetError, lambda: stage_dataset(tmp_path / "safes", NAME, tmp_path / "staged"))
+    assert "not finished" in message
+
+
+def test_a_damaged_dataset_is_one_clear_error(published: Path, tmp_path: Path, refuses: Refuses) -> None:
+    broken = shutil.copytree(published, tmp_path / "broken")
+    (video,) = broken.rglob("*.mp4")
+    video.write_bytes(video.read_bytes()[:-400])
+    (tmp_path / "staged").mkdir()
+    assert "damaged" in refuses(DatasetError, lambda: stage_dataset(broken, NAME, tmp_path / "staged"))

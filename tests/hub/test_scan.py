@@ -1,0 +1,136 @@
+"""Nothing of somebody's machine is published: found wherever it may hide, and nothing else is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hub.scan import Names, require_clean, scan
+from lerobot_adamanip.hub.sharing import shareable
+from lerobot_adamanip.hub.staging import stage_dataset, stage_model
+
+Refuses = Callable[[type, Callable[[], Any]], str]
+ME = Names(user=("wanda",), host=("quokka-ws4",), folders=("/srv/fast/wanda7",))
+
+
+def parquet(
+    path: Path, value: object = "fine", metadata: Mapping[str, str] | None = None, name: str = "column"
+) -> None:
+    table = pa.table({name: [value], "numbers": [1.0]})
+    pq.write_table(table.replace_schema_metadata(metadata), path)
+
+
+def write(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+
+
+HIDING = {
+    "a path in JSON": ("a.json", lambda p: write(p, b'{"root": "/home/x/demos"}'), "path"),
+    "a path of Windows": ("a.json", lambda p: write(p, rb'{"root": "C:\\Users\\x"}'), "path"),
+    "a folder of mine": ("a.txt", lambda p: write(p, b"see /srv/fast/wanda7"), "path"),
+    "my name": ("README.md", lambda p: write(p, b"by wanda."), "user"),
+    "my machine": ("log.jsonl", lambda p: write(p, b'{"host": "quokka-ws4"}'), "host"),
+    "a column of text": ("a.parquet", lambda p: parquet(p, "/home/x/demos"), "path"),
+    "a column of lists": ("a.parquet", lambda p: parquet(p, ["fine", "wanda"]), "user"),
+    "a column of structures": ("a.parquet", lambda p: parquet(p, {"from": {"host": "quokka-ws4"}}), "host"),
+    "a column of bytes": ("a.parquet", lambda p: parquet(p, b"/home/x/picture.png"), "path"),
+    "a column's name": ("a.parquet", lambda p: parquet(p, name="of wanda"), "user"),
+    "Parquet's metadata": ("a.parquet", lambda p: parquet(p, metadata={"made": "/Users/x/demos"}), "path"),
+    "a header of weights": ("a.safetensors", lambda p: write(p, b"\0\1{'from': '/home/x/run/'}\0\xff"), "path"),
+    "a video": ("a.mp4", lambda p: write(p, b"\0\xff\1comment quokka-ws4\0"), "host"),
+    "a file's name": ("wanda.json", lambda p: write(p, b"{}"), "user"),
+}
+
+
+@pytest.mark.parametrize("name", HIDING)
+def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refuses) -> None:
+    file, make, kind = HIDING[name]
+    make(tmp_path / file)
+    files = {file: tmp_path / file}
+    assert {finding.kind for finding in scan(files, ME)} == {kind}
+    assert file in refuses(DatasetError, lambda: require_clean(files, ME))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "meta/data/file",
+        "https://host.org/home/page/",
+        "data/*/*.parquet",
+        '{"a":"b\\n"}',
+        "Wandas",
+        "the root of data",
+        "a/tmp/b",
+    ],
+)
+def test_what_tells_of_no_machine_is_no_finding(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.md").write_text(text)
+    names = Names(user=("wanda", "root", "panda", "ab"), host=("localhost",), folders=())
+    assert scan({"a.md": tmp_path / "a.md"}, names) == []
+
+
+def test_a_user_may_publish_under_the_own_name(tmp_path: Path) -> None:
+    (tmp_path / "a.md").write_text("lerobot-train --dataset.repo_id=wanda/safes")
+    assert scan({"a.md": tmp_path / "a.md"}, ME, owner="wanda") == []
+    assert [each.kind for each in scan({"a.md": tmp_path / "a.md"}, ME, owner="other")] == ["user"]
+
+
+def test_a_dataset_that_names_a_machine_is_not_published(published: Path, tmp_path: Path, refuses: Refuses) -> None:
+    mine = shutil.copytree(published, tmp_path / "mine")
+    (path,) = (mine / "meta" / "episodes").rglob("*.parquet")
+    table = pq.read_table(path)
+    pq.write_table(table.append_column("source", pa.array([str(Path("/home/x/raw"))] * table.num_rows)), path)
+    (tmp_path / "staged").mkdir()
+    message = refuses(DatasetError, lambda: stage_dataset(mine, "someone/safes", tmp_path / "staged"))
+    assert "meta/episodes" in message
+    assert "/home/x/raw" in message
+
+
+def test_a_trainings_configuration_is_published_without_its_paths(
+    trained: Path, published: Path, tmp_path: Path
+) -> None:
+    assert str(published) in (trained / "train_config.json").read_text()
+    (tmp_path / "staged").mkdir()
+    staged = stage_model(trained, "someone/policy", tmp_path / "staged", dataset="someone/safes")
+    told = json.loads((staged.folder / "train_config.json").read_text())
+    assert (told["dataset"]["root"], told["output_dir"], told["dataset"]["repo_id"]) == (None, None, "someone/safes")
+    assert str(published) in (trained / "train_config.json").read_text()  # the checkpoint stays as it was
+    assert staged.files().keys() >= {"model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"}
+
+
+def test_another_path_in_it_is_refused(trained: Path, tmp_path: Path, refuses: Refuses) -> None:
+    mine = shutil.copytree(trained, tmp_path / "mine")
+    told = json.loads((mine / "train_config.json").read_text())
+    (mine / "train_config.json").write_text(json.dumps({**told, "job_name": "of /home/x/run"}))
+    (tmp_path / "staged").mkdir()
+    assert "train_config.json" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
+
+
+def test_where_a_policy_came_from_is_told_if_it_is_on_the_hub(tmp_path: Path) -> None:
+    for path, told in (("someone/policy", "someone/policy"), (str(tmp_path), None), ("a/b/c", None), (None, None)):
+        assert shareable({"pretrained_path": path})["pretrained_path"] == told
+        assert shareable({"policy": {"pretrained_path": path}})["policy"]["pretrained_path"] == told
+
+
+@pytest.mark.parametrize("lost", ["model.safetensors", "policy_postprocessor.json", "train_config.json"])
+def test_a_checkpoint_that_lacks_something_is_one_clear_error(
+    trained: Path, tmp_path: Path, refuses: Refuses, lost: str
+) -> None:
+    mine = shutil.copytree(trained, tmp_path / "mine")
+    (mine / lost).unlink()
+    assert f"no {lost}" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
+
+
+def test_a_checkpoint_that_is_cut_is_one_clear_error(trained: Path, tmp_path: Path, refuses: Refuses) -> None:
+    mine = shutil.copytree(trained, tmp_path / "mine")
+    (state,) = mine.glob("policy_preprocessor*.safetensors")
+    state.write_bytes(state.read_bytes()[:-3])
+    assert state.name in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
