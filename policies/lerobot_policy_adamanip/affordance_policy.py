@@ -16,6 +16,7 @@ from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_policy_adamanip.affordance_config import AffordanceConfig
 from lerobot_policy_adamanip.contract import LoadsStrictly, observed
 from lerobot_policy_adamanip.demonstrations import Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.publishing import PublishesOurCard
 
 
 class Labels(nn.Module):
@@ -32,7 +33,7 @@ class Labels(nn.Module):
             self.register_buffer(item.name, value, persistent=False)
 
 
-class AffordancePolicy(LoadsStrictly, PreTrainedPolicy):
+class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
     """Base of LeRobot policies.
 
     Args:

@@ -110,11 +110,6 @@ class AnchorHead:
         """Returns a network that is still untrained and without anchors."""
         return AnchorNetwork(self.config)
 
-    def describe(self) -> str:
-        """Returns how actions are drawn, for people."""
-        config = self.config
-        return f"head anchors: {config.num_anchors} motions, poses refined {config.num_refinements} times"
-
     def predict(self, model: AnchorNetwork, window: Window) -> tuple[Tensor, Tensor]:
         """Returns logits (B, K) and residuals (B, K, 7)."""
         cloud = window.observations[POINT_CLOUD][:, -1, : self.config.coarse_points]

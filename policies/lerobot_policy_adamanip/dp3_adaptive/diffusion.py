@@ -72,12 +72,6 @@ class DiffusionHead:
         """Returns a network that is still untrained."""
         return ActionDenoiser(self.config, self.frames.point_dim)
 
-    def describe(self) -> str:
-        """Returns how actions are drawn, for people."""
-        config = self.config
-        sampler = f"{config.noise_scheduler_type}, {config.num_inference_steps} steps, {config.prediction_type}"
-        return f"head diffusion: {sampler}"
-
     def loss(
         self, model: ActionDenoiser, window: Window, actions: Tensor, real: Tensor
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:

@@ -28,6 +28,7 @@ from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions
+from lerobot_policy_adamanip.publishing import PublishesOurCard
 
 ACTION_IS_PAD = "action_is_pad"
 TASK_INDEX = "task_index"
@@ -38,7 +39,7 @@ def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
     policy._ema_count = None
 
 
-class DP3AdaptivePolicy(LoadsStrictly, PreTrainedPolicy):
+class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
     """LeRobot policy. Training uses `forward`; at run time `select_action` keeps the histories.
 
     Time axis of a training batch, for H = ``n_action_history_steps`` and T = ``horizon``, t the present::
@@ -244,26 +245,3 @@ class DP3AdaptivePolicy(LoadsStrictly, PreTrainedPolicy):
         if observation[POINT_CLOUD].dim() == 2:
             observation[POINT_CLOUD] = observation[POINT_CLOUD][None]
         return observation
-
-    def generate_model_card(self, *args: Any, **kwargs: Any):
-        """LeRobot's card, headed by ``hub_cards/model_card.md``: what this policy is, sees and does."""
-        from lerobot_adamanip.hub.cards import card_template
-
-        card, config = super().generate_model_card(*args, **kwargs), self.config
-        own = card_template("model_card.md").substitute(
-            repo_id=config.repo_id or "<this repository>",
-            preset=config.preset,
-            encoder=config.encoder,
-            num_points=config.num_points,
-            inputs=", ".join(f"`{key}` {tuple(feature.shape)}" for key, feature in config.input_features.items()),
-            outputs=", ".join(f"`{key}` {tuple(feature.shape)}" for key, feature in config.output_features.items()),
-            n_obs_steps=config.n_obs_steps,
-            n_action_history_steps=config.n_action_history_steps,
-            horizon=config.horizon,
-            n_action_steps=config.n_action_steps,
-            sampler=self.head.describe(),
-            parameters=f"{sum(p.numel() for p in self.model.parameters()) / 1e6:.1f}",
-            updates=int(self.ema_steps),
-        )
-        card.text = own.rstrip() + "\n\n" + card.text.lstrip()
-        return card

@@ -1,0 +1,50 @@
+"""What `lerobot-train --policy.push_to_hub=true` publishes of our policies: our card, and nothing of the machine."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+
+class PublishesOurCard:
+    """Mixed into a policy: its card is ours, and what LeRobot uploads beside it names no folder.
+
+    LeRobot's own card is checked at the public Hub's address whatever ``HF_ENDPOINT`` says, and its copy of the
+    training's configuration holds the trainer's paths.
+    """
+
+    config: Any
+
+    def generate_model_card(self, *args: Any, cfg: Any = None, dataset_meta: Any = None, **kwargs: Any) -> Any:
+        """The card that `adamanip push model` makes; nobody is asked whether its header is lawful before the upload."""
+        import draccus
+        from huggingface_hub import ModelCard
+
+        from lerobot_adamanip.hub.cards import check_card
+        from lerobot_adamanip.hub.model_card import Checkpoint, model_card
+        from lerobot_adamanip.hub.sharing import shareable
+
+        config = {**draccus.encode(self.config), "type": self.config.type}
+        network, updates = getattr(self, "model", None), getattr(self, "ema_steps", None)
+        checkpoint = Checkpoint(
+            shareable(config),
+            {} if cfg is None else shareable(draccus.encode(cfg)),
+            0 if network is None else sum(each.numel() for each in network.parameters()),
+            None if updates is None else int(updates),
+        )
+        text = model_card(checkpoint, self.config.repo_id or "USER/NAME")
+        check_card(text, "model")
+        return ModelCard(text)
+
+    def push_model_to_hub(self, cfg: Any, *args: Any, **kwargs: Any) -> None:
+        """LeRobot's own upload, of configurations that name no folder of this machine."""
+        from lerobot_adamanip.hub.sharing import is_local, shareable_copy
+
+        kept = self.config
+        if is_local(kept.pretrained_path):
+            self.config = copy.deepcopy(kept)
+            self.config.pretrained_path = None
+        try:
+            super().push_model_to_hub(shareable_copy(cfg), *args, **kwargs)  # type: ignore[misc]
+        finally:
+            self.config = kept
