@@ -64,7 +64,7 @@ def apply() -> bool:
         return False
     from lerobot.datasets import lerobot_dataset
 
-    from lerobot_adamanip import lerobot_batches
+    from lerobot_adamanip import lerobot_batches, lerobot_offline
     from lerobot_adamanip.lerobot_reader import FastDatasetReader
 
     stock = lerobot_dataset.DatasetReader
@@ -75,6 +75,7 @@ def apply() -> bool:
     _stock = stock
     lerobot_dataset.DatasetReader = make_reader
     lerobot_batches.register()
+    lerobot_offline.register(is_ours)
     return True
 
 
