@@ -1,0 +1,48 @@
+"""Writes docs/cards from what `make demo` leaves: ``python scripts/make_cards.py [--demo outputs/demo]``.
+
+The cards are those that `adamanip push` would publish, checked as it checks them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from lerobot_adamanip.hub.model_index import read_results
+from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
+from lerobot_env_adamanip.fingerprint import code_fingerprint
+
+ROOT = Path(__file__).resolve().parents[1]
+CARDS = ROOT / "docs" / "cards"
+DATASET, MODEL, ENVIRONMENT = "USER/adamanip-safe", "USER/dp3-safe", "USER/adamanip"
+"""Names that the cards' commands have."""
+RESULTS, EXPERTS = ROOT / "results" / "demo.json", ROOT / "results" / "experts.json"
+
+
+def environment(into: Path) -> Staged:
+    """Stages the environments' repository with the experts' results."""
+    return stage_environment(ENVIRONMENT, into, code_fingerprint(), results=read_results([EXPERTS]))
+
+
+def main() -> None:
+    """Writes the three cards."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--demo", type=Path, default=ROOT / "outputs" / "demo", help="folder of `make demo`")
+    demo = parser.parse_args().demo
+    policy = demo / "train" / "checkpoints" / "last"
+    staged: dict[str, Callable[[Path], Staged]] = {
+        "dataset": lambda into: stage_dataset(demo / "demos", DATASET, into),
+        "model": lambda into: stage_model(policy, MODEL, into, results=read_results([RESULTS]), dataset=DATASET),
+        "environment": environment,
+    }
+    CARDS.mkdir(exist_ok=True)
+    for name, stage in staged.items():
+        with tempfile.TemporaryDirectory() as scratch:
+            card = stage(Path(scratch)).folder / "README.md"
+            (CARDS / f"{name}.md").write_text(card.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
