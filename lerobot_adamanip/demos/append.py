@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,25 +27,49 @@ def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:
 
 def append(dataset: Any, episode: PreparedEpisode) -> int:
     """Appends an episode: the same bytes as ``add_frame`` and ``save_episode`` write. Returns its number of rows."""
+    table = pa.ipc.open_stream(episode.table).read_all()
+    task = episode.record["task"]
+    return append_rows(dataset, table, [task], [task] * len(table), stats=episode.stats, videos=episode.videos)
+
+
+def append_rows(
+    dataset: Any,
+    table: pa.Table,
+    tasks: list[str],
+    task_of_row: list[str],
+    *,
+    stats: Mapping[str, Mapping[str, Any]],
+    videos: Mapping[str, bytes],
+) -> int:
+    """Appends an episode from its table, as `append`; returns its number of rows.
+
+    Args:
+        dataset: LeRobot's, being written.
+        table: the rows; what stands in the columns `PLACE` is replaced.
+        tasks: of the episode; those the dataset does not know yet are added to it.
+        task_of_row: one of them for each row.
+        stats: column -> statistics; those of the columns `PLACE` are computed anew.
+        videos: column -> content of a file with the episode's frames alone.
+    """
     from lerobot.datasets.compute_stats import compute_episode_stats
 
     writer, meta = dataset.writer, dataset.meta
-    table = pa.ipc.open_stream(episode.table).read_all()
-    number, task, length = meta.total_episodes, episode.record["task"], len(table)
-    meta.save_episode_tasks([task])
+    number, length = meta.total_episodes, len(table)
+    meta.save_episode_tasks(tasks)
+    numbers = {task: meta.get_task_index(task) for task in set(task_of_row)}
     place = {
         "index": np.arange(meta.total_frames, meta.total_frames + length),
         "episode_index": np.full((length,), number),
-        "task_index": np.full((length,), meta.get_task_index(task)),
+        "task_index": np.array([numbers[task] for task in task_of_row]),
     }
-    stats = episode.stats | compute_episode_stats(place, meta.features)
-    stats = {key: stats[key] for key in _order(meta.features)}
+    every = {**stats, **compute_episode_stats(place, meta.features)}
+    ordered = {key: every[key] for key in _order(meta.features) if key in every}
     metadata = _append_table(writer, meta, _placed(table, place))
-    for key, content in episode.videos.items():
+    for key, content in videos.items():
         path = Path(tempfile.mkdtemp(dir=dataset.root)) / f"{key}_{number:03d}.mp4"
         path.write_bytes(content)
         metadata.update(writer._save_episode_video(key, number, temp_path=path))
-    meta.save_episode(number, length, [task], stats, metadata)
+    meta.save_episode(number, length, tasks, ordered, metadata)
     return length
 
 

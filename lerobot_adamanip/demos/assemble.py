@@ -187,7 +187,7 @@ def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> 
     fix_statistics(root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in JSON_COLUMNS})
-    (root / "meta" / "cameras.json").write_bytes(_cameras([record["camera"] for record in records]))
+    (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))
     (root / "meta" / "attempts.jsonl").write_bytes(attempts_jsonl(contents.attempts))
     shutil.rmtree(root / "images", ignore_errors=True)
     write_manifest(manifest_path(root), contents.manifest)
@@ -214,7 +214,8 @@ def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
         files.write_atomically(path, sink.getvalue().to_pybytes())
 
 
-def _cameras(cameras: list[dict[str, Any]]) -> bytes:
+def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
+    """Returns ``meta/cameras.json``: what is the same in all episodes, and what their column has."""
     fixed = {key: value for key, value in cameras[0].items() if all(camera.get(key) == value for camera in cameras)}
     content = {
         "front": {

@@ -1,57 +1,80 @@
-"""Several datasets in one: LeRobot's aggregation, told of clouds, and statistics as ours have them."""
+"""Several datasets in one."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lerobot_adamanip import files
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.statistics import fix_statistics
+from lerobot_adamanip.demos.editing.compose import Pieces, Progress, Source, compose
+from lerobot_adamanip.demos.editing.selection import Selection
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
-_READ = "update_data_df"
+_FINGERPRINT = "fingerprint"
 
 
-def merge(roots: Sequence[Path], out: Path, *, repo_id: str | None = None) -> int:
-    """Writes one dataset with the episodes of several, in their order; returns their number.
+@dataclass(frozen=True)
+class Merged:
+    """What was merged.
 
-    Rows and the columns of episodes stay as they are; tasks, indices and statistics are those of the whole. Half of a
-    dataset is never at ``out``. What tells of one collection alone (its manifest, its attempts) is not merged, so
-    `adamanip replay` wants the parts.
+    Attributes:
+        episodes: in the new dataset.
+        parts_of_one: whether they were parts of one dataset, whose order they have again.
+        whole: whether they were all of it.
+        fingerprints: of the episodes; more than one tells of code that has changed in between.
+    """
+
+    episodes: int
+    parts_of_one: bool
+    whole: bool
+    fingerprints: tuple[str, ...]
+
+
+def merge(
+    roots: Sequence[Path],
+    out: Path,
+    *,
+    repo_id: str | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Merged:
+    """Writes one dataset with the episodes of several.
+
+    Rows, pictures and the columns of episodes stay as they are; tasks, indices and statistics are those of the whole.
+    Half of a dataset is never at ``out``. Parts of one dataset (`adamanip filter`, `adamanip split`) come in the order
+    that their episodes have there, whatever the order of ``roots``: all parts together are that dataset again. Others
+    come one after another, and what tells of one collection alone (its manifest, its attempts) is not merged.
 
     Args:
         roots: of datasets with equal features; two or more.
         out: of the new one; a folder that does not exist.
         repo_id: ``local/<folder name>`` by default.
+        progress: told of episodes done, and all.
 
     Raises:
-        DatasetError: a part is missing, half written or of other features, or something is at ``out``.
+        DatasetError: a part is missing, half written or of other features, parts of one dataset share episodes, or
+            something is at ``out``.
         ConfigurationError: fewer than two parts, or this LeRobot writes datasets otherwise.
     """
-    parts, out = [root.absolute() for root in roots], out.absolute()
-    _require_mergeable(parts, out)
+    _require_several(roots)
+    out = out.absolute()
+    require_free(out)
+    sources = [Source.open(root) for root in roots]
+    _require_equal_features(sources)
+    pieces, selection = _in_order(sources)
     half = out.with_name(out.name + ".merging")
     files.remove_tree(half)
     half.parent.mkdir(parents=True, exist_ok=True)
-    _aggregate(parts, half, repo_id or f"local/{out.name}")
-    episodes = int(load_check(half)["total_episodes"])
+    compose(half, pieces, repo_id or f"local/{out.name}", selection, progress)
     files.move_durably(half, out)
-    return episodes
+    whole = selection is not None and selection.is_whole
+    return Merged(len(pieces), selection is not None, whole, _fingerprints(sources))
 
 
-def _require_mergeable(parts: Sequence[Path], out: Path) -> None:
-    if len(parts) < 2:
-        raise ConfigurationError(
-            "There is nothing to merge.",
-            got=f"{len(parts)} dataset(s)",
-            allowed="two or more",
-            hint="adamanip merge ONE OTHER --out BOTH",
-        )
+def require_free(out: Path) -> None:
+    """Raises `DatasetError` if there is something at ``out``."""
     if out.exists():
         raise DatasetError(
             "There is something where the new dataset is to be.",
@@ -59,59 +82,61 @@ def _require_mergeable(parts: Sequence[Path], out: Path) -> None:
             allowed="a folder that does not exist",
             hint="another --out",
         )
-    first, *others = (_features(load_check(part)) for part in parts)
-    for part, features in zip(parts[1:], others, strict=True):
+
+
+def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
+    """Returns the episodes in the order of the new dataset, and what it is a part of, if of one."""
+    pieces = [(source, episode) for source in sources for episode in range(source.info["total_episodes"])]
+    first = sources[0].selection
+    known = [index for source in sources for index in source.selection.episodes]
+    one = {(each.selection.source, each.selection.source_episodes) for each in sources}
+    if len(one) > 1 or all(len(source.selection.episodes) == first.source_episodes for source in sources):
+        return pieces, None
+    if twice := sorted(index for index, count in Counter(known).items() if count > 1):
+        raise DatasetError(
+            "These parts of one dataset share episodes, which would be in the new one twice.",
+            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in the dataset that was parted)",
+            allowed="parts without a common episode",
+            hint="one `adamanip filter` with the condition that takes both",
+        )
+    order = sorted(range(len(known)), key=known.__getitem__)
+    selection = Selection(first.source, first.source_episodes, tuple(sorted(known)))
+    return [pieces[place] for place in order], selection
+
+
+def _fingerprints(sources: Sequence[Source]) -> tuple[str, ...]:
+    found = {
+        value
+        for source in sources
+        if _FINGERPRINT in source.own_columns.column_names
+        for value in source.own_columns[_FINGERPRINT].to_pylist()
+    }
+    return tuple(sorted(found))
+
+
+def _require_several(roots: Sequence[Path]) -> None:
+    if len(roots) < 2:
+        raise ConfigurationError(
+            "There is nothing to merge.",
+            got=f"{len(roots)} dataset(s)",
+            allowed="two or more",
+            hint="adamanip merge ONE OTHER --out BOTH",
+        )
+
+
+def _require_equal_features(sources: Sequence[Source]) -> None:
+    first, *others = (_features(source.info) for source in sources)
+    for source, features in zip(sources[1:], others, strict=True):
         if differing := sorted(key for key in {**first, **features} if first.get(key) != features.get(key)):
             raise DatasetError(
                 "Datasets of different features cannot be one.",
-                got=f"{part.name} has {', '.join(differing[:3])} otherwise than {parts[0].name}",
+                got=f"{source.root.name} has {', '.join(differing[:3])} otherwise than {sources[0].root.name}",
                 allowed="the same columns, of the same shapes",
                 hint="the same --num-points, and pictures in all of them or in none",
             )
 
 
 def _features(info: dict[str, Any]) -> dict[str, Any]:
-    """Features by kind and shape; what a video's file says of itself may differ."""
-    return {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in info["features"].items()}
-
-
-def _aggregate(parts: Sequence[Path], out: Path, repo_id: str) -> None:
-    from lerobot.datasets.aggregate import aggregate_datasets
-
-    names = [f"local/{part.name}" for part in parts]
-    with _clouds_readable():
-        aggregate_datasets(names, repo_id, roots=list(parts), aggr_root=out)
-    fix_statistics(out)
-
-
-@contextlib.contextmanager
-def _clouds_readable() -> Iterator[None]:
-    """Inside, LeRobot's aggregation takes columns of two dimensions, which version 0.6.1 reads and cannot write."""
-    from lerobot.datasets import aggregate
-
-    plain = getattr(aggregate, _READ, None)
-    if plain is None:
-        import lerobot
-
-        raise ConfigurationError(
-            "This LeRobot merges datasets otherwise.",
-            got=f"lerobot {lerobot.__version__}, without {_READ}",
-            allowed="lerobot 0.6.1",
-            hint="pip install 'lerobot==0.6.1'",
-        )
-
-    def update(frame: Any, *arguments: Any) -> Any:
-        return plain(type(frame)({name: _lists(frame[name]) for name in frame.columns}), *arguments)
-
-    setattr(aggregate, _READ, update)
-    try:
-        yield
-    finally:
-        setattr(aggregate, _READ, plain)
-
-
-def _lists(column: Any) -> Any:
-    """A column of the datasets library's arrays as lists of rows, which pandas and Arrow know; any other as it is."""
-    if isinstance(column.dtype, np.dtype):
-        return column
-    return type(column)([list(cell) for cell in column.array], dtype=object)
+    """Features by kind and shape, and the frame rate; what a video's file says of itself may differ."""
+    kinds = {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in info["features"].items()}
+    return {**kinds, "fps": info["fps"]}

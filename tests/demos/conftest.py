@@ -16,3 +16,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("finished") / "dataset"
     collect(root, make_spec(), fakes(), patiently())
     return root
+
+
+@pytest.fixture(scope="session")
+def unpictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A complete dataset without pictures. Not to be written to."""
+    root = tmp_path_factory.mktemp("unpictured") / "dataset"
+    collect(root, make_spec(observe_images=False), fakes(), patiently())
+    return root

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from lerobot.datasets import aggregate
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
 from lerobot_adamanip.demos.merge import merge
 from lerobot_adamanip.errors import AdaManipError
@@ -20,7 +20,7 @@ from lerobot_adamanip.errors import AdaManipError
 def merged(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset merged with itself."""
     out = tmp_path_factory.mktemp("merged") / "both"
-    assert merge([finished, finished], out) == 2 * load_check(finished)["total_episodes"]
+    assert merge([finished, finished], out).episodes == 2 * load_check(finished)["total_episodes"]
     return out
 
 
@@ -72,15 +72,22 @@ def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(finished: P
     assert list(tmp_path.iterdir()) == []
 
 
-def test_parts_of_different_columns_are_refused(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    infos = [load_check(finished), json.loads(json.dumps(load_check(finished)))]
-    infos[1]["features"][schema.POINT_CLOUD]["shape"] = [7, 3]
-    monkeypatch.setattr("lerobot_adamanip.demos.merge.load_check", lambda root: infos.pop(0))
-    with pytest.raises(AdaManipError, match="different features"):
+def test_parts_of_different_columns_are_refused(finished: Path, unpictured: Path, tmp_path: Path) -> None:
+    with pytest.raises(AdaManipError, match=r"different features(.|\n)*images\.front"):
+        merge([finished, unpictured], tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_untested_lerobot_is_refused(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lerobot_adamanip.demos.prepare.TESTED_WRITER", {})
+    with pytest.raises(AdaManipError, match="writes datasets otherwise"):
         merge([finished, finished], tmp_path / "new")
+    assert not (tmp_path / "new").exists()
 
 
-def test_lerobot_is_left_as_it_was(merged: Path) -> None:
-    assert aggregate.update_data_df.__module__ == aggregate.__name__
+def test_the_command_reports(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["merge", str(finished), str(finished), "--out", str(tmp_path / "new"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    count = 2 * load_check(finished)["total_episodes"]
+    assert told["episodes"] == load_check(tmp_path / "new")["total_episodes"] == count
+    assert (told["parts_of_one"], told["whole"], len(told["fingerprints"])) == (False, False, 1)

@@ -1,0 +1,312 @@
+"""A new dataset out of episodes of others: the same rows, videos, per-episode columns and statistics, numbered anew.
+
+LeRobot's own tools (0.6.1) cannot: they fail on clouds, encode pictures again, and drop the columns of episodes that
+they do not know.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lerobot_adamanip import files
+from lerobot_adamanip.checked_json import parse
+from lerobot_adamanip.demos.append import append_rows
+from lerobot_adamanip.demos.assemble import cameras_json
+from lerobot_adamanip.demos.editing.cutting import cut_episode
+from lerobot_adamanip.demos.editing.selection import Selection, read_selection, write_selection
+from lerobot_adamanip.demos.loading import DATA_PATH, load_check, read_back
+from lerobot_adamanip.demos.prepare import PLACE, is_tested
+from lerobot_adamanip.demos.statistics import fix_statistics
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+
+Progress = Callable[[int, int], None]
+"""Told of episodes done, and all."""
+OF_LEROBOT = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
+OF_LEROBOT_PREFIXES = ("stats/", "data/", "videos/", "meta/")
+_TOLD_WITH = ("meta/collection.json", "meta/attempts.jsonl")
+"""Files that tell of the collection that the episodes of a part come from."""
+_CAMERA = "camera"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A dataset to take episodes from.
+
+    Attributes:
+        root: its folder.
+        info: its ``meta/info.json``, checked.
+    """
+
+    root: Path
+    info: dict[str, Any]
+
+    @classmethod
+    def open(cls, root: Path) -> Source:
+        """Returns a dataset of ours, checked; raises `DatasetError` if it is missing, half written or another kind."""
+        return cls(root.absolute(), load_check(root))
+
+    @cached_property
+    def episodes(self) -> pa.Table:
+        """One row per episode, statistics included, in order."""
+        paths = sorted((self.root / "meta" / "episodes").glob("*/*.parquet"))
+        table = pa.concat_tables([pq.read_table(path) for path in paths], promote_options="default")
+        return table.sort_by("episode_index").replace_schema_metadata(None)
+
+    @cached_property
+    def own_columns(self) -> pa.Table:
+        """The columns of `episodes` that LeRobot knows nothing of."""
+        names = [
+            name
+            for name in self.episodes.column_names
+            if name not in OF_LEROBOT and not name.startswith(OF_LEROBOT_PREFIXES)
+        ]
+        return self.episodes.select(names)
+
+    @cached_property
+    def tasks(self) -> list[str]:
+        """Texts of the tasks, by index."""
+        table = pq.read_table(self.root / "meta" / "tasks.parquet").sort_by("task_index").to_pandas()
+        return [str(task) for task in (table["task"] if "task" in table.columns else table.index)]
+
+    @cached_property
+    def selection(self) -> Selection:
+        """What the dataset is a part of; of itself, if of no other."""
+        return read_selection(self.root, self.info["total_episodes"])
+
+    def row(self, episode: int) -> dict[str, Any]:
+        """Returns what ``meta/episodes`` says of an episode."""
+        found: dict[str, Any] = self.episodes.slice(episode, 1).to_pylist()[0]
+        return found
+
+    def stats(self, episode: int) -> dict[str, dict[str, Any]]:
+        """Returns an episode's statistics, column -> name -> array, of the types they are stored with."""
+        found: dict[str, dict[str, Any]] = {}
+        for name in self.episodes.column_names:
+            if name.startswith("stats/"):
+                key, _, statistic = name.removeprefix("stats/").rpartition("/")
+                column = self.episodes[name]
+                kind = column.type
+                while pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+                    kind = kind.value_type
+                value = np.asarray(column[episode].as_py(), dtype=kind.to_pandas_dtype())
+                found.setdefault(key, {})[statistic] = value
+        return {key: value for key, value in found.items() if key not in PLACE}
+
+
+Pieces = Sequence[tuple[Source, int]]
+"""Datasets and indices of their episodes, in the order of the new dataset."""
+
+
+class _RowFile:
+    """A file of rows. Holds what it read last: one row group, which is an episode wherever we wrote it."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = pq.ParquetFile(path, memory_map=True)
+        sizes = [self._file.metadata.row_group(number).num_rows for number in range(self._file.num_row_groups)]
+        self._ends = np.cumsum(sizes)
+        self._groups, self._table = range(0), pa.table({})
+        self.first = int(self._file.read_row_group(0, columns=["index"])["index"][0].as_py())
+
+    def rows(self, begin: int, length: int) -> pa.Table:
+        """Returns rows by their place in the file."""
+        first, last = np.searchsorted(self._ends, [begin, begin + length - 1], side="right")
+        groups = range(int(first), min(int(last) + 1, self._file.num_row_groups))
+        if groups != self._groups:
+            self._groups, self._table = groups, self._file.read_row_groups(list(groups))
+        before = int(self._ends[first - 1]) if first else 0
+        return self._table.slice(begin - before, length)
+
+
+class Rows:
+    """Reads the rows of episodes, whatever the order they are asked for in."""
+
+    def __init__(self) -> None:
+        self._files: dict[Path, _RowFile] = {}
+
+    def of(self, source: Source, row: Mapping[str, Any]) -> pa.Table:
+        """Returns the rows of one episode, as they are stored; raises `DatasetError` if some are missing."""
+        place = DATA_PATH.format(chunk_index=row["data/chunk_index"], file_index=row["data/file_index"])
+        path = source.root / place
+        try:
+            file = self._files[path] = self._files.get(path) or _RowFile(path)
+            rows = file.rows(max(0, row["dataset_from_index"] - file.first), row["length"])
+        except (OSError, IndexError, pa.ArrowException) as error:
+            raise _damaged(source, row, error) from error
+        if set(rows["episode_index"].to_pylist()) != {row["episode_index"]} or len(rows) != row["length"]:
+            raise _damaged(source, row, f"its rows are not where they should be in {place}")
+        return rows
+
+
+def _damaged(source: Source, row: Mapping[str, Any], what: object) -> DatasetError:
+    return DatasetError(
+        "Rows of a dataset cannot be read.",
+        got=f"{source.root}, episode {row['episode_index']}: {what}",
+        allowed="rows of each episode, one after another",
+        hint="adamanip check",
+    )
+
+
+def compose(
+    out: Path, pieces: Pieces, repo_id: str, selection: Selection | None, progress: Progress = lambda done, total: None
+) -> None:
+    """Writes a dataset with these episodes, and reads it back.
+
+    What it holds of another one (``selection``) brings along what is known of that one's collection.
+
+    Args:
+        out: a folder that does not exist.
+        pieces: the episodes; one or more, of datasets with equal features.
+        repo_id: for LeRobot.
+        selection: what the new dataset is a part of, if of one.
+        progress: told of episodes done, and all.
+
+    Raises:
+        DatasetError: a source is damaged.
+        ConfigurationError: this LeRobot writes datasets otherwise.
+    """
+    _require_tested()
+    sources = list(dict.fromkeys(source.root for source, _ in pieces))
+    of = {source.root: source for source, _ in pieces}
+    dataset = _create(out, [of[root] for root in sources], repo_id)
+    schema, rows, lengths = _schema(dataset.meta.features), Rows(), []
+    for done, (source, episode) in enumerate(pieces, start=1):
+        lengths.append(_append(dataset, schema, rows, source, episode))
+        progress(done, len(pieces))
+    dataset.finalize()
+    _restore_info(out, [of[root] for root in sources])
+    describe(out, pieces, selection)
+    files.sync_tree(out)
+    read_back(out, lengths)
+
+
+def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
+    """Writes what a finished dataset of ours has beside what LeRobot writes.
+
+    That is: known ranges of poses among its statistics, its episodes' own columns, its cameras, and, if it is part of
+    another one, which and how that was collected.
+
+    Args:
+        out: folder of the dataset.
+        pieces: where its episodes come from, in its order.
+        selection: what it is a part of, if of one.
+    """
+    fix_statistics(out)
+    columns = pa.concat_tables(
+        [source.own_columns.slice(episode, 1) for source, episode in pieces], promote_options="permissive"
+    )
+    _write_columns(out, columns)
+    cameras = columns[_CAMERA].to_pylist() if _CAMERA in columns.column_names else [None]
+    if all(cameras):
+        (out / "meta" / "cameras.json").write_bytes(cameras_json([parse(camera) for camera in cameras]))
+    if selection is not None:
+        write_selection(out, selection)
+        for name in _TOLD_WITH:
+            if (pieces[0][0].root / name).is_file():
+                files.write_atomically(out / name, (pieces[0][0].root / name).read_bytes())
+
+
+def _require_tested() -> None:
+    if not is_tested():
+        import lerobot
+
+        raise ConfigurationError(
+            "This LeRobot writes datasets otherwise.",
+            got=f"lerobot {lerobot.__version__}",
+            allowed="lerobot 0.6.1",
+            hint="pip install 'lerobot==0.6.1'",
+        )
+
+
+def _create(out: Path, sources: Sequence[Source], repo_id: str) -> Any:
+    import av
+    import datasets
+    from lerobot.configs.video import encoder_config_from_video_info
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.utils.constants import DEFAULT_FEATURES
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+    info = sources[0].info
+    given = {key: feature for key, feature in info["features"].items() if key not in DEFAULT_FEATURES}
+    videos = [feature.get("info") for feature in given.values() if feature["dtype"] == "video"]
+    dataset = LeRobotDataset.create(
+        repo_id=repo_id,
+        fps=info["fps"],
+        features={key: {**feature, "shape": tuple(feature["shape"])} for key, feature in given.items()},
+        root=out,
+        robot_type=info.get("robot_type"),
+        rgb_encoder=encoder_config_from_video_info(videos[0]) if videos else None,
+        video_backend="pyav",
+        video_files_size_in_mb=info.get("video_files_size_in_mb"),
+        data_files_size_in_mb=info.get("data_files_size_in_mb"),
+    )
+    if info.get("chunks_size"):
+        dataset.meta.update_chunk_settings(chunks_size=info["chunks_size"])
+    return dataset
+
+
+def _append(dataset: Any, schema: pa.Schema, rows: Rows, source: Source, episode: int) -> int:
+    row = source.row(episode)
+    table = rows.of(source, row)
+    tasks = [source.tasks[index] for index in table["task_index"].to_pylist()]
+    videos = {
+        key: cut_episode(source.root, key, feature, row, source.info["fps"])
+        for key, feature in dataset.meta.features.items()
+        if feature["dtype"] == "video"
+    }
+    stats = source.stats(episode)
+    return append_rows(dataset, _typed(table, schema), row["tasks"], tasks, stats=stats, videos=videos)
+
+
+def _schema(features: dict[str, Any]) -> pa.Schema:
+    """Returns the types that LeRobot stores these features with."""
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+    return get_hf_features_from_features(features).arrow_schema
+
+
+def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Returns rows with these types, whoever wrote them: LeRobot's tools store the same values as other lists."""
+    from datasets.table import table_cast
+
+    if table.schema.equals(schema, check_metadata=True):
+        return table
+    plain = table.select(schema.names)
+    return (plain if plain.schema.equals(schema) else table_cast(plain, schema)).replace_schema_metadata(
+        schema.metadata
+    )
+
+
+def _restore_info(out: Path, sources: Sequence[Source]) -> None:
+    """What LeRobot finds out about the new videos gives way to what is known of the old, where all sources agree."""
+    path = out / "meta" / "info.json"
+    info = json.loads(path.read_text(encoding="utf-8"))
+    for key, feature in info["features"].items():
+        told = [source.info["features"][key].get("info") or {} for source in sources]
+        if any(told):
+            feature["info"] = {
+                name: value for name, value in told[0].items() if all(each.get(name) == value for each in told)
+            }
+    files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
+
+
+def _write_columns(root: Path, columns: pa.Table) -> None:
+    for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
+        table = pq.read_table(path)
+        mine = columns.take(table["episode_index"])
+        for name in mine.column_names:
+            if name not in table.column_names:
+                table = table.append_column(name, mine[name])
+        # Without Hugging Face's schema note, which lists the columns of before: see `assemble.add_episode_columns`.
+        sink = pa.BufferOutputStream()
+        pq.write_table(table.replace_schema_metadata(None), sink, compression="snappy")
+        files.write_atomically(path, sink.getvalue().to_pybytes())
