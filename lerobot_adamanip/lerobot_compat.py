@@ -1,10 +1,11 @@
-"""The only place that changes LeRobot: the dataset reader, for our datasets, in LeRobot versions it was tested with.
+"""Changes how LeRobot reads datasets, for ours alone, in LeRobot versions it was tested with.
 
 LeRobot keeps its own reader, untouched, for every other dataset and in every other version; see
 `lerobot_adamanip.lerobot_reader` for what the faster one does. Nothing here fails if LeRobot renames something.
 
 A plugin must stay light, so it calls `apply` only where ``lerobot.datasets.lerobot_dataset`` is already loaded, as in
-lerobot-train. Scripts of one's own call `apply`.
+lerobot-train. Scripts of one's own call `apply`. The one other place that changes LeRobot is
+`lerobot_adamanip.lerobot_editing`.
 """
 
 from __future__ import annotations
