@@ -12,10 +12,11 @@ from typing import Any
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.categories import ALL
 from lerobot_adamanip.demos.card import read_dataset_card
-from lerobot_adamanip.demos.loading import load_check, read_back
+from lerobot_adamanip.demos.loading import load_check
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.cards import check_card
+from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.environment import write_environment
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card, tensor_shapes
 from lerobot_adamanip.hub.scan import Names, require_clean
@@ -64,7 +65,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
     """
     root = root.absolute()
     info = load_check(root)
-    read_back(root)
+    _require_sound(root, assets)
     version = str(info.get("codebase_version"))
     if re.fullmatch(r"v\d+\.\d+", version) is None:
         raise DatasetError(
@@ -113,6 +114,18 @@ def stage_environment(
     """Stages the environments' repository; arguments and errors as of `write_environment`."""
     write_environment(into, repo_id, fingerprint, category=category, results=results)
     return _finished(Staged("model", repo_id, into, ("envs/",)), (into / "README.md").read_text(), into)
+
+
+def _require_sound(root: Path, assets: Path | None) -> None:
+    """Raises `DatasetError` if `adamanip check` finds anything."""
+    result = check(root, assets=assets)
+    if not result.clean:
+        raise DatasetError(
+            "This dataset is damaged.",
+            got=f"{root.name}: {sum(result.counts.values())} findings, the first: {result.findings[0]}",
+            allowed="a dataset in which `adamanip check` finds nothing",
+            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair mends what a kill has left",
+        )
 
 
 def _finished(staged: Staged, card: str, source: Path) -> Staged:

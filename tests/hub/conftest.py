@@ -11,11 +11,10 @@ from typing import Any
 
 import loopback_guard
 import pytest
-from demos_helpers import fakes, make_spec, patiently
 from loopback_hub import TOKEN, LoopbackHub
+from sound_demos import collect_sound
 from tiny_training import TINY
 
-from lerobot_adamanip.demos.collect import collect
 from lerobot_adamanip.hub.staging import Staged, stage_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,9 +25,7 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 @pytest.fixture(scope="session")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A complete dataset with late starts and attempts that failed. Not to be written to."""
-    root = tmp_path_factory.mktemp("published") / "dataset"
-    collect(root, make_spec(), fakes(), patiently())
-    return root
+    return collect_sound(tmp_path_factory.mktemp("published") / "dataset")
 
 
 @pytest.fixture(autouse=True)

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from huggingface_hub import HfApi
 from loopback_hub import LoopbackHub
+from sound_demos import collect_sound
 
 from lerobot_adamanip.fingerprint import core_fingerprint
 from lerobot_adamanip.hub.push import push
 from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
-from lerobot_adamanip.schema import FRONT_IMAGE
 
 pytestmark = pytest.mark.timeout(900)  # seven processes, each of which imports LeRobot
 
@@ -54,25 +54,18 @@ def answers(done: Any) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def commits(staged: Staged, api: HfApi, trained: Path, published: Path, tmp_path: Path) -> dict[str, str]:
+def commits(staged: Staged, api: HfApi, trained: Path, tmp_path: Path) -> dict[str, str]:
     """Publishes a dataset, a policy and the environments; gives words for commits and folders."""
     for name in ("model", "env", "staged-clouds"):
         (tmp_path / name).mkdir()
     push(stage_model(trained, POLICY, tmp_path / "model"), api)
     environment = push(stage_environment(ENVIRONMENT, tmp_path / "env", core_fingerprint()), api)
-    push(stage_dataset(without_pictures(published, tmp_path / "clouds"), CLOUDS, tmp_path / "staged-clouds"), api)
+    clouds = collect_sound(tmp_path / "clouds", observe_images=False)
+    push(stage_dataset(clouds, CLOUDS, tmp_path / "staged-clouds"), api)
     return {
         "ENV_COMMIT": environment.commit, "COMMIT": push(staged, api).commit,
         "CLOUDS_DIR": str(tmp_path / "pulled-clouds"), "DIR": str(tmp_path / "pulled"),
     }  # fmt: skip
-
-
-def without_pictures(published: Path, folder: Path) -> Path:
-    shutil.copytree(published, folder, ignore=shutil.ignore_patterns("videos"))
-    info = json.loads((folder / "meta" / "info.json").read_text())
-    del info["features"][FRONT_IMAGE]
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    return folder
 
 
 def matrix() -> dict[str, tuple[bool, str]]:

@@ -174,8 +174,10 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
         return
     if not stored or len(layout.table) != layout.info["total_episodes"]:
         return  # of which episodes they are cannot be told
+    # Of what is no column, LeRobot cannot tell whether it is of pictures; a lost column is a finding of its own.
+    of_columns = {key: each for key, each in stored.items() if key in layout.info["features"]}
     wrong = []
-    for key, right in aggregated(stored, layout.picture_keys).items():
+    for key, right in aggregated(of_columns, layout.picture_keys).items():
         if key in OF_PLACE:
             continue
         if key not in told:
