@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -44,8 +45,6 @@ def require_release_name(tag: str) -> str:
     LeRobot parses every branch and tag as a version (PEP 440) and loads the one that fits it best: data tagged ``3.1``
     or ``2026.11`` would be preferred to, or refused for, its own ``v3.0``.
     """
-    import re
-
     from packaging.version import InvalidVersion, Version
 
     with contextlib.suppress(InvalidVersion):

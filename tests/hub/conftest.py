@@ -90,7 +90,7 @@ def run(hub: LoopbackHub, tmp_path: Path, refused: Path) -> Run:
             text=True,
             env=environment,
             cwd=tmp_path,
-            timeout=280,
+            timeout=600,
             check=False,
         )
         assert not check or done.returncode == 0, done.stdout[-1500:] + done.stderr[-3000:]
@@ -105,6 +105,6 @@ def trained(published: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("trained") / "run"
     options = (*TINY, "--dataset.repo_id=local/safes", f"--dataset.root={published}", "--policy.push_to_hub=false")
     command = [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options, f"--output_dir={output}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     return output / "checkpoints" / "000003" / "pretrained_model"
