@@ -23,8 +23,8 @@ from lerobot.datasets import aggregate, dataset_tools
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.editing.compose import Source
 from lerobot_adamanip.demos.editing.selection import selection_path
+from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.merge import merge
 from lerobot_adamanip.lerobot_editing import mend

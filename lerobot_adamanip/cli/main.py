@@ -16,7 +16,7 @@ from lerobot_adamanip.jobs import preload
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
-_WITHOUT_PLUGIN = ("collect", "render", "merge", "filter", "split", "check", "stats", "push")
+_WITHOUT_PLUGIN = ("collect", "render", "merge", "filter", "split", "view", "check", "stats", "push")
 """Commands to which our environments and policy are no plugin of LeRobot: registering them takes each process 3 s."""
 _WORKER_MODULES = ("lerobot_adamanip.demos.record", "lerobot_adamanip.experts", "lerobot_env_adamanip.preload")
 """What workers that record need, named here so that they are imported while this process is busy with its own."""
@@ -44,6 +44,7 @@ COMMANDS = {
     "merge": Entry("lerobot_adamanip.cli.merge:Merge", "write one dataset with the episodes of several"),
     "filter": Entry("lerobot_adamanip.cli.filter:Filter", "write a dataset with the episodes that fulfil conditions"),
     "split": Entry("lerobot_adamanip.cli.split:Split", "write a dataset as several, by shares or by what is known"),
+    "view": Entry("lerobot_adamanip.cli.view:View", "look at an episode: cloud, tool path, goals, tries, effort"),
     "push": Entry(
         "lerobot_adamanip.cli.push:Push", "publish a dataset, a policy or the environments on the Hugging Face Hub"
     ),

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip import files
-from lerobot_adamanip.demos.editing.compose import Pieces, Progress, Source, compose
+from lerobot_adamanip.demos.editing.compose import Pieces, Progress, compose
 from lerobot_adamanip.demos.editing.selection import Selection
+from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
 _FINGERPRINT = "fingerprint"

@@ -17,7 +17,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from lerobot_adamanip.demos.editing.compose import Source, describe
+from lerobot_adamanip.demos.editing.compose import describe
+from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.lerobot_compat import is_ours
 
 TESTED = {"0.6.1": "5c929c481edbb396"}

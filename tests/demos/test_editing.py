@@ -20,10 +20,10 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.demos.collect import collect
 from lerobot_adamanip.demos.editing import choose, cutting
 from lerobot_adamanip.demos.editing.choose import assign, filter_episodes, split_episodes
-from lerobot_adamanip.demos.editing.compose import Source
 from lerobot_adamanip.demos.editing.conditions import Facts, parse_condition
 from lerobot_adamanip.demos.editing.facts import episode_facts, recoveries
 from lerobot_adamanip.demos.editing.selection import read_selection, selection_path
+from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
 from lerobot_adamanip.demos.merge import merge
 from lerobot_adamanip.demos.replay import replay

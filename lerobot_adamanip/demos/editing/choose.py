@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_adamanip import files
-from lerobot_adamanip.demos.editing.compose import Progress, Source, compose
+from lerobot_adamanip.demos.editing.compose import Progress, compose
 from lerobot_adamanip.demos.editing.conditions import Facts, choose
 from lerobot_adamanip.demos.editing.facts import episode_facts
+from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.demos.merge import require_free
 from lerobot_adamanip.errors import ConfigurationError
 

@@ -113,7 +113,7 @@ def _value(text: str, column: str, kind: type, word: str, facts: Sequence[Facts]
     try:
         if kind is bool:
             return _WORDS[word.lower()]
-        return float(word) if kind is int and re.fullmatch(r"-?\d+\.\d*", word) else kind(word)  # type: ignore[no-any-return]
+        return float(word) if kind is int and re.fullmatch(r"-?\d+\.\d*", word) else kind(word)
     except (KeyError, ValueError):
         raise _unfit(text, column, facts, _told(column, facts)) from None
 
@@ -132,6 +132,6 @@ def _told(column: str, facts: Sequence[Facts]) -> str:
     if all(isinstance(value, bool) for value in values):
         return "true or false" if len(set(values)) == 2 else f"always {str(values[0]).lower()}"
     if all(isinstance(value, int | float) for value in values):
-        return f"{min(values):g} to {max(values):g}"  # type: ignore[type-var, str-format]
+        return f"{min(values):g} to {max(values):g}"  # type: ignore[type-var]
     names = sorted({str(value) for value in values})
     return ", ".join(names[:_SHOWN]) + (f" ... ({len(names)} in all)" if len(names) > _SHOWN else "")

@@ -54,12 +54,13 @@ def _copied(path: Path, out: Path, first: int, end: int, fps: int) -> int | None
         copy = target.add_stream_from_template(stream)
         copy.time_base = stream.time_base
         source.seek(round(first / fps / stream.time_base), stream=stream, backward=True)
-        begin, frames = None, 0
+        packet: Any
+        begin, frames = 0, 0
         for packet in source.demux(stream):
             number = None if packet.pts is None else round(float(packet.pts * stream.time_base) * fps)
             if number is None or number < first:
                 continue
-            if begin is None:
+            if frames == 0:
                 if not packet.is_keyframe or number != first:
                     return None
                 begin = packet.pts
@@ -84,6 +85,7 @@ def _encoded_anew(path: Path, out: Path, frames: tuple[int, int], fps: int, feat
     folder, found = out.with_suffix(""), 0
     folder.mkdir()
     with av.open(str(path)) as container:
+        frame: Any
         for number, frame in enumerate(container.decode(video=0)):
             if number >= frames[1]:
                 break

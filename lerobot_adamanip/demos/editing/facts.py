@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 from lerobot_adamanip import schema
 from lerobot_adamanip.catalog import category_of, object_split
 from lerobot_adamanip.checked_json import parse
-from lerobot_adamanip.demos.editing.compose import Source
 from lerobot_adamanip.demos.editing.conditions import Facts, Value
+from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.errors import ConfigurationError
 
 HIDDEN = "hidden."
