@@ -160,13 +160,13 @@ def test_numeric_columns_are_read_without_copying_the_dataset(root: Path) -> Non
     ids=["text", "null", "ragged", "null inside"],
 )
 def test_what_is_no_plain_array_is_left_to_lerobot(column: pa.Array) -> None:
-    assert columns._view(column) is None
+    assert columns.numeric_view(column) is None
 
 
 def test_slices_of_arrow_memory_keep_their_rows() -> None:
     for kind in (pa.list_(pa.float32()), pa.list_(pa.float32(), 2), pa.large_list(pa.int64())):
         column = pa.array([[1, 2], [3, 4], [5, 6]], type=kind).slice(1, 2)
-        view = columns._view(column)
+        view = columns.numeric_view(column)
         assert view is not None
         assert view.tolist() == [[3, 4], [5, 6]]
 
