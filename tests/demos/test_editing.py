@@ -68,6 +68,8 @@ def same(first: Path, second: Path) -> None:
     try:  # compared above
         (second / "meta" / "stats.json").write_bytes((first / "meta" / "stats.json").read_bytes())
         same_content(first, second) if (first / "videos").exists() else same_tables(first, second)
+        for video in first.rglob("*.mp4"):
+            assert video.read_bytes() == (second / video.relative_to(first)).read_bytes()
     finally:
         (second / "meta" / "stats.json").write_bytes(stored)
 
@@ -78,7 +80,10 @@ def same_tables(first: Path, second: Path) -> None:
 
 
 @pytest.mark.parametrize("by", ["episode_index", "object_id", "hidden.locked"])
-def test_all_parts_together_are_the_dataset_again(whole: Path, by: str, tmp_path: Path) -> None:
+def test_all_parts_together_are_the_dataset_again(
+    whole: Path, by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cutting, "_encoded_anew", lambda *_: pytest.fail("pictures were encoded again"))
     parts = split_episodes(whole, tmp_path / "parts", HALVES if by != "hidden.locked" else None, by=by, seed=1)
     assert sorted(index for mine in parts.values() for index in mine) == list(range(6))
     assert len(parts) == 2
@@ -116,6 +121,16 @@ def test_a_filtered_dataset_holds_those_episodes_as_they_were(whole: Path, tmp_p
     np.testing.assert_array_equal(after["index"], np.arange(kept.sum()))
     renumbered = [chosen.index(index) for index in before["episode_index"][kept]]
     np.testing.assert_array_equal(after["episode_index"], renumbered)
+
+
+@pytest.mark.parametrize("rows_each", [1000, 5])
+def test_rows_are_found_however_a_file_is_laid_out(unpictured: Path, tmp_path: Path, rows_each: int) -> None:
+    shutil.copytree(unpictured, tmp_path / "copy")
+    (path,) = (tmp_path / "copy" / "data").rglob("*.parquet")
+    pq.write_table(pq.read_table(path), path, row_group_size=rows_each)
+    for root in (unpictured, tmp_path / "copy"):
+        filter_episodes(root, ["episode_index=1,2,4"], tmp_path / f"part of {root.name}")
+    same_tables(tmp_path / "part of dataset", tmp_path / "part of copy")
 
 
 def test_columns_of_episodes_cameras_and_manifest_stay(whole: Path, tmp_path: Path) -> None:
