@@ -123,8 +123,9 @@ def test_no_worker_is_told_where_the_collection_lives(tmp_path: Path) -> None:
 
 
 def test_a_dead_a_hung_and_a_poisonous_item_cost_only_themselves(tmp_path: Path, two: TwoNodes) -> None:
+    # Long enough for a new actor to start on a machine that is busy with other tests.
     results = {
-        each.item: each for each in run(two, tmp_path, [1, "once:die", "always:die", 2, "once:hang", 3], timeout=6.0)
+        each.item: each for each in run(two, tmp_path, [1, "once:die", "always:die", 2, "once:hang", 3], timeout=20.0)
     }
     assert {item for item, each in results.items() if each.death is not None} == {"always:die"}
     assert "died" in str(results["always:die"].death)
