@@ -36,6 +36,10 @@ class SimulatorError(AdaManipError, RuntimeError):
     """The simulator cannot run here: packages missing, or no Vulkan device to render with."""
 
 
+class RobotError(AdaManipError, RuntimeError):
+    """The arm, its connection, a camera or a teleoperator does not do what it should; the arm was stopped."""
+
+
 class UnreachableError(AdaManipError, RuntimeError):
     """No layout or pose within the arm's reach was found."""
 

@@ -11,7 +11,7 @@ import functools
 import hashlib
 import importlib.metadata
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 VERSIONED = ("lerobot", "mani_skill", "sapien", "numpy", "torch", "fpsample", "scipy")
@@ -26,11 +26,18 @@ CORE_PARTS: Mapping[str, tuple[str, ...]] = {
 _LENGTH = 16
 
 
-def code_hash(paths: Iterable[Path]) -> str:
-    """Returns a short hash of Python files and folders, by content and relative name, whatever their order."""
+def code_hash(paths: Iterable[Path], but: Collection[Path] = ()) -> str:
+    """Returns a short hash of Python files and folders, by content and relative name, whatever their order.
+
+    Args:
+        paths: files, and folders with all below them ...
+        but: ... except these folders.
+    """
     made = hashlib.sha256()
     for root in sorted(paths):
         for path in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
+            if any(path.is_relative_to(folder) for folder in but):
+                continue
             name = path.relative_to(root.parent).as_posix()
             made.update(f"{name}\n{ast.dump(_without_docstrings(path.read_text(encoding='utf-8')))}\n".encode())
     return made.hexdigest()[:_LENGTH]

@@ -13,7 +13,9 @@ from lerobot_adamanip.fingerprint import code_hash, combined, core_fingerprint
 def code_fingerprint() -> Mapping[str, str]:
     """Returns part -> hash of all code that decides how a simulated episode comes out."""
     here = Path(__file__).parent
-    return {**core_fingerprint(), "simulator": code_hash([here / "sim", here / "keyframe_env.py"])}
+    # The twin of a robot drives scenes in ways of its own; no simulated episode passes through it.
+    simulator = code_hash([here / "sim", here / "keyframe_env.py"], but=[here / "sim" / "twin"])
+    return {**core_fingerprint(), "simulator": simulator}
 
 
 def present_fingerprint() -> str:

@@ -1,0 +1,113 @@
+"""The arm as its own process sees it: what it tells, what it is told, and what a backend has to do.
+
+A backend lives in the arm's process, is called by one thread, and knows nothing of LeRobot, recorders or cameras. The
+real arm, the twin and a fake are backends; what drives them (`lerobot_adamanip.hardware.arm_process`) is the same code.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.keyframes import Outcome
+
+Array = NDArray[np.float64]
+
+
+class ArmMode(enum.IntEnum):
+    """What the arm is doing, as its controller says."""
+
+    IDLE = 0
+    MOVING = 1
+    GUIDING = 2
+    REFLEX = 3
+    USER_STOPPED = 4
+    RECOVERING = 5
+    OTHER = 6
+
+
+class Execution(enum.StrEnum):
+    """How a target is executed: as one whole motion, or as the newest of a stream."""
+
+    KEYFRAME = "keyframe"
+    STREAM = "stream"
+
+
+@dataclass(frozen=True)
+class ArmTarget:
+    """Where the tool should go, after the safety filter.
+
+    Attributes:
+        pose: (10,) float32 action of the contract: position [m], rotation 6D, gripper [0 closed, 1 open], base frame.
+        execution: KEYFRAME moves there until reached, stalled or out of time; STREAM replaces the target before it.
+        stamp: when it was asked for, `time.perf_counter()` [s].
+    """
+
+    pose: NDArray[np.float32]
+    execution: Execution
+    stamp: float
+
+
+@dataclass(frozen=True)
+class ArmReading:
+    """What the arm tells at one moment.
+
+    Attributes:
+        stamp: when it was measured, `time.perf_counter()` [s]: comparable between processes of one machine.
+        robot_time: the arm's own clock [s]; stands still when the connection does.
+        tcp_in_base: (4, 4) measured pose of the tool centre point, robot base frame [m].
+        gripper: opening, 0 closed ... 1 open.
+        qpos: (7,) joint positions [rad].
+        qvel: (7,) joint velocities [rad/s].
+        effort: (7,) external joint torque [N m], signed as the contract's: what the arm exerts.
+        mode: what the controller is doing.
+        errors: names of the flags that are set.
+        outcome: how the latest key frame ended; None while one is under way, and before the first.
+    """
+
+    stamp: float
+    robot_time: float
+    tcp_in_base: Array
+    gripper: float
+    qpos: Array
+    qvel: Array
+    effort: Array
+    mode: ArmMode
+    errors: tuple[str, ...] = ()
+    outcome: Outcome | None = None
+
+
+class ArmBackend(Protocol):
+    """What moves an arm. No call but `connect` and `close` takes longer than a tick of the arm's process."""
+
+    @property
+    def period(self) -> float:
+        """Seconds between two calls of `tick`."""
+
+    def connect(self) -> None:
+        """Opens the connection, sets limits and reads them back; leaves the arm where it is. Raises `RobotError`."""
+
+    def read(self) -> ArmReading:
+        """Returns the latest state. Raises `RobotError` where the connection is lost."""
+
+    def tick(self) -> None:
+        """Called every `period`: advances what does not advance by itself."""
+
+    def stream(self, target: ArmTarget) -> None:
+        """Replaces the target of a motion; returns at once."""
+
+    def begin_keyframe(self, target: ArmTarget) -> None:
+        """Begins a whole motion; `read().outcome` tells its end."""
+
+    def stop(self) -> None:
+        """Decelerates within the limits; the arm holds where it comes to rest."""
+
+    def recover(self) -> None:
+        """Clears what a reflex left, without moving. Raises `RobotError` if it cannot."""
+
+    def close(self) -> None:
+        """Stops and disconnects; idempotent, at most 2 s, never raises."""
