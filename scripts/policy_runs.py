@@ -36,7 +36,7 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.results import make_result, rows_of_records, write_result
+from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
 from lerobot_adamanip.files import write_atomically
 
 BIN = Path(sys.executable).parent
@@ -219,15 +219,8 @@ def write_results(options: argparse.Namespace) -> None:
         records += found
     if not records:
         raise SystemExit(f"nothing to write into {options.result}: no evaluation is finished")
-    result = make_result(
-        rows,
-        kind="policy",
-        title=options.title,
-        command=shlex.join(["python", "scripts/policy_runs.py", *sys.argv[1:]]),
-        fingerprint=", ".join(sorted({record.provenance.fingerprint for record in records})),
-        seeds=[record.seed for record in records],
-        scenes=options.split,
-    )
+    command = shlex.join(["python", "scripts/policy_runs.py", *sys.argv[1:]])
+    result = policy_result(rows, records, title=options.title, command=command)
     write_result(options.result, result)
     say(f"written: {options.result}")
 

@@ -79,7 +79,7 @@ class Report:
 
             plot_evaluations(evaluations, self.plot)
         if self.result is not None:
-            self._write_result(evaluations, comparison)
+            self._write_result(evaluations)
         written = {"plot": self.plot, "result": self.result}
         if self.json:
             paths = {name: None if path is None else str(path) for name, path in written.items()}
@@ -124,28 +124,15 @@ class Report:
                 name = f"{number} {said}" if said else str(number)
                 yield (label if len(parts) == 1 else f"{label} #{name}"), part
 
-    def _write_result(self, evaluations: Evaluations, comparison: Comparison) -> None:
-        from lerobot_adamanip.evaluation.results import make_result, rows_of_records, write_result
+    def _write_result(self, evaluations: Evaluations) -> None:
+        from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
 
         assert self.result is not None
-        records = [record for part in evaluations.values() for record in part]
-        fingerprints = {record.provenance.fingerprint for record in records}
-        splits = {record.split for record in records}
-        if len(fingerprints) > 1 or len(splits) > 1:
-            raise ConfigurationError(
-                "A result file is of one code and one split of scenes.",
-                got="; ".join(comparison.warnings),
-                allowed="episodes of one fingerprint and one split",
-                hint="a new log, or a result file for each",
-            )
-        result = make_result(
+        result = policy_result(
             [row for label, part in evaluations.items() for row in rows_of_records(part, label)],
-            kind="policy",
+            [record for part in evaluations.values() for record in part],
             title=self.title,
             command=str(self.command),
-            fingerprint=fingerprints.pop(),
-            seeds=[record.seed for record in records],
-            scenes=splits.pop(),
             seconds=self.seconds,
         )
         write_result(self.result, result)

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip import files, schema
 from lerobot_adamanip.demos.append import append, in_order
-from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl
+from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.demos.card import dataset_card
 from lerobot_adamanip.demos.collection import assembling, manifest_path
 from lerobot_adamanip.demos.crew import Crews
@@ -188,7 +188,7 @@ def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> 
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))
-    (root / "meta" / "attempts.jsonl").write_bytes(attempts_jsonl(contents.attempts))
+    attempts_path(root).write_bytes(attempts_jsonl(contents.attempts))
     shutil.rmtree(root / "images", ignore_errors=True)
     write_manifest(manifest_path(root), contents.manifest)
 

@@ -72,6 +72,11 @@ def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]
     return listed
 
 
+def attempts_path(root: Path) -> Path:
+    """Returns where a dataset lists the attempts that were made for it."""
+    return root / "meta" / "attempts.jsonl"
+
+
 def attempts_jsonl(attempts: Iterable[AttemptRecord]) -> bytes:
     """Returns attempts as lines of JSON."""
     return "".join(json.dumps(vars(attempt), sort_keys=True) + "\n" for attempt in attempts).encode()

@@ -10,7 +10,7 @@ from typing import Any
 from lerobot_adamanip import schema
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.categories import ALL
-from lerobot_adamanip.demos.attempts import AttemptRecord, by_hidden_value, read_attempts
+from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_path, by_hidden_value, read_attempts
 from lerobot_adamanip.demos.collection import CollectionSpec, manifest_path
 from lerobot_adamanip.demos.loading import episode_records
 from lerobot_adamanip.demos.manifest import Manifest, read_manifest
@@ -60,7 +60,7 @@ def read_dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path 
     """
     path = manifest_path(folder)
     manifest = read_manifest(path, assets) if path.exists() else None
-    attempts = read_attempts(folder / "meta" / "attempts.jsonl") if manifest is not None else []
+    attempts = read_attempts(attempts_path(folder)) if manifest is not None else []
     return dataset_card(
         folder, name, manifest=manifest, records=episode_records(folder), attempts=attempts, repo_id=repo_id
     )

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import files
-from lerobot_adamanip.demos.editing.compose import Pieces, Progress, compose
+from lerobot_adamanip.demos.editing.compose import Pieces, Progress, compose_whole
 from lerobot_adamanip.demos.editing.selection import Selection
 from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
@@ -65,11 +64,7 @@ def merge(
     sources = [Source.open(root) for root in roots]
     _require_equal_features(sources)
     pieces, selection = _in_order(sources)
-    half = out.with_name(out.name + ".merging")
-    files.remove_tree(half)
-    half.parent.mkdir(parents=True, exist_ok=True)
-    compose(half, pieces, repo_id or f"local/{out.name}", selection, progress)
-    files.move_durably(half, out)
+    compose_whole(out, pieces, repo_id, selection, progress)
     whole = selection is not None and selection.is_whole
     return Merged(len(pieces), selection is not None, whole, _fingerprints(sources))
 

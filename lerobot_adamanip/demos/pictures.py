@@ -16,7 +16,7 @@ from lerobot_adamanip import files, schema
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.checked_json import flag, integer, optional, parse, text
 from lerobot_adamanip.demos.assemble import Contents, assemble
-from lerobot_adamanip.demos.attempts import read_attempts
+from lerobot_adamanip.demos.attempts import attempts_path, read_attempts
 from lerobot_adamanip.demos.collection import CollectionPaths, manifest_path
 from lerobot_adamanip.demos.loading import episode_table, load_check
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, differing_parts, read_manifest, write_manifest
@@ -73,9 +73,7 @@ def add_pictures(
     manifest = _pictured(stored, make_env)
     _prepare(paths, manifest)
     shards = _rendered(paths, stored, manifest, make_env, progress)
-    contents = Contents(
-        manifest, shards, read_attempts(root / "meta" / "attempts.jsonl"), repo_id or f"local/{paths.root.name}"
-    )
+    contents = Contents(manifest, shards, read_attempts(attempts_path(root)), repo_id or f"local/{paths.root.name}")
     built = assemble(paths.root, contents, lambda done, total: progress("assemble", done, total))
     files.move_durably(built, paths.root)
     paths.clean()

@@ -148,6 +148,40 @@ def make_result(
     )
 
 
+def policy_result(
+    rows: Iterable[ResultRow],
+    records: Sequence[EpisodeRecord],
+    *,
+    title: str,
+    command: str,
+    seconds: float | None = None,
+) -> ResultFile:
+    """Returns the result of policies' evaluations: rows as of `rows_of_records`, and the records they are of.
+
+    Raises:
+        ConfigurationError: the records are of several codes or splits of scenes, or the command cannot be published.
+    """
+    made = sorted({(record.provenance.fingerprint, record.split) for record in records})
+    if len(made) > 1:
+        raise ConfigurationError(
+            "A result file is of one code and one split of scenes.",
+            got="; ".join(f"fingerprint {fingerprint}, split {split}" for fingerprint, split in made),
+            allowed="episodes of one fingerprint and one split",
+            hint="a new log, or a result file for each",
+        )
+    (fingerprint, split) = made[0]
+    return make_result(
+        rows,
+        kind="policy",
+        title=title,
+        command=command,
+        fingerprint=fingerprint,
+        seeds=[record.seed for record in records],
+        scenes=split,
+        seconds=seconds,
+    )
+
+
 def write_result(path: Path, result: ResultFile) -> None:
     """Writes a result file; what it holds is checked as if somebody else had written it."""
     content = json.loads(json.dumps(result.to_json()))

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from lerobot_adamanip import files, schema
 from lerobot_adamanip.catalog import object_split
 from lerobot_adamanip.checked_json import integer, parse, read
-from lerobot_adamanip.demos.attempts import by_hidden_value, read_attempts
+from lerobot_adamanip.demos.attempts import attempts_path, by_hidden_value, read_attempts
 from lerobot_adamanip.demos.collection import manifest_path
 from lerobot_adamanip.demos.loading import episode_table, load_check
 from lerobot_adamanip.errors import AdaManipError, DatasetError
@@ -222,7 +222,7 @@ def _counted(folder: Path, features: Mapping[str, Any]) -> dict[int, dict[str, A
 
 
 def _attempts(folder: Path) -> Attempts | None:
-    path = folder / "meta" / "attempts.jsonl"
+    path = attempts_path(folder)
     if not path.exists():
         return None
     listed = read_attempts(path)

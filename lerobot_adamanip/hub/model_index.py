@@ -12,8 +12,7 @@ from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import (
     ResultFile,
     ResultRow,
-    check_command,
-    make_result,
+    policy_result,
     read_result,
     rows_of_records,
 )
@@ -51,25 +50,9 @@ def _of_log(path: Path, command: str | None) -> ResultFile:
             allowed="--results-command 'lerobot-eval ...', as typed",
             hint="or adamanip report LOG --result FILE --command '...', then --results FILE",
         )
-    made = {(record.provenance.fingerprint, record.split) for record in records}
-    if len(made) > 1:
-        raise ConfigurationError(
-            "An episode log of several codes or splits makes no one result.",
-            got=f"{len(made)} kinds of episodes in {path.name}",
-            allowed="episodes of one fingerprint and one split of scenes",
-            hint="a new log for each",
-        )
-    (fingerprint, split) = made.pop()
     labels = {record.provenance.run_label for record in records} - {None}
-    return make_result(
-        rows_of_records(records, " / ".join(sorted(map(str, labels))) or "policy"),
-        kind="policy",
-        title="success",
-        command=check_command(command),
-        fingerprint=fingerprint,
-        seeds=[record.seed for record in records],
-        scenes=split,
-    )
+    subject = " / ".join(sorted(map(str, labels))) or "policy"
+    return policy_result(rows_of_records(records, subject), records, title="success", command=command)
 
 
 def results_table(results: Sequence[ResultFile]) -> str:

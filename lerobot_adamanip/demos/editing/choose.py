@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_adamanip import files
-from lerobot_adamanip.demos.editing.compose import Progress, compose
+from lerobot_adamanip.demos.editing.compose import Progress, compose_whole
 from lerobot_adamanip.demos.editing.conditions import Facts, choose
 from lerobot_adamanip.demos.editing.facts import episode_facts
 from lerobot_adamanip.demos.editing.source import Source
@@ -105,14 +105,8 @@ def assign(facts: Sequence[Facts], shares: Mapping[str, float] | None, *, by: st
 def _write(source: Source, parts: Parts, places: Mapping[str, Path], repo_id: str | None, progress: Progress) -> None:
     total, before = sum(map(len, parts.values())), 0
     for name, chosen in parts.items():
-        place = places[name]
-        half = place.with_name(place.name + ".writing")
-        files.remove_tree(half)
-        half.parent.mkdir(parents=True, exist_ok=True)
-        pieces = [(source, episode) for episode in chosen]
-        named = repo_id or f"local/{place.name}"
-        compose(half, pieces, named, source.selection.of(list(chosen)), _after(progress, before, total))
-        files.move_durably(half, place)
+        pieces, selection = [(source, episode) for episode in chosen], source.selection.of(list(chosen))
+        compose_whole(places[name], pieces, repo_id, selection, _after(progress, before, total))
         before += len(chosen)
 
 

@@ -68,6 +68,17 @@ def compose(
     read_back(out, lengths)
 
 
+def compose_whole(
+    out: Path, pieces: Pieces, repo_id: str | None, selection: Selection | None, progress: Progress
+) -> None:
+    """As `compose`, named ``local/<folder name>`` by default; half of a dataset is never at ``out``."""
+    half = out.with_name(out.name + ".writing")
+    files.remove_tree(half)
+    half.parent.mkdir(parents=True, exist_ok=True)
+    compose(half, pieces, repo_id or f"local/{out.name}", selection, progress)
+    files.move_durably(half, out)
+
+
 def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     """Writes what a finished dataset of ours has beside what LeRobot writes.
 

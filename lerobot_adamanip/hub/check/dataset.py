@@ -20,7 +20,7 @@ from lerobot_adamanip.hub.check.facts import (
     read_collection,
 )
 from lerobot_adamanip.hub.check.findings import CheckResult, Progress, Report
-from lerobot_adamanip.hub.check.layout import INFO, Layout, leftovers, read_layout, unlisted_files
+from lerobot_adamanip.hub.check.layout import INFO, Episode, Layout, leftovers, read_layout, unlisted_files
 from lerobot_adamanip.hub.check.reading import batches, open_file, place
 from lerobot_adamanip.hub.check.statistics import (
     Stored,
@@ -77,9 +77,9 @@ def check(
     shared = _Checked(layout, collected, workspace, stored_statistics(layout.table), report, progress)
     for name in unlisted_files(layout):
         report.add("unlisted", "no episode is in this file", name)
-    for name in layout.by_data_file():
-        _check_data(shared, name)
-    frames = sum(episode.length for episode in layout.episodes) * len(layout.video_keys)
+    for name, episodes in layout.by_data_file().items():
+        _check_data(shared, name, episodes)
+    frames = layout.rows * len(layout.video_keys)
     check_videos(layout, shared.stored, report, _counting(progress, "frames", frames))
     check_statistics(layout, shared.stored, report)
     check_facts(layout, collected, shared.counted, report)
@@ -112,27 +112,24 @@ def _workspace(layout: Layout, collected: Collected | None) -> Workspace:
         return DEFAULT_WORKSPACE
 
 
-def _check_data(shared: _Checked, name: str) -> None:
+def _check_data(shared: _Checked, name: str, episodes: list[Episode]) -> None:
     layout, report = shared.layout, shared.report
-    episodes = layout.by_data_file()[name]
     file = open_file(layout, name, episodes[0], report)
     if file is None:
         return
     where = place(layout, name, file, episodes, report)
     if where is None:
         return
-    total = sum(episode.length for episode in layout.episodes)
-    row_of = {number: row for row, number in enumerate(layout.table["episode_index"].to_pylist())}
     recorded = has_facts(layout)
     for batch in batches(file, where, layout.data_keys, report):
         columns = check_values(batch, layout.features, shared.workspace, report)
         if recorded:
             check_course(batch, columns, report)
-        report.damaged |= set(batch.where.episodes.tolist()) - set(row_of)
-        check_episode_statistics(batch, columns, shared.stored, row_of, report)
+        report.damaged |= set(batch.where.episodes.tolist()) - set(layout.row_of)
+        check_episode_statistics(batch, columns, shared.stored, layout.row_of, report)
         shared.counted.update(count_labels(batch, columns))
         shared.rows += len(batch.where)
-        shared.progress("rows", shared.rows, total)
+        shared.progress("rows", shared.rows, layout.rows)
 
 
 def _counting(progress: Progress, stage: str, total: int) -> Callable[[int], None]:

@@ -15,8 +15,10 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.assets import is_asset_id, parse_asset_id
 from lerobot_adamanip.catalog import category_of, parse_object_id
 from lerobot_adamanip.checked_json import flag, integer, mapping, optional, parse, read, text
+from lerobot_adamanip.demos.attempts import attempts_path, read_attempts
 from lerobot_adamanip.demos.collection import CollectionSpec, episode_seed, manifest_path
 from lerobot_adamanip.demos.late_starts import read_start
+from lerobot_adamanip.demos.loading import JSON_COLUMNS
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, read_manifest
 from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.fingerprint import combined
@@ -153,11 +155,7 @@ def _check_row(row: Mapping[str, Any], fixed: Mapping[str, Any]) -> None:
     flag("success", row.get("success"))
     if _COUNT("failed_tries", row.get("failed_tries")) > _COUNT("tries", row.get("tries")):
         raise ValueError(f"failed_tries = {row['failed_tries']} of tries = {row['tries']}")
-    parsed = {
-        name: parse(_ANY(name, row[name]))
-        for name in ("hidden_state", "hidden_overrides", "camera", "versions", "failures", "episode_record")
-        if name in row
-    }
+    parsed = {name: parse(_ANY(name, row[name])) for name in JSON_COLUMNS if name in row}
     HIDDEN_STATE("hidden_state", parsed["hidden_state"])
     optional(HIDDEN_STATE)("hidden_overrides", parsed.get("hidden_overrides"))
     if "start" in row:
@@ -217,15 +215,16 @@ def _check_once(layout: Layout, rows: list[dict[str, Any]], report: Report) -> N
 
 def _check_attempts(root: Path, rows: list[dict[str, Any]], collected: Collected, report: Report) -> None:
     """Every episode has its line; there are as many lines as the manifest counts."""
-    try:
-        listed = [json.loads(line) for line in (root / ATTEMPTS).read_text(encoding="utf-8").splitlines()]
-        told = {(each["object_id"], each["slot"], each["attempt"]): each for each in listed}
-    except FileNotFoundError:
+    path = attempts_path(root)
+    if not path.exists():
         report.add("missing", "the attempts of the collection", ATTEMPTS)
         return
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        report.add("unreadable", f"it lacks or garbles {error}"[:200], ATTEMPTS)
+    try:
+        listed = read_attempts(path)
+    except AdaManipError as error:
+        report.add("unreadable", str(error.__cause__)[:200], ATTEMPTS)
         return
+    told = {(each.object_id, each.slot, each.attempt): each for each in listed}
     counts = None if collected.manifest is None else collected.manifest.attempts
     if counts is not None and len(listed) != counts.attempted:
         report.add("attempts", f"{len(listed)} lines, where {COLLECTION} counts {counts.attempted}", ATTEMPTS)
@@ -237,5 +236,5 @@ def _check_attempts(root: Path, rows: list[dict[str, Any]], collected: Collected
         right = {"seed": row["seed"], "hidden_state": json.loads(row["hidden_state"]), "late": row["late"]}
         if line is None:
             report.add("attempts", "no line for the episode", ATTEMPTS, row["episode_index"])
-        elif wrong := [name for name, value in right.items() if line.get(name) != value]:
+        elif wrong := [name for name, value in right.items() if getattr(line, name) != value]:
             report.add("attempts", f"another {', '.join(wrong)} of the episode", ATTEMPTS, row["episode_index"])

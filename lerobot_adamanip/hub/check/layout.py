@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,16 @@ class Layout:
     def data_keys(self) -> list[str]:
         """Columns that are in the Parquet files."""
         return [key for key in self.features if key not in self.video_keys]
+
+    @cached_property
+    def rows(self) -> int:
+        """Rows of all episodes, as the metadata counts them."""
+        return sum(episode.length for episode in self.episodes)
+
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        """Index of an episode -> its row in `table`."""
+        return {number: row for row, number in enumerate(self.table["episode_index"].to_pylist())}
 
     def by_data_file(self) -> dict[str, list[Episode]]:
         """Returns data file -> its episodes, in order."""

@@ -51,7 +51,6 @@ def check_videos(layout: Layout, stored: Stored, report: Report, progress: Calla
         report: takes the findings.
         progress: told of frames decoded.
     """
-    row_of = {number: row for row, number in enumerate(layout.table["episode_index"].to_pylist())}
     for (key, file), episodes in layout.by_video_file().items():
         path = layout.root / file
         if not path.is_file():
@@ -61,7 +60,7 @@ def check_videos(layout: Layout, stored: Stored, report: Report, progress: Calla
         video.read(path, progress)
         means = stored.get(key, {}).get("mean")
         if means is not None and means.shape[1] == 3:
-            video.compare(means, row_of)
+            video.compare(means, layout.row_of)
 
 
 class _Video:
