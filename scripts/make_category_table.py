@@ -98,12 +98,17 @@ def _experts() -> list[str]:
         "true direction just far enough, the right motion, the key only if locked. Both go on past success to their "
         "own end: doors to 42°, lids to 40 mm.\n"
     )
-    lines.append("`--expert-preset upstream` (of `adamanip collect`) tries as upstream's code does:\n")
-    lines += ["| category | first try to open | under `upstream` |", "|---|---|---|"]
+    lines.append(
+        "Of what is turned and then opened, nobody sees how far is far enough. `--expert-preset` (of `adamanip "
+        "collect`) says when the adaptive expert tries to open it: as the paper has it, as upstream's code does, or "
+        "where the part has come to a stop, which wastes the fewest tries:\n"
+    )
+    lines += ["| category | `paper` | `upstream` | `to_stop` |", "|---|---|---|---|"]
     for name, expert in EXPERTS.items():
-        if expert.upstream is not None:
+        if (theirs := expert.others.get("upstream")) is not None:
             first = "after any turn" if name in ("window", "door") else "first, or after any turn"
-            lines.append(f"| `{name}` | {first} | not before {math.degrees(expert.upstream.not_before):.0f}° |")
+            angle = math.degrees(theirs.not_before)
+            lines.append(f"| `{name}` | {first} | not before {angle:.0f}° | at the felt stop |")
     return lines
 
 

@@ -37,6 +37,7 @@ from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
+from lerobot_adamanip.experts import EXPERT_PRESETS
 from lerobot_adamanip.files import write_atomically
 
 BIN = Path(sys.executable).parent
@@ -71,7 +72,7 @@ class Run:
             self._merge("merge", [part.data for part in parts], self.data)
             return
         given = self.options
-        of = ("--objects", given.train_objects, "--expert", given.expert)
+        of = ("--objects", given.train_objects, "--expert", given.expert, "--expert-preset", given.expert_preset)
         self._run("collect", *self._recording(self.data, given.episodes_per_object), *of)
 
     def train(self) -> None:
@@ -89,7 +90,8 @@ class Run:
             return
         if not _recorded(corrections):
             policy = ("--policy", str(self.checkpoint("train")), "--objects", given.train_objects)
-            self._run("correct", *self._recording(corrections, given.corrections), *policy)
+            expert = ("--expert-preset", given.expert_preset)
+            self._run("correct", *self._recording(corrections, given.corrections), *policy, *expert)
         if not _recorded(both):
             self._merge("merge", [self.data, corrections], both)
         self._train("retrain", both, given.correction_steps, self._begin())
@@ -264,6 +266,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--episodes-per-object", type=count, default=20)
     parser.add_argument(
         "--expert", default="adaptive", help="of the demonstrations: adaptive, or static, which sees all"
+    )
+    parser.add_argument(
+        "--expert-preset", choices=EXPERT_PRESETS, default="paper", help="of the adaptive expert (%(default)s)"
     )
     parser.add_argument("--steps", type=count, default=4000)
     parser.add_argument("--batch-size", type=count, default=64)

@@ -76,8 +76,9 @@ class Collect:
     mechanism_preset: str = DEFAULT_MECHANISM_PRESET
     """paper: mechanisms as the paper's text has them. upstream: as its released code has them. hard: harder ones."""
 
-    expert_preset: Literal["paper", "upstream"] = "paper"
-    """paper: opening may be tried before anything was turned. upstream: only beyond its code's fixed angles."""
+    expert_preset: Literal["paper", "upstream", "to_stop"] = "paper"
+    """When the adaptive expert tries to open. paper: at random, even before anything was turned. upstream: only beyond
+    its code's fixed angles. to_stop: where it has felt a stop, which wastes the fewest tries."""
 
     trials: int = 1
     """Failed tries the adaptive expert demonstrates before it changes its mind."""

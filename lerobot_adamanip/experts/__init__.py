@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, fixed_directio
 from lerobot_adamanip.objects import PartAnnotation
 
 EXPERT_KINDS = ("adaptive", "static")
-EXPERT_PRESETS = ("paper", "upstream")
+EXPERT_PRESETS = ("paper", "upstream", "to_stop")
 
 
 @dataclass(frozen=True)
@@ -29,18 +29,23 @@ class Expert:
         adaptive: trial and error, without sight of the hidden state.
         static: optimal under full observation.
         sequence: what the adaptive one does, in words.
-        upstream: the adaptive sequence of upstream's code, where it is another one.
+        others: preset -> another adaptive sequence, where the category has one: ``upstream``, its released code's, and
+            ``to_stop``, which turns until it feels a stop, or no episode's is farther, before it tries to open.
     """
 
     adaptive: Callable[[Hand, Knowledge], KeyFrames]
     static: Callable[[Hand, Parts, Hidden], KeyFrames]
     sequence: str
-    upstream: TurnToOpen | None = None
+    others: Mapping[str, TurnToOpen] = field(default_factory=dict)
 
 
 def _turned(style: TurnToOpen, not_before: float) -> Expert:
-    """A row of what is turned and then opened; upstream's first try comes not before an angle [rad]."""
-    return Expert(style.adaptive, style.static, style.sequence, style.upstream(not_before))
+    """A row of what is turned and then opened; upstream's first try comes not before an angle [rad].
+
+    That is where the narrowest range is free, and a range is at least half of the widest.
+    """
+    others = {"upstream": style.upstream(not_before), "to_stop": style.to_stop(2 * not_before)}
+    return Expert(style.adaptive, style.static, style.sequence, others)
 
 
 EXPERTS: Mapping[str, Expert] = {
@@ -79,7 +84,7 @@ def make_expert(
         generator: decides what the expert leaves to chance.
         trials: failed tries the adaptive expert makes before it changes its mind, at least 1.
         hidden: the hidden state, for the static expert alone; the adaptive one refuses it.
-        preset: ``paper``, or ``upstream`` for the adaptive sequence of its released code where that differs.
+        preset: of the adaptive sequence: ``paper``, or one of `Expert.others` where the category has it.
         mechanism_preset: of the environment: a direction that it fixes for all episodes an adaptive expert knows.
         positions: joint -> where it stands at the start [rad or m], as a camera sees it. Left out is at rest.
         feedback: of the hand at the start, if it may hold something or be about a part: it goes on with what it wants.
@@ -98,8 +103,8 @@ def make_expert(
 
 
 def _adaptive(expert: Expert, preset: str) -> Callable[[Hand, Knowledge], KeyFrames]:
-    theirs = require_choice("expert preset", preset, EXPERT_PRESETS) == "upstream" and expert.upstream
-    return theirs.adaptive if theirs else expert.adaptive
+    other = expert.others.get(require_choice("expert preset", preset, EXPERT_PRESETS))
+    return other.adaptive if other else expert.adaptive
 
 
 def _check_knowledge(kind: str, trials: int, hidden: Hidden | None) -> None:

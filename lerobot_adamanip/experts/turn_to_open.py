@@ -23,6 +23,8 @@ MAX_OPENINGS = 3
 """Times a static expert turns and opens; more than once only after a grip that slipped."""
 RELEASED = 0.9
 """Share of the range a static expert turns through: the final joint is free at 0.85."""
+GIVES = 0.04
+"""Share of its angle that a turned part stays behind the hand that turns it."""
 SLIPPED = 0.008
 """A hand this far [m] from where it would be if it still held the part as it took hold of it has slipped along it."""
 
@@ -42,6 +44,7 @@ class TurnToOpen:
         p_open: probability of a try after a turn that the part followed.
         p_open_first: probability that the very first motion is a try.
         not_before: angle below which no try is made [rad]; upstream's code, not the paper's text.
+        enough: angle at which the final joint is free in any episode [rad]: who has seen many turns no farther.
         settles: see `Hand`.
     """
 
@@ -53,20 +56,28 @@ class TurnToOpen:
     p_open: float = 0.5
     p_open_first: float = 0.5
     not_before: float = 0.0
+    enough: float = np.inf
     settles: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def sequence(self) -> str:
         """The expert's sequence in words."""
         first = "turn or open first, at random" if self.p_open_first else "turn first"
+        then = f"after a turn open ({self.final}) with p = {self.p_open:g} or turn on; turn on after a blocked"
+        if not self.p_open:
+            then = f"turn on until it stops, then open ({self.final}); turn on after a blocked"
         return (
-            f"hold {self.part}; {first}; turn {self.key} one way at random, the other way if blocked; after a turn "
-            f"open ({self.final}) with p = {self.p_open:g} or turn on; turn on after a blocked {self.final}"
+            f"hold {self.part}; {first}; turn {self.key} one way at random, the other way if blocked; "
+            f"{then} {self.final}"
         )
 
     def upstream(self, not_before: float) -> TurnToOpen:
         """Returns the sequence as upstream's code has it: no try first, none before an angle that can be enough."""
         return replace(self, p_open_first=0.0, not_before=not_before)
+
+    def to_stop(self, enough: float) -> TurnToOpen:
+        """The sequence that tries least: nobody sees how far is far enough, but the stop behind it is felt."""
+        return replace(self, p_open=0.0, p_open_first=0.0, enough=enough)
 
     def adaptive(self, hand: Hand, known: Knowledge) -> KeyFrames:
         """Trial and error, as control flow. It never learns the hidden state."""
@@ -112,6 +123,11 @@ class TurnToOpenExpert:
         """Of the key joint, as felt [rad]."""
         return self.hand.at(self.style.key)
 
+    @property
+    def is_free(self) -> bool:
+        """Whether the final joint is free for all that is known: the key has stopped, or no episode's turns so far."""
+        return self.at_end or abs(self.angle) >= self.style.enough
+
     def adaptive(self, fixed_direction: int | None) -> KeyFrames:
         """Trial and error: which way and how far is found out, and a try comes when it may."""
         rng, style = self.hand.rng, self.style
@@ -123,7 +139,7 @@ class TurnToOpenExpert:
         known = fixed_direction or self.hand.belief.way(style.key, FOLLOWED * style.step)
         self.direction = int(np.sign(self.angle)) if turned else known or drawn
         yield from self._hold()
-        may = rng.random() < (style.p_open if turned else style.p_open_first) or self.at_end
+        may = rng.random() < (style.p_open if turned else style.p_open_first) or self.is_free
         # Where others have tried it in vain, it is not tried again.
         may = may and abs(self.angle) > self.hand.belief.blocked_at(style.final, style.key) + FOLLOWED * style.step / 2
         ajar = self.hand.is_ajar(self.part, style.final)
@@ -132,7 +148,7 @@ class TurnToOpenExpert:
         for _ in range(MAX_MOTIONS):
             followed = yield from self._turn()
             may = followed and abs(self.angle) >= style.not_before and rng.random() < style.p_open
-            if (self.at_end or may) and (yield from self._try_to_open()):
+            if (self.is_free or may) and (yield from self._try_to_open()):
                 return
 
     def static(self, direction: int, turn_range: float) -> KeyFrames:
@@ -165,7 +181,9 @@ class TurnToOpenExpert:
         start = self.angle
         # What has sprung back is turned on twice as fast until it is where it was; any faster feels like a stop.
         ahead = max(self.direction * start, self.farthest) + style.step - self.direction * start
-        goal = start + self.direction * min(ahead, 2 * style.step)
+        # No farther than is enough, and a little more, for the hand gives way.
+        left = (1.0 + GIVES) * style.enough - self.direction * start
+        goal = start + self.direction * min(ahead, 2 * style.step, max(left, style.step / 2))
         yield from hand.move(self.part, style.key, goal, Phase.UNLOCK)
         if hand.empty:
             yield from hand.regrasp(self.part)

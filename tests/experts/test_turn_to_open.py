@@ -26,9 +26,7 @@ LIFTED, SWUNG = ("bottle", "pen", "pressure_cooker", "coffee_maker"), ("window",
 
 def upstream_s(category: str) -> TurnToOpen:
     """The sequence of upstream's code, which shares joints and opening with the paper's."""
-    style = EXPERTS[category].upstream
-    assert style is not None
-    return style
+    return EXPERTS[category].others["upstream"]
 
 
 STYLES = {category: upstream_s(category) for category in TURNED_TO_OPEN}
@@ -206,6 +204,25 @@ def test_upstream_s_expert_neither_tries_first_nor_before_its_angle(
 def test_upstream_s_angle_is_the_least_that_can_be_enough(category: str) -> None:
     nominal = cached_object(first_object(category)).joint(STYLES[category].key).limits[1]
     assert STYLES[category].not_before == pytest.approx(0.5 * 0.85 * nominal, abs=1e-3)
+
+
+@every_turned
+@fast
+@given(st.data(), directions, fractions, seeds)
+def test_who_turns_to_the_stop_tries_once(
+    category: str, data: st.DataObject, direction: int, fraction: float, seed: int
+) -> None:
+    name = data.draw(object_names(category))
+    world = KinematicWorld(name, hidden(name, direction, fraction))
+    episode = run(world, adaptive(world, seed, preset="to_stop"))
+    assert max(world.successes)
+    (first, _), *_ = opens(episode)
+    assert {move.joint for move in episode.moves[first:]} == {world.final}
+    assert abs(episode.moves[first - 1].end) >= 0.85 * world.hidden["turn_range"]
+    assert episode.key_frames <= MAX_KEY_FRAMES
+    # One turn the wrong way, and one into the stop, are all that can fail.
+    blocked = [move for move in episode.moves[:first] if abs(move.end - move.start) < 0.05]
+    assert len(blocked) <= 2
 
 
 @every_turned
