@@ -137,6 +137,7 @@ def test_merged_files_have_the_types_of_recorded_ones(whole: Path, edited: Path)
     assert pq.read_metadata(next((edited / "merged" / "data").rglob("*.parquet"))).num_row_groups == 6
 
 
+@pytest.mark.nightly  # whether LeRobot still needs the mend
 def test_without_the_mend_the_command_fails(whole: Path, tmp_path: Path) -> None:
     """Once it does not, the mend can go."""
     delete = operation("delete_episodes", episode_indices=[1])
@@ -183,6 +184,7 @@ def documented() -> tuple[str, list[str]]:
     return code, re.findall(r"```text\n(.*?)```", text, re.DOTALL)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("patched", [False, True])
 def test_the_patch_applies_and_mends_what_the_reproduction_shows(tmp_path: Path, patched: bool) -> None:
     code, (failing, working) = documented()
