@@ -84,7 +84,7 @@ class Run:
         return [*begin, *(SEVERAL_TASKS if self.category == SUITE else ()), *self.options.train]
 
     def correct(self) -> None:
-        """Lets the policy drive and the expert correct it; trains anew, on demonstrations and corrections (DAgger)."""
+        """Lets the policy drive and the expert correct it; trains on both, anew or on from where it was (DAgger)."""
         given, corrections, both = self.options, self.folder / "corrections", self.folder / "both"
         if not self.corrected:
             return
@@ -94,7 +94,10 @@ class Run:
             self._run("correct", *self._recording(corrections, given.corrections), *policy, *expert)
         if not _recorded(both):
             self._merge("merge", [self.data, corrections], both)
-        self._train("retrain", both, given.correction_steps, self._begin())
+        begin = self._begin()
+        if given.correction_start == "trained":
+            begin = [f"--policy.path={self.checkpoint('train')}", *begin[1:]]
+        self._train("retrain", both, given.correction_steps, begin)
 
     @property
     def corrected(self) -> bool:
@@ -281,6 +284,9 @@ def arguments() -> argparse.Namespace:
         "--corrected", type=list_of((*CATEGORIES, SUITE)), default=(), help="categories; all if left out"
     )
     parser.add_argument("--correction-steps", type=count, default=6000, help="of the training with them (%(default)s)")
+    parser.add_argument(
+        "--correction-start", choices=("new", "trained"), default="new", help="begin with new weights (%(default)s)"
+    )
     parser.add_argument("--split", choices=("validation", "test"), default="validation")
     parser.add_argument("--objects", type=list_of(OBJECTS), default=("seen",), help="evaluated on: seen, unseen, novel")
     parser.add_argument("--episodes", type=count, default=100, help="of an evaluation (%(default)s)")
