@@ -64,7 +64,7 @@ def run_of(folder: Path, category: str = "door", **changes: Any) -> Run:
         "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
         "corrections": 0, "correction_steps": 4, "expert": "adaptive", "out": folder / "runs", "objects": ("seen",),
         "name": ("default",), "category": ("door",), "result": folder / "result.json", "title": "policies",
-        "corrected": (),
+        "corrected": (), "expert_preset": "paper", "correction_start": "new",
     }  # fmt: skip
     return Run(folder / "runs" / f"default-{category}", category, argparse.Namespace(**{**values, **changes}))
 
@@ -114,6 +114,20 @@ def test_a_policy_is_corrected_once_and_what_was_retrained_is_evaluated(tmp_path
     first, on = (next(word for word in call if word.startswith("--output_dir=")) for call in commands.called[1:5:3])
     assert commands.called[2][commands.called[2].index("--policy") + 1].startswith(first.partition("=")[2])
     assert commands.called[5][1].startswith(f"--policy.path={on.partition('=')[2]}")
+
+
+def test_corrections_may_go_on_from_the_trained_weights(tmp_path: Path, commands: Commands) -> None:
+    for start in ("new", "trained"):
+        all_of(run_of(tmp_path / start, corrections=3, correction_start=start, expert_preset="to_stop"))
+    (_, fresh), (first, on) = (
+        [call for call in commands.called if call[0] == "lerobot-train"][i : i + 2] for i in (0, 2)
+    )
+    weights = next(word for word in first if word.startswith("--output_dir=")).partition("=")[2]
+    assert on[1].startswith(f"--policy.path={weights}")
+    assert fresh[1] == "--policy.type=dp3_adaptive"
+    assert "--policy.trunk_dim=64" in on
+    recorded = [call for call in commands.called if call[1] == "collect"]
+    assert all(call[call.index("--expert-preset") + 1] == "to_stop" for call in recorded)
 
 
 def test_only_the_categories_that_were_named_are_corrected(tmp_path: Path, commands: Commands) -> None:
