@@ -62,10 +62,10 @@ class GripperThread:
 
     def want(self, opening: float) -> None:
         """Takes note of the wanted opening, 0 closed ... 1 open; returns at once."""
-        is_open = self._wanted if self._wanted is not None else self._opening > 0.5  # noqa: PLR2004
+        is_open = self._wanted if self._wanted is not None else self._opening > 0.5
         if opening > OPEN_ABOVE or opening < CLOSE_BELOW:
             is_open = opening > OPEN_ABOVE
-        if self._wanted is None and is_open == (self._opening > 0.5):  # noqa: PLR2004
+        if self._wanted is None and is_open == (self._opening > 0.5):
             self._done = is_open
         self._wanted = is_open
         if self._wanted != self._done:

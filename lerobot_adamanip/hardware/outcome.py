@@ -70,7 +70,9 @@ class OutcomeWatch:
         self._until, self._strained = began + time_limit, 0
         self._arrived: float | None = None
 
-    def look(self, tcp_in_base: Array, desired_in_base: Array, running: bool, speed: float, now: float) -> Outcome | None:
+    def look(
+        self, tcp_in_base: Array, desired_in_base: Array, running: bool, speed: float, now: float
+    ) -> Outcome | None:
         """Returns how the motion ended; None while it is under way.
 
         Args:

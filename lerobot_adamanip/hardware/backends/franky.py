@@ -6,14 +6,13 @@ The control loop (1 kHz) is a thread of franky's, in C++; this backend gives it 
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from lerobot_adamanip.errors import RobotError
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
+from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array
 from lerobot_adamanip.hardware.arm_process.served import Served
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
 from lerobot_adamanip.hardware.backends.franky_sdk import (
@@ -216,7 +215,7 @@ class FrankyBackend:
         """The flags that are set, as far as the arm still tells them."""
         with contextlib.suppress(Exception):
             state = self._robot.state
-            if MODE_OF_ERRORS == state.robot_mode.name or flags_of(state.current_errors):
+            if state.robot_mode.name == MODE_OF_ERRORS or flags_of(state.current_errors):
                 return ", ".join(flags_of(state.current_errors) or flags_of(state.last_motion_errors))
         return ""
 

@@ -45,7 +45,7 @@ def connect_robot(franky: Any, options: FrankyOptions) -> Any:
             controller_mode=franky.ControllerMode.CartesianImpedance,
             realtime_config=realtime,
         )
-    except franky.NetworkException as error:
+    except franky.NetworkException:
         hint = "is the address right, the arm unlocked, FCI activated in Desk, no other program connected?"
     except franky.RealtimeException as error_:
         error, hint = error_, "a real-time kernel (docs/robot.md); realtime=false for a simulated arm only"
