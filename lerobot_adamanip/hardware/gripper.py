@@ -15,6 +15,8 @@ from lerobot_adamanip.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
 """Opening that is wanted [0 closed, 1 open]: between the two nothing changes."""
+WIDE = 0.95
+"""Fingers that are open this far at first need not be opened."""
 READ_PERIOD = 0.05
 """Between two looks at the fingers [s]."""
 

@@ -71,7 +71,7 @@ class OutcomeWatch:
         self._arrived: float | None = None
 
     def look(
-        self, tcp_in_base: Array, desired_in_base: Array, running: bool, speed: float, now: float
+        self, tcp_in_base: Array, desired_in_base: Array, *, running: bool, speed: float, now: float
     ) -> Outcome | None:
         """Returns how the motion ended; None while it is under way.
 

@@ -1,4 +1,4 @@
-"""The safety filter: what a target has to be like before it is sent to an arm. Not a safety function: see docs/robot.md.
+"""What a target has to be like before it is sent to an arm. Not a safety function: see docs/robot.md.
 
 Pure: time passed and the measured pose are given. Teleoperator and robot apply the same filter; it works in float32 and
 changes nothing that it has let through once, bit for bit, so that applying it twice is applying it once.

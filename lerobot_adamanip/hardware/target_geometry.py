@@ -46,7 +46,7 @@ class Placed:
 def placed(target: Target) -> Placed:
     """Returns a well-formed target with its pose."""
     values = target.tolist()
-    return Placed(target, np.array(values[:3]), _rotation(*values[3:9]))
+    return Placed(target, np.array(values[:3]), _rotation(values[3:9]))
 
 
 def placed_at(tcp_in_base: Array, gripper: float) -> Placed:
@@ -54,8 +54,9 @@ def placed_at(tcp_in_base: Array, gripper: float) -> Placed:
     return placed(pose_vector(tcp_in_base, gripper))
 
 
-def _rotation(a: float, b: float, c: float, d: float, e: float, f: float) -> Array:
+def _rotation(rows: list[float]) -> Array:
     """Gram-Schmidt on two rows that are nearly orthonormal."""
+    a, b, c, d, e, f = rows
     size = math.sqrt(a * a + b * b + c * c)
     a, b, c = a / size, b / size, c / size
     along = a * d + b * e + c * f

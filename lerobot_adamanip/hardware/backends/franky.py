@@ -34,6 +34,8 @@ GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
 """After a recovery: dynamics relative to the usual, for this long [s of the arm's clock]."""
 LEANS = 0.01
 """An arm that lags its target by more than this at rest leans on something [m]; the next key frame gives that up."""
+STAYS = 5e-4
+"""A goal that is nearer than this is no motion [m, rad]."""
 STOP_TIME = 1.0
 """At most waited for a stop when closing [s]."""
 
@@ -117,9 +119,9 @@ class FrankyBackend:
         ended = self._watch.look(
             np.array(state.O_T_EE.matrix),
             np.array(state.O_T_EE_d.matrix),
-            running,
-            float(np.abs(state.dq).max()),
-            state.time.to_msec() / 1000.0,
+            running=running,
+            speed=float(np.abs(state.dq).max()),
+            now=state.time.to_msec() / 1000.0,
         )
         if ended is None:
             return
@@ -151,8 +153,10 @@ class FrankyBackend:
         here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
         leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANS
         ways = [here, goal] if leaning else [goal]
-        points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
         self._watch = OutcomeWatch(goal, self._options.stall_rule, now, self._time_limit(here, goal))
+        if not leaning and max(pose_error(here, goal)) < STAYS:
+            return  # the fingers alone
+        points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
         self._move(self._franky.CartesianWaypointMotion(points, relative_dynamics_factor=self._pace))
 
     def _time_limit(self, here: Array, goal: Array) -> float:
@@ -218,9 +222,6 @@ class FrankyBackend:
             if state.robot_mode.name == MODE_OF_ERRORS or flags_of(state.current_errors):
                 return ", ".join(flags_of(state.current_errors) or flags_of(state.last_motion_errors))
         return ""
-
-
-MODE_OF_ERRORS = "Reflex"
 
 
 def serve_franky(options: dict[str, Any]) -> Served:

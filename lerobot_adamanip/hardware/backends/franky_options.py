@@ -78,7 +78,7 @@ def franky_options(options: dict[str, Any]) -> FrankyOptions:
     found = FrankyOptions(**_OPTIONS("the arm's options", {**dataclasses.asdict(FrankyOptions()), **options}))
     if found.stall_force >= found.collision_force:
         raise ValueError(
-            f"a pull is given up at {found.stall_force:g} N, the arm's own reflex comes at {found.collision_force:g} N: "
+            f"a pull is given up at {found.stall_force:g} N, the arm's reflex comes at {found.collision_force:g} N: "
             "lower stall_force or raise collision_force"
         )
     return found
