@@ -64,12 +64,11 @@ class GripperThread:
 
     def want(self, opening: float) -> None:
         """Takes note of the wanted opening, 0 closed ... 1 open; returns at once."""
-        is_open = self._wanted if self._wanted is not None else self._opening > 0.5
-        if opening > OPEN_ABOVE or opening < CLOSE_BELOW:
-            is_open = opening > OPEN_ABOVE
-        if self._wanted is None and is_open == (self._opening > 0.5):
-            self._done = is_open
-        self._wanted = is_open
+        if CLOSE_BELOW <= opening <= OPEN_ABOVE:
+            return
+        if self._wanted is None and opening > OPEN_ABOVE and self._opening > WIDE:
+            self._done = True
+        self._wanted = opening > OPEN_ABOVE
         if self._wanted != self._done:
             self._wake.set()
 

@@ -219,8 +219,7 @@ class FrankyBackend:
         """The flags that are set, as far as the arm still tells them."""
         with contextlib.suppress(Exception):
             state = self._robot.state
-            if state.robot_mode.name == MODE_OF_ERRORS or flags_of(state.current_errors):
-                return ", ".join(flags_of(state.current_errors) or flags_of(state.last_motion_errors))
+            return ", ".join(flags_of(state.current_errors) or flags_of(state.last_motion_errors))
         return ""
 
 
