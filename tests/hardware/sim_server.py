@@ -3,8 +3,9 @@
     python sim_server.py LOG [HOSTNAME]
 
 Prints its address. A line on stdin, the number of a flag (libfranka's order; 7 is cartesian_reflex), is a reflex. LOG
-gets JSON lines of four kinds: ``{"t", "c"}`` a commanded pose, ``{"t", "p"}`` a measured one (every 10 ms), ``{"t",
-"move"}`` a motion that began and ``{"t", "recover"}``: what the arm's controller has seen, whatever programs believe.
+gets JSON lines, each with ``t`` (`time.perf_counter()`) and ``k`` (simulated ms): ``c`` a commanded pose, ``p`` a measured one
+(every 10 ms), ``move`` a motion that began, ``reflex`` and ``recover``: what the arm's controller has seen, whatever the
+programs before it believe. Poses are 16 numbers by columns.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class FaultyServer(FrankaRobotServer):
         super().__init__(robot, hostnames)
 
     def note(self, **row: object) -> None:
-        self.log.write(json.dumps({"t": time.perf_counter(), **row}) + "\n")
+        self.log.write(json.dumps({"t": time.perf_counter(), "k": self.ticks, **row}) + "\n")
 
     @property
     def robot_state(self) -> Any:
