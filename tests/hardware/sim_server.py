@@ -3,9 +3,9 @@
     python sim_server.py LOG [HOSTNAME]
 
 Prints its address. A line on stdin, the number of a flag (libfranka's order; 7 is cartesian_reflex), is a reflex. LOG
-gets JSON lines, each with ``t`` (`time.perf_counter()`) and ``k`` (simulated ms): ``c`` a commanded pose, ``p`` a measured one
-(every 10 ms), ``move`` a motion that began, ``reflex`` and ``recover``: what the arm's controller has seen, whatever the
-programs before it believe. Poses are 16 numbers by columns.
+gets JSON lines, each with ``t`` (`time.perf_counter()`) and ``k`` (simulated ms): ``c`` a commanded pose, ``p`` a
+measured one (every 10 ms), ``move`` a motion that began, ``reflex`` and ``recover``: what the arm's controller has
+seen, whatever the programs before it believe. Poses are 16 numbers by columns.
 """
 
 from __future__ import annotations
