@@ -241,7 +241,7 @@ class SafetyFilter:
         rounded = position.astype(np.float32)
         rounded = np.where(rounded < lower, np.nextafter(rounded, np.float32(np.inf)), rounded)
         rounded = np.where(rounded > upper, np.nextafter(rounded, np.float32(-np.inf)), rounded)
-        return moved_to(pose, rounded, float(pose.target[GRIPPER_DIM]))
+        return moved_to(pose, rounded.astype(np.float64), float(pose.target[GRIPPER_DIM]))
 
     def _turned(self, origin: Placed, goal: Placed, measured: Placed, turn: float) -> Placed:
         """The origin, turned by at most ``turn`` [rad] towards what is wanted, and within the lead."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.session import BOARD, RobotSession
 from lerobot_adamanip.schema import POSE_NAMES
 
@@ -31,7 +32,7 @@ OPERATOR_SUCCESS, SUCCESS = "operator_success", "success"
 _logger = logging.getLogger(__name__)
 
 
-class AdamanipFranka(Robot):  # type: ignore[misc]
+class AdamanipFranka(Robot):
     """A Franka with its hand, as LeRobot sees it. Subclasses change which process is started (`_make_client`).
 
     Args:
@@ -142,8 +143,8 @@ class AdamanipFranka(Robot):  # type: ignore[misc]
                 hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
             )
         return SafetyLimits(
-            tuple(config.box_lower),
-            tuple(config.box_upper),
+            corner(config.box_lower),
+            corner(config.box_upper),
             speed=config.speed,
             angular_speed=config.angular_speed,
             lead=config.lead,
@@ -236,3 +237,9 @@ class AdamanipFranka(Robot):  # type: ignore[misc]
     def recover(self) -> None:
         """Clears a fault; nothing moves, and the next actions begin at the present pose. Raises `RobotError`."""
         self._motion.recover()
+
+
+def corner(values: Sequence[float]) -> Corner:
+    """Returns three coordinates [m], which a parser may have given as a list."""
+    x, y, z = map(float, values)
+    return x, y, z
