@@ -90,6 +90,7 @@ class OutcomeWatch:
         if now > self._until:
             return Outcome.TIMEOUT
         if running:
+            self._arrived = None
             return None
         self._arrived = now if self._arrived is None else self._arrived
         return self._settled(pose_error(tcp_in_base, self._goal), speed, now - self._arrived)

@@ -58,6 +58,14 @@ def test_an_arm_that_follows_late_gets_half_a_second() -> None:
     assert looking.look(behind(0.02), GOAL, running=False, speed=0.0, now=1.51) is Outcome.STALLED
 
 
+def test_a_motion_that_begins_late_is_not_taken_for_one_that_ended() -> None:
+    looking = watch()
+    assert looking.look(behind(0.02), behind(0.02), running=False, speed=0.0, now=0.0) is None
+    for k in range(1, 100):
+        assert looking.look(behind(0.02), behind(0.02), running=True, speed=0.1, now=k * TICK) is None
+    assert looking.look(behind(0.02), GOAL, running=False, speed=0.1, now=2.0) is None
+
+
 def test_a_motion_without_end_is_given_up() -> None:
     looking = watch(time_limit=2.0)
     assert looking.look(behind(0.01), behind(0.01), running=True, speed=0.1, now=1.99) is None

@@ -106,7 +106,9 @@ class FrankyBackend:
         """Looks how the key frame goes. Raises `RobotError` for a motion that broke off, or a gripper that failed."""
         if self._hand is not None:
             self._hand.check()
-        running = bool(self._ask(self._robot.poll_motion))
+        # Raises what ended a motion. Its answer is not used: in franky 2.0.0 it is the opposite of the documented one.
+        self._ask(self._robot.poll_motion)
+        running = bool(self._ask(lambda: self._robot.is_in_control))
         if self._watch is not None:
             self._state = self._ask(lambda: self._robot.state)
             self._look(running)
