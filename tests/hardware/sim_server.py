@@ -75,7 +75,7 @@ class FaultyServer(FrankaRobotServer):
         super()._pre_process_commands()
         self.ticks += 1
         if self.ticks % 10 == 0:
-            self.note(p=list(super().robot_state.O_T_EE))
+            self.note(p=list(super().robot_state.O_T_EE), width=float(self.robot.hand_width))
         if self.asked and self.reflex is None:
             self.reflex, motion = self.asked.pop(0), self.current_motion_id
             self.note(reflex=self.reflex)
