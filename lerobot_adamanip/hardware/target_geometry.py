@@ -89,7 +89,7 @@ def canonical(target: NDArray[np.generic]) -> Target | None:
 
 def rotation_error(target: Target) -> float:
     """Returns by how much the rows of a finite target's rotation are not orthonormal."""
-    a, b, c, d, e, f = target[ROTATION_DIMS].tolist()
+    a, b, c, d, e, f = (float(value) for value in target[ROTATION_DIMS])
     return max(abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1), abs(a * d + b * e + c * f))
 
 
