@@ -177,6 +177,21 @@ def check_render_backend() -> Check:
     return Check("Render backend", True, f"auto is {resolve_render_backend()}", required=False)
 
 
+def check_franka() -> Check:
+    """What drives a real arm, without importing it; and the firmware that the wheel on the index speaks to."""
+    advice = "pip install 'lerobot_env_adamanip[franka]'; for older arms another wheel: docs/robot.md"
+    wanted = _requirements().get("franky-control")
+    try:
+        version = metadata.version("franky-control")
+    except metadata.PackageNotFoundError:
+        return Check("Real Franka", False, "franky-control is not installed", advice, required=False)
+    fits = wanted is None or wanted.specifier.contains(Version(version), prereleases=True)
+    found = f"franky-control {version}" if fits else f"franky-control {version}, wanted {wanted.specifier}"  # type: ignore[union-attr]
+    realtime = Path("/sys/kernel/realtime").is_file()
+    kernel = "real-time kernel" if realtime else "no real-time kernel, which a real arm needs"
+    return Check("Real Franka", fits, f"{found}; {kernel}", advice, required=False)
+
+
 def check_cuda() -> Check:
     """A GPU for training; not required."""
     import torch
@@ -237,6 +252,7 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
     check_vulkan,
     check_rendering,
     check_render_backend,
+    check_franka,
     check_cuda,
     check_mixed_precision,
     check_video,

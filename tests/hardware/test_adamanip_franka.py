@@ -1,0 +1,307 @@
+"""The robot as LeRobot uses it, on the fake arm in its process: features, filter, key frames, streams, faults, life."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import draccus
+import numpy as np
+import pytest
+from arm_helpers import LOCKSTEP, PATIENT, eventually
+from lerobot.cameras.configs import CameraConfig
+from lerobot.robots import RobotConfig
+from lerobot.robots.utils import make_robot_from_config
+
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, RobotError
+from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
+from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.hardware.session import BOARD
+from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.schema import POSE_NAMES, STATE_NAMES
+
+BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
+
+
+@dataclass
+class Command:
+    """As LeRobot's commands have it."""
+
+    robot: RobotConfig
+
+
+class FakeFranka(AdamanipFranka):
+    """The robot on the fake: what the twin does, too, is to say which process is started."""
+
+    server: ServerOptions
+    options: dict[str, Any]
+
+    def _make_client(self) -> ArmClient:
+        return ArmClient("fake", self.options, server=self.server, connect_time=60)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., FakeFranka]]:
+    robots: list[FakeFranka] = []
+
+    def make(server: ServerOptions = PATIENT, wall: float = 0.7, **options: Any) -> FakeFranka:
+        config = AdamanipFrankaConfig(id="test", calibration_dir=tmp_path, **{**BOX, **options})
+        robot = FakeFranka(config)
+        robot.server, robot.options = server, {"wall": wall}
+        robots.append(robot)
+        return robot
+
+    yield make
+    for robot in robots:
+        robot.disconnect()
+
+
+def arm_of(robot: FakeFranka) -> ArmClient:
+    assert robot._client is not None
+    return robot._client
+
+
+def pose_of(observation: dict[str, Any]) -> dict[str, float]:
+    return {name: observation[name] for name in POSE_NAMES}
+
+
+def test_lerobot_makes_it_from_its_own_command_line() -> None:
+    arguments = ["--type=adamanip_franka", "--id=a", "--address=172.16.0.2", "--model=fr3"]
+    box = ["--box_lower=[0.3, -0.4, 0.0]", "--box_upper=[0.8, 0.4, 0.7]"]
+    given = [argument.replace("--", "--robot.", 1) for argument in [*arguments, *box]]
+    robot = make_robot_from_config(draccus.parse(Command, None, args=given).robot)
+    assert type(robot) is AdamanipFranka
+    assert robot._safety_limits().box_lower == (0.3, -0.4, 0.0)
+    assert robot.config.dynamics == 0.05
+    assert not robot.is_connected
+
+
+def test_features_are_the_contracts(make: Callable[..., FakeFranka]) -> None:
+    robot = make()
+    assert tuple(robot.observation_features) == SCALAR_NAMES
+    assert set(robot.observation_features.values()) == {float}
+    assert tuple(robot.action_features) == POSE_NAMES
+    kept_by_rollouts = tuple(name for name in robot.observation_features if name.endswith((".pos", ".vel")))
+    assert kept_by_rollouts == STATE_NAMES
+    robot.connect()
+    seen = robot.get_observation()
+    assert tuple(seen) == SCALAR_NAMES
+    assert all(isinstance(value, float) for value in seen.values())
+    assert seen["arm.outcome"] == -1
+    assert [seen[name] for name in SCALAR_NAMES if name.startswith("sent.")] == pytest.approx(
+        [seen[name] for name in POSE_NAMES], abs=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"box_lower": None}, "box that the hand may be in"), ({"box_upper": (0.3, 0.5, 0.8)}, "too small")],
+)
+def test_a_box_has_to_be_given(make: Callable[..., FakeFranka], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        make(**options).connect()
+
+
+def test_which_arm_it_is_has_to_be_said(tmp_path: Path) -> None:
+    robot = AdamanipFranka(AdamanipFrankaConfig(calibration_dir=tmp_path, **BOX))  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="which arm"):
+        robot.connect()
+    with pytest.raises(AdaManipError, match="execution"):
+        AdamanipFrankaConfig(execution="fast")
+    with pytest.raises(AdaManipError, match="fr3, panda"):
+        AdamanipFrankaConfig(model="fer")
+
+
+def test_a_hand_outside_the_box_is_refused_and_nothing_is_left_running(make: Callable[..., FakeFranka]) -> None:
+    robot = make(box_lower=(0.6, -0.5, 0.0))
+    with pytest.raises(RobotError, match="outside the box"):
+        robot.connect()
+    assert not robot.is_connected
+    assert BOARD.find("test") is None
+
+
+def test_the_first_action_of_a_stream_does_not_move_it_the_next_only_so_far(
+    make: Callable[..., FakeFranka],
+) -> None:
+    robot = make()
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    far = {**start, "ee.x.pos": start["ee.x.pos"] + 0.2}
+    assert robot.send_action(far) == pytest.approx(start, abs=1e-6)
+    time.sleep(0.03)
+    sent = robot.send_action(far)
+    assert 0.002 < sent["ee.x.pos"] - start["ee.x.pos"] <= 0.0101  # 0.1 m/s, at most 0.1 s
+    seen = robot.get_observation()
+    assert seen["sent.ee.x"] == pytest.approx(sent["ee.x.pos"], abs=0)
+
+
+def test_what_is_returned_is_what_the_arm_was_sent(make: Callable[..., FakeFranka]) -> None:
+    robot = make(LOCKSTEP)
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    returned = [robot.send_action({**start, "ee.y.pos": 5.0}) for _ in range(40)]
+    targets = arm_of(robot).request("targets")["targets"]
+    assert [list(sent.values()) for sent in returned] == targets
+    steps = np.diff([sent["ee.y.pos"] for sent in returned])
+    assert steps.max() <= 0.1 / 30
+    assert returned[-1]["ee.y.pos"] == pytest.approx(39 * 0.1 / 30, abs=1e-3)
+    assert robot.session.details["lockstep_dt"] == 1 / 30
+
+
+def test_a_key_frame_is_one_call_and_its_end_is_observed(make: Callable[..., FakeFranka]) -> None:
+    robot = make(execution="keyframe")
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    sent = robot.send_action({**start, "ee.x.pos": 0.55, "gripper.pos": 0.0})
+    seen = robot.get_observation()
+    assert sent["ee.x.pos"] == pytest.approx(0.55)
+    assert seen["ee.x.pos"] == pytest.approx(0.55, abs=1e-6)
+    assert seen["gripper.pos"] == 0.0
+    assert seen["arm.outcome"] == Outcome.REACHED
+    robot.send_action({**start, "ee.x.pos": 0.8})  # a wall at 0.7
+    assert robot.get_observation()["arm.outcome"] == Outcome.STALLED
+
+
+def test_the_same_key_frame_again_is_no_motion(make: Callable[..., FakeFranka]) -> None:
+    robot = make(execution="keyframe")
+    robot.connect()
+    goal = {**pose_of(robot.get_observation()), "ee.x.pos": 0.52}
+    first = robot.send_action(goal)
+    began = time.perf_counter()
+    assert [robot.send_action(goal) for _ in range(5)] == [first] * 5
+    assert time.perf_counter() - began < 1.0
+    assert len(arm_of(robot).request("targets")["targets"]) == 1
+    robot.send_action({**goal, "gripper.pos": 0.0})
+    assert len(arm_of(robot).request("targets")["targets"]) == 2
+
+
+def test_auto_takes_far_actions_for_key_frames_and_near_ones_for_a_stream(make: Callable[..., FakeFranka]) -> None:
+    robot = make(execution="auto")
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    robot.send_action({**start, "ee.x.pos": 0.503})
+    assert robot.get_observation()["arm.outcome"] == -1
+    robot.send_action({**start, "ee.x.pos": 0.56})
+    seen = robot.get_observation()
+    assert seen["arm.outcome"] == Outcome.REACHED
+    assert seen["ee.x.pos"] == pytest.approx(0.56, abs=1e-6)
+
+
+def test_malformed_actions_keep_the_last_and_ten_end_it(make: Callable[..., FakeFranka]) -> None:
+    robot = make(LOCKSTEP)
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    last = robot.send_action(start)
+    wrong = {**start, "ee.x.pos": float("nan")}
+    for _ in range(9):
+        assert robot.send_action(wrong) == last
+    with pytest.raises(RobotError, match="10 malformed"):
+        robot.send_action(wrong)
+    with pytest.raises(ConfigurationError, match=r"no gripper\.pos"):
+        robot.send_action(dict.fromkeys(POSE_NAMES[:9], 0.0))
+
+
+def inject_reflex(robot: FakeFranka) -> None:
+    arm_of(robot).request("inject", {"kind": "reflex", "flags": ["cartesian_reflex"]})
+    eventually(arm_of(robot), lambda status: status.fault is not None)
+
+
+def test_a_reflex_is_raised_with_its_flags_and_recovered_by_hand(make: Callable[..., FakeFranka]) -> None:
+    robot = make()
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    inject_reflex(robot)
+    for call in (robot.get_observation, lambda: robot.send_action(start)):
+        with pytest.raises(RobotError, match="cartesian_reflex"):
+            call()
+    robot.recover()
+    robot.get_observation()
+    assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)  # begins where it is
+
+
+def test_three_faults_in_a_row_end_what_two_do_not(make: Callable[..., FakeFranka]) -> None:
+    robot = make(auto_recover=2)
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    for _ in range(2):
+        inject_reflex(robot)
+        assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)
+    inject_reflex(robot)
+    with pytest.raises(RobotError, match=r"3 faults in a row; the last: .*cartesian_reflex"):
+        robot.send_action(start)
+
+
+def test_a_key_frame_that_is_reached_forgives_the_faults_before(make: Callable[..., FakeFranka]) -> None:
+    robot = make(execution="keyframe", auto_recover=1)
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    for x in (0.51, 0.52, 0.53):
+        inject_reflex(robot)
+        robot.send_action({**start, "ee.x.pos": x})
+        assert robot.get_observation()["arm.outcome"] == Outcome.REACHED
+
+
+def test_a_process_that_dies_is_one_clear_error_and_connecting_again_works(make: Callable[..., FakeFranka]) -> None:
+    robot = make()
+    robot.connect()
+    arm_of(robot).tell("inject", {"kind": "die"})
+    process = arm_of(robot)._process
+    assert process is not None
+    process.wait(20)
+    with pytest.raises(RobotError, match="exit status -9"):
+        robot.get_observation()
+    assert not robot.is_connected
+    began = time.perf_counter()
+    robot.disconnect()
+    robot.disconnect()
+    assert time.perf_counter() - began < 2.0
+    robot.connect()
+    robot.get_observation()
+
+
+def test_nothing_is_answered_before_connecting_or_after_disconnecting(make: Callable[..., FakeFranka]) -> None:
+    robot = make()
+    robot.disconnect()
+    for call in (robot.get_observation, robot.recover, lambda: robot.send_action(dict.fromkeys(POSE_NAMES, 0.0))):
+        with pytest.raises(RobotError, match="not connected"):
+            call()
+    robot.connect()
+    with pytest.raises(RobotError, match="connected already"):
+        robot.connect()
+    assert BOARD.find("test") is robot.session
+    robot.disconnect()
+    assert BOARD.find("test") is None
+
+
+def test_the_operators_key_is_a_label(make: Callable[..., FakeFranka]) -> None:
+    robot = make()
+    robot.connect()
+    assert robot.get_observation()["label.success"] == 0.0
+    robot.session.details["operator_success"] = True
+    assert robot.get_observation()["label.success"] == 1.0
+
+
+def test_a_file_of_cameras_does_not_pass_for_calibrations_of_motors(
+    make: Callable[..., FakeFranka], tmp_path: Path
+) -> None:
+    """LeRobot reads `<id>.json` as those when it makes a robot, and fails."""
+    robot = make()
+    assert robot.calibration_file == tmp_path / "test.cameras.json"
+    assert robot.calibration_file != robot.calibration_fpath
+    assert robot.is_calibrated  # no camera with depth
+
+
+def test_a_camera_that_is_not_there_leaves_nothing_running(make: Callable[..., FakeFranka], tmp_path: Path) -> None:
+    from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
+
+    camera: CameraConfig = AdamanipReplayConfig(path=tmp_path / "nothing", fps=30, width=8, height=8)
+    robot = make(cameras={"front": camera})
+    with pytest.raises(AdaManipError):
+        robot.connect()
+    assert not robot.is_connected

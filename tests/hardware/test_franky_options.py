@@ -1,0 +1,110 @@
+"""What is written to the real arm before it moves, with a stand-in for the library."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmMode
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
+from lerobot_adamanip.hardware.backends.franky_sdk import check_joints, flags_of, reading_of, set_limits, wanted_limits
+from lerobot_adamanip.hardware.limits import FR3, PANDA
+from lerobot_adamanip.keyframes import Outcome
+
+VALUES = {"address": "172.16.0.2", "model": "fr3"}
+
+
+class Limit:
+    """As franky's: no more than it believes the arm can do."""
+
+    def __init__(self, highest: float, *, loses: float = 0.0) -> None:
+        self.max, self._value, self._loses = highest, None, loses
+
+    def set(self, value: Any) -> None:
+        assert np.max(value) <= self.max
+        self._value = np.asarray(value) - self._loses
+
+    def get(self) -> Any:
+        return self._value
+
+
+def robot(highest: float, loses: float = 0.0) -> Any:
+    return SimpleNamespace(**{name: Limit(highest, loses=loses) for name, _ in wanted_limits(FrankyOptions())})
+
+
+@pytest.mark.parametrize(("model", "table"), [("fr3", FR3), ("panda", PANDA)])
+def test_what_is_read_back_is_our_table_times_the_dynamics(model: str, table: Any) -> None:
+    options = FrankyOptions(model=model, dynamics=0.05)
+    read = set_limits(robot(1e9), options)
+    assert read == dict(wanted_limits(options))
+    assert read["translation_velocity_limit"] == [table.translation.velocity * 0.05]
+    assert read["joint_acceleration_limit"] == pytest.approx(np.array(table.joint_acceleration) * 0.05)
+    assert len(read) == 12
+
+
+def test_a_limit_that_the_library_believes_to_be_lower_stays_lower() -> None:
+    read = set_limits(robot(1.7), FrankyOptions(dynamics=1.0))
+    assert read["translation_velocity_limit"] == [1.7]
+
+
+def test_a_limit_that_does_not_stick_is_an_error() -> None:
+    with pytest.raises(RobotError, match="was set to"):
+        set_limits(robot(1e9, loses=0.001), FrankyOptions())
+
+
+def test_an_arm_outside_the_models_range_is_another_arm() -> None:
+    panda = np.array((0.0, -0.3, 0.0, -2.2, 0.0, 0.3, 0.8))  # an FR3's joint 6 begins at 0.54
+    check_joints(panda, FrankyOptions(model="panda"))
+    with pytest.raises(RobotError, match="not within the range of a fr3"):
+        check_joints(panda, FrankyOptions(model="fr3"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"address": ""}, "address"),
+        ({"address": "a b"}, "address"),
+        ({"model": "fer"}, "fr3 | panda"),
+        ({"dynamics": 2.0}, "dynamics"),
+        ({"stiffness": 5000.0}, "stiffness"),
+        ({"effort_sign": 0.5}, "effort_sign"),
+        ({"stall_force": 70.0}, "the arm's reflex comes at 60 N"),
+        ({"speed": 1.0}, "unknown field 'speed'"),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused_by_name(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message.replace("|", r"\|")):
+        franky_options({**VALUES, **options})
+
+
+def state(**values: Any) -> Any:
+    pose = np.eye(4)
+    plain = {
+        "time": SimpleNamespace(to_msec=lambda: 1500), "O_T_EE": SimpleNamespace(matrix=pose), "q": np.arange(7.0),
+        "dq": np.zeros(7), "tau_ext_hat_filtered": np.arange(7.0), "robot_mode": SimpleNamespace(name="Reflex"),
+        "current_errors": SimpleNamespace(joint_reflex=True, cartesian_reflex=True, self_collision=False, text="x"),
+    }  # fmt: skip
+    return SimpleNamespace(**{**plain, **values})
+
+
+def test_a_state_is_told_in_our_words() -> None:
+    reading = reading_of(state(), 0.4, -1.0, Outcome.STALLED)
+    assert reading.robot_time == 1.5
+    assert reading.mode is ArmMode.REFLEX
+    assert reading.errors == ("cartesian_reflex", "joint_reflex")
+    assert reading.outcome is Outcome.STALLED
+    assert (reading.effort == -np.arange(7.0)).all()
+    assert (reading.gripper, reading.qpos.shape, reading.qvel.shape) == (0.4, (7,), (7,))
+    assert reading_of(state(robot_mode=SimpleNamespace(name="NewMode")), 1.0, 1.0, None).mode is ArmMode.OTHER
+
+
+def test_the_real_librarys_flags_are_found_by_name() -> None:
+    import franky
+
+    names = [name for name in dir(franky.Errors()) if not name.startswith("_")]
+    assert {"joint_reflex", "cartesian_reflex", "communication_constraints_violation"} <= set(names)
+    assert flags_of(franky.Errors()) == ()

@@ -1,0 +1,150 @@
+"""The gripper's thread: commands only when what is wanted crosses the middle, and no caller ever waits for one."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.gripper import GripperThread
+
+
+class SlowHand:
+    """Takes its time, and writes down what it was told."""
+
+    def __init__(self, opening: float = 1.0) -> None:
+        self.told: list[str] = []
+        self.width = opening
+        self.go_on = threading.Event()
+        self.go_on.set()
+        self.fails = False
+
+    def open(self) -> None:
+        self._do("open", 1.0)
+
+    def close(self) -> None:
+        self._do("close", 0.2)
+
+    def _do(self, what: str, width: float) -> None:
+        self.told.append(what)
+        self.go_on.wait(20)
+        if self.fails:
+            raise OSError("the hand is gone")
+        self.width = width
+
+    def opening(self) -> float:
+        return self.width
+
+    def stop(self) -> None:
+        self.told.append("stop")
+        self.go_on.set()
+
+
+@pytest.fixture
+def hand() -> SlowHand:
+    return SlowHand()
+
+
+@pytest.fixture
+def gripper(hand: SlowHand) -> Iterator[GripperThread]:
+    thread = GripperThread(lambda: hand)
+    thread.start()
+    yield thread
+    hand.go_on.set()
+    thread.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.perf_counter() + 20
+    while not condition():
+        assert time.perf_counter() < end
+        time.sleep(0.005)
+
+
+def test_a_stream_of_openings_is_few_commands(gripper: GripperThread, hand: SlowHand) -> None:
+    for opening in (1.0, 0.9, 0.6, 0.5, 0.46, 0.44, 0.3, 0.0, 0.2, 0.5, 0.54):
+        gripper.want(opening)
+    until(lambda: not gripper.busy)
+    until(lambda: gripper.opening == 0.2)
+    assert hand.told == ["close"]
+    gripper.want(0.56)
+    until(lambda: gripper.opening == 1.0)
+    assert hand.told == ["close", "open"]
+    assert gripper.commands == 2
+
+
+def test_wanting_never_waits_and_only_the_newest_is_carried_out(gripper: GripperThread, hand: SlowHand) -> None:
+    hand.go_on.clear()
+    gripper.want(0.0)
+    until(lambda: hand.told == ["close"])
+    began = time.perf_counter()
+    for _ in range(1000):
+        gripper.want(1.0)
+        gripper.want(0.0)
+        gripper.want(1.0)
+    took = time.perf_counter() - began
+    assert took / 3000 < 0.005
+    assert gripper.busy
+    hand.go_on.set()
+    until(lambda: not gripper.busy)
+    assert hand.told == ["close", "open"]
+
+
+@pytest.mark.parametrize(("opening", "wanted", "told"), [(1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"])])
+def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open(
+    opening: float, wanted: float, told: list[str]
+) -> None:
+    """Fingers that are closed may not hold: they are told to."""
+    hand = SlowHand(opening)
+    gripper = GripperThread(lambda: hand)
+    gripper.start()
+    gripper.want(wanted)
+    until(lambda: not gripper.busy)
+    assert hand.told == told
+    gripper.close()
+
+
+def test_what_is_between_open_and_closed_at_first_is_left_alone() -> None:
+    hand = SlowHand(0.5)
+    gripper = GripperThread(lambda: hand)
+    gripper.start()
+    gripper.want(0.5)
+    assert not gripper.busy
+    gripper.close()
+    assert hand.told == []
+
+
+def test_a_hand_that_fails_is_told_and_can_be_forgiven(gripper: GripperThread, hand: SlowHand) -> None:
+    hand.fails = True
+    gripper.want(0.0)
+    until(lambda: not gripper.busy)
+    with pytest.raises(RobotError, match="the hand is gone"):
+        gripper.check()
+    hand.fails = False
+    gripper.forgive()
+    gripper.check()
+    gripper.want(0.0)
+    until(lambda: gripper.opening == 0.2)
+
+
+def test_a_hand_that_is_not_there_is_an_error_of_connecting() -> None:
+    def connect() -> SlowHand:
+        raise OSError("no hand")
+
+    with pytest.raises(RobotError, match="OSError: no hand"):
+        GripperThread(connect).start()
+
+
+def test_closing_ends_a_command_under_way(hand: SlowHand) -> None:
+    gripper = GripperThread(lambda: hand)
+    gripper.start()
+    hand.go_on.clear()
+    gripper.want(0.0)
+    until(lambda: hand.told == ["close"])
+    began = time.perf_counter()
+    gripper.close()
+    assert hand.told[-1] == "stop"
+    assert time.perf_counter() - began < 2.0
