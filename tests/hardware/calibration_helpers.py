@@ -51,7 +51,7 @@ def truth(seed: int, count: int = 20, mounting: Mounting = Mounting.FIXED, tilt:
 
 
 def rendered(board_in_camera: Array) -> NDArray[np.uint8]:
-    """The picture (H, W) of a board, at twice its size and then halved, so that edges are smooth as a lens makes them."""
+    """The picture (H, W) of a board, rendered at twice its size, so that edges are smooth."""
     import cv2
 
     drawn = BOARD.image(DOTS)

@@ -87,7 +87,7 @@ def test_the_wrong_mounting_and_a_wrong_square_do_not_fit(fixed: tuple[Truth, li
     with pytest.raises(ConfigurationError, match="px"):
         solve(fixed[1], INTRINSICS, Mounting.WRIST)
     larger = [replace(view, points=1.1 * view.points) for view in fixed[1]]
-    with pytest.raises(ConfigurationError, match="measure the printed squares|contradict"):
+    with pytest.raises(ConfigurationError, match=r"measure the printed squares|contradict"):
         solve(larger, INTRINSICS, Mounting.FIXED)
 
 
