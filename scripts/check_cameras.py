@@ -69,7 +69,7 @@ class Stand:
 
     def observation_features(self) -> dict[str, Any]:
         """As robots declare them."""
-        pictures = {key: (SIZE, SIZE, 3) for key in self.cameras}
+        pictures = dict.fromkeys(self.cameras, (SIZE, SIZE, 3))
         depths = {f"{key}{DEPTH_SUFFIX}": (SIZE, SIZE, 1) for key in self.cameras}
         return {**dict.fromkeys(SCALAR_NAMES, float), **pictures, **depths}
 
@@ -95,7 +95,7 @@ def teleoperator() -> Any:
 
     class Same(Teleoperator):  # type: ignore[misc]
         action_features = dict.fromkeys(POSE_NAMES, float)
-        feedback_features: dict[str, Any] = {}
+        feedback_features = dict.fromkeys((), float)
         is_connected = is_calibrated = False
 
         def __init__(self) -> None:

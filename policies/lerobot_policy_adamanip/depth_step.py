@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -82,7 +83,7 @@ class DepthToCloudStep(ProcessorStep):
         depth = _without_channel(depth)
         leading = depth.shape[:-2]
         poses = self._tool_poses(state, int(np.prod(leading)))
-        calibration, workspace = self._calibration(), Workspace(tuple(self.lower), tuple(self.upper))
+        calibration, workspace = self._calibration(), Workspace(_corner(self.lower), _corner(self.upper))
         clouds = [
             depth_cloud(each, calibration, self.num_points, workspace, pose)
             for each, pose in zip(depth.reshape(-1, *depth.shape[-2:]), poses, strict=True)
@@ -137,6 +138,12 @@ class DepthToCloudStep(ProcessorStep):
     ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
         """Datasets have clouds: features stay."""
         return features
+
+
+def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:
+    """Three numbers, which JSON gives back as a list."""
+    x, y, z = numbers
+    return x, y, z
 
 
 def _without_channel(depth: np.ndarray[Any, np.dtype[Any]]) -> np.ndarray[Any, np.dtype[Any]]:

@@ -150,7 +150,7 @@ class _Problem:
         chosen = slice(None) if kept is None else kept
         board_in_camera = np.linalg.inv(camera) @ self.moved @ board
         points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
-        return project(points[:, :3], self.intrinsics) - self.pixels[chosen]
+        return np.asarray(project(points[:, :3], self.intrinsics) - self.pixels[chosen])
 
     def rms_of_views(self, camera: Array, board: Array) -> Array:
         """(V,) [px]."""
@@ -174,7 +174,7 @@ class _Problem:
 def _moved(views: Sequence[View], mounting: Mounting) -> Array:
     """(V, 4, 4): what the robot did, see above."""
     poses = np.stack([view.tcp_in_base for view in views]) if views else np.zeros((0, 4, 4))
-    return poses if mounting is Mounting.FIXED or not len(poses) else np.linalg.inv(poses)
+    return poses if mounting is Mounting.FIXED or not len(poses) else np.asarray(np.linalg.inv(poses), np.float64)
 
 
 def _small(step: Array) -> Array:
@@ -186,10 +186,7 @@ def _board_in_camera(view: View, intrinsics: Intrinsics) -> Array:
     import cv2
 
     _, turn, position = cv2.solvePnP(view.points, view.pixels, intrinsics.matrix, intrinsics.distortion)
-    _, turn, position = cv2.solvePnP(
-        view.points, view.pixels, intrinsics.matrix, intrinsics.distortion, turn, position, True, cv2.SOLVEPNP_ITERATIVE
-    )
-    return transform(position.ravel(), matrix_from_rotation_vector(turn.ravel()))
+    return transform(np.ravel(position), matrix_from_rotation_vector(np.asarray(turn, np.float64).ravel()))
 
 
 def _best_start(problem: _Problem, moved: Array, seen: Array) -> tuple[Array, Array]:
