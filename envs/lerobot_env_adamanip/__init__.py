@@ -9,6 +9,7 @@ import sys
 from lerobot_adamanip import NO_PLUGIN
 
 if not os.environ.get(NO_PLUGIN):
+    from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import AdamanipK4aConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
     from lerobot_env_adamanip.config import (
@@ -49,6 +50,7 @@ __all__ = [
     "AdaManipSafeEnvConfig",
     "AdaManipSuiteEnvConfig",
     "AdaManipWindowEnvConfig",
+    "AdamanipK4aConfig",
     "AdamanipRealsenseConfig",
     "AdamanipReplayConfig",
     "DP3AdaptiveConfig",
