@@ -126,5 +126,5 @@ def picture(sdk: Any, image: Any, dtype: Any, channels: int) -> NDArray[Any]:
     stride = sdk.k4a_image_get_stride_bytes(image)
     content = ctypes.string_at(sdk.k4a_image_get_buffer(image), height * stride)
     rows = np.frombuffer(content, np.uint8).reshape(height, stride)[:, : width * channels * np.dtype(dtype).itemsize]
-    pixels = np.ascontiguousarray(rows).view(dtype).reshape(height, width, channels)
-    return pixels[..., 0] if channels == 1 else pixels
+    pixels: NDArray[Any] = np.ascontiguousarray(rows).view(dtype).reshape(height, width, channels)
+    return np.asarray(pixels[..., 0] if channels == 1 else pixels)
