@@ -10,6 +10,7 @@ from lerobot_adamanip import NO_PLUGIN
 
 if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+    from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import AdamanipK4aConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
     from lerobot_env_adamanip.config import (
@@ -51,6 +52,7 @@ __all__ = [
     "AdaManipSuiteEnvConfig",
     "AdaManipWindowEnvConfig",
     "AdamanipFrankaConfig",
+    "AdamanipK4aConfig",
     "AdamanipRealsenseConfig",
     "AdamanipReplayConfig",
     "DP3AdaptiveConfig",

@@ -55,6 +55,9 @@ COMMANDS = {
         "lerobot_adamanip.cli.annotate.command:Annotate",
         "say in the browser where the parts of somebody's objects are held",
     ),
+    "calibrate": Entry(
+        "lerobot_adamanip.cli.calibrate:Calibrate", "find where a camera is, by a board that the arm shows it"
+    ),
     "report": Entry(
         "lerobot_adamanip.cli.report:Report", "success rates with intervals, trials and plots of an evaluation"
     ),

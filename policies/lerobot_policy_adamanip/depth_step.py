@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -20,13 +21,9 @@ from lerobot.processor import (
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.hardware.calibration.file import read_calibrations
-from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, FRONT_CAMERA
 from lerobot_adamanip.hardware.frames import CameraCalibration
-from lerobot_adamanip.hardware.session import BOARD
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
-from lerobot_adamanip.rotations import matrix_from_rotation_6d, transform
 from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.contract import Pipelines
 
@@ -78,11 +75,13 @@ class DepthToCloudStep(ProcessorStep):
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
         """Depth (..., H, W, 1) or (..., 1, H, W) [mm] -> (..., N, 3) [m], with a batch of one where it has none."""
+        from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # brings scipy's rotations
+
         depth = picture.detach().cpu().numpy()
         depth = _without_channel(depth)
         leading = depth.shape[:-2]
         poses = self._tool_poses(state, int(np.prod(leading)))
-        calibration, workspace = self._calibration(), Workspace(tuple(self.lower), tuple(self.upper))
+        calibration, workspace = self._calibration(), Workspace(_corner(self.lower), _corner(self.upper))
         clouds = [
             depth_cloud(each, calibration, self.num_points, workspace, pose)
             for each, pose in zip(depth.reshape(-1, *depth.shape[-2:]), poses, strict=True)
@@ -91,12 +90,17 @@ class DepthToCloudStep(ProcessorStep):
 
     def _tool_poses(self, state: Tensor | None, count: int) -> list[np.ndarray[Any, np.dtype[np.float64]] | None]:
         """``count`` poses (4, 4) of the tool, of the state's first numbers; None where it does not tell them."""
+        from lerobot_adamanip.rotations import matrix_from_rotation_6d, transform
+
         if state is None or state.numel() // state.shape[-1] != count:
             return [None] * count
         numbers = state.detach().cpu().double().numpy().reshape(count, -1)
         return [transform(row[POSITION_DIMS], matrix_from_rotation_6d(row[ROTATION_DIMS])) for row in numbers]
 
     def _calibration(self) -> CameraCalibration:
+        from lerobot_adamanip.hardware.calibration.file import read_calibrations
+        from lerobot_adamanip.hardware.session import BOARD
+
         if self.calibration is not None:
             if self._read is None:
                 found = read_calibrations(Path(self.calibration))
@@ -137,6 +141,12 @@ class DepthToCloudStep(ProcessorStep):
     ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
         """Datasets have clouds: features stay."""
         return features
+
+
+def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:
+    """Three numbers, which JSON gives back as a list."""
+    x, y, z = numbers
+    return x, y, z
 
 
 def _without_channel(depth: np.ndarray[Any, np.dtype[Any]]) -> np.ndarray[Any, np.dtype[Any]]:

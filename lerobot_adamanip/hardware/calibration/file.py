@@ -34,7 +34,8 @@ _KEY = checked_json.text(r"[A-Za-z0-9_-]{1,64}", "a camera's key")
 _FACT = checked_json.either(_NUMBER, checked_json.text(r"[^\x00-\x1f]{0,200}", "a line of text"))
 
 
-def _check_pose(name: str, value: object) -> NDArray[np.float64]:
+def check_pose(name: str, value: object) -> NDArray[np.float64]:
+    """Checks for a rigid transform (4, 4)."""
     pose = np.array(checked_json.listing(_ROW, 4, 4)(name, value), np.float64)
     rotation = pose[:3, :3]
     rigid = np.abs(rotation @ rotation.T - np.eye(3)).max() < RIGID_WITHIN and np.linalg.det(rotation) > 0
@@ -47,10 +48,10 @@ _CAMERA = checked_json.table(
     {
         "camera": checked_json.text(r"[^\x00-\x1f]{1,200}", "a serial number or name"),
         "depth": check_intrinsics,
-        "depth_in_base": checked_json.optional(_check_pose),
-        "depth_in_tcp": checked_json.optional(_check_pose),
+        "depth_in_base": checked_json.optional(check_pose),
+        "depth_in_tcp": checked_json.optional(check_pose),
         "color": checked_json.optional(check_intrinsics),
-        "depth_in_color": checked_json.optional(_check_pose),
+        "depth_in_color": checked_json.optional(check_pose),
         "found": checked_json.mapping(_KEY, _FACT, 64),
     }
 )

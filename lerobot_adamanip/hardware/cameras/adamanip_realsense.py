@@ -30,8 +30,8 @@ PINHOLES = ("none", "brown_conrady", "inverse_brown_conrady", "modified_brown_co
 at once, which differs in second order; the driver for ROS hands them on alike."""
 
 
-class AdamanipRealsense(FrameReader, stock.RealSenseCamera):  # type: ignore[misc] # reading is ours, the rest LeRobot's
-    """A RealSense camera.
+class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
+    """A RealSense camera: opening, settings and resets are LeRobot's, reading is ours.
 
     Args:
         config: says which.
@@ -144,7 +144,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):  # type: ignore[mis
         if (self.use_rgb and not color) or (self.use_depth and not depth):
             self.dropped += 1  # half a pair
             return None
-        first = depth if self.use_depth else color
+        first: Any = depth if self.use_depth else color
         number = int(first.get_frame_number())
         if number == self._last_number:
             self.dropped += 1  # the pipeline repeats a frame to pair it with a new one of the other imager

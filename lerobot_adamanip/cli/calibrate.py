@@ -1,0 +1,165 @@
+"""`adamanip calibrate`: finds where a camera is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+
+import lerobot_adamanip
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hardware.calibration.board import Board
+from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, solve
+from lerobot_adamanip.hardware.calibration.views import ViewFolder
+
+DOTS_PER_METRE = 300 / 0.0254
+ENOUGH = 20
+
+
+@dataclass
+class Calibrate:
+    """Finds where a camera is, from pictures of a ChArUco board at poses of the arm, and writes its calibration.
+
+    First print the board (--board-image). Then fix it to the hand, for a camera beside the robot, or to the table, for
+    one on the hand, and take 20 pictures (--record): tilt the hand to all sides, 20 degrees and more. Without --record,
+    the pictures of the folder are used as they are.
+    """
+
+    folder: tyro.conf.Positional[Path | None] = None
+    """Folder of the pictures and poses."""
+
+    output: Path | None = None
+    """Calibration file to write the camera into; others in it stay. Without it, the result is only told."""
+
+    key: str = "front"
+    """The camera's name in the robot's configuration."""
+
+    record: Path | None = None
+    """Take pictures first, with the robot that this JSON file describes as --robot.* options would."""
+
+    mounting: Literal["fixed", "wrist"] = "fixed"
+    """Where the camera is (with --record): beside the robot, or on its hand."""
+
+    board_image: Path | None = None
+    """Write the board as a picture to print at 300 dpi (.png), and stop."""
+
+    columns: int = 7
+    """Squares of the board along its long side (with --record and --board-image)."""
+
+    rows: int = 5
+    """Along its short side."""
+
+    square: float = 0.040
+    """Side of a square as measured on the print [m]."""
+
+    marker: float = 0.030
+    """Side of a marker, likewise [m]."""
+
+    json: bool = False
+    """Print one JSON object instead of words."""
+
+    def run(self) -> int:
+        """Prints, records, solves, writes; 0."""
+        if self.board_image is not None:
+            return self._print_board(self.board_image)
+        if self.folder is None:
+            raise ConfigurationError(
+                "No folder of pictures.",
+                got="neither a folder nor --board-image",
+                allowed="adamanip calibrate FOLDER",
+                hint="adamanip calibrate --board-image board.png",
+            )
+        if self.record is not None:
+            self._record(self.folder, self.record)
+        folder = ViewFolder.open(self.folder)
+        views = folder.views(self._tell)
+        solved = solve(views, folder.color, folder.mounting)
+        facts = _facts(solved)
+        if self.output is not None:
+            save_calibration(self.output, self.key, folder.calibration(solved), facts)
+        self._report(solved, facts)
+        return 0
+
+    def _print_board(self, path: Path) -> int:
+        from PIL import Image
+
+        if path.suffix.lower() != ".png":
+            raise ConfigurationError(
+                "The board is a PNG picture.", got=path, allowed="a name that ends in .png", hint="board.png"
+            )
+        board = self._board()
+        Image.fromarray(board.image(DOTS_PER_METRE)).save(path, dpi=(300, 300))
+        size = f"{1e3 * board.columns * board.square:.0f} x {1e3 * board.rows * board.square:.0f} mm"
+        self._tell(f"{path}: {size}. Print at 100 %, glue it to something flat, and measure a square.")
+        return 0
+
+    def _board(self) -> Board:
+        return Board(self.columns, self.rows, self.square, self.marker)
+
+    def _record(self, folder: Path, described: Path) -> None:
+        from lerobot_adamanip.hardware.calibration.live import begin, camera_of, robot_from_file, take_views
+
+        robot = robot_from_file(described)
+        robot.connect(calibrate=False)
+        try:
+            camera = camera_of(robot, self.key)
+            views = begin(folder, camera, Mounting(self.mounting), self._board())
+            self._tell(f"{len(views.tcp_in_base)} pictures so far; {ENOUGH} are enough")
+            take_views(robot, camera, views, _ask, self._tell)
+        finally:
+            robot.disconnect()
+
+    def _tell(self, line: str) -> None:
+        if not self.json:
+            print(line)
+
+    def _report(self, solved: HandEye, facts: dict[str, float | str]) -> None:
+        frame = "base" if solved.mounting is Mounting.FIXED else "tool"
+        if self.json:
+            views = [
+                {"name": each.name, "px": each.pixels, "mm": 1e3 * each.position, "deg": float(np.rad2deg(each.angle))}
+                for each in solved.residuals
+            ]
+            told = {"mounting": frame, "camera": solved.camera.tolist(), "board": solved.board.tolist()}
+            print(json.dumps({**told, **facts, "views": views, "output": str(self.output) if self.output else None}))
+            return
+        for each in solved.residuals:
+            angle = np.rad2deg(each.angle)
+            print(f"{each.name}  {each.pixels:6.2f} px  {1e3 * each.position:7.2f} mm  {angle:6.3f} deg")
+        print(f"rms {solved.rms:.2f} px over {len(solved.residuals)} pictures")
+        spread = np.rad2deg(solved.angle_spread)
+        print(f"one picture less moves the camera by at most {1e3 * solved.position_spread:.2f} mm, {spread:.3f} deg")
+        x, y, z = solved.camera[:3, 3]
+        print(f"camera at ({x:.4f}, {y:.4f}, {z:.4f}) m in the frame of the {frame}")
+        if self.output is not None:
+            print(f"written: {self.output}, camera {self.key}")
+
+
+def _ask() -> bool:
+    """Waits for the person; False ends the pictures."""
+    try:
+        return input("Enter takes a picture, q and Enter ends: ").strip().lower() != "q"
+    except EOFError:
+        return False
+
+
+def _facts(solved: HandEye) -> dict[str, float | str]:
+    """What is kept of how a camera was found."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "pictures": len(solved.residuals),
+        "rms_px": solved.rms,
+        "worst_mm": 1e3 * max(each.position for each in solved.residuals),
+        "worst_deg": float(np.rad2deg(max(each.angle for each in solved.residuals))),
+        "one_less_mm": 1e3 * solved.position_spread,
+        "one_less_deg": float(np.rad2deg(solved.angle_spread)),
+        "lerobot_adamanip": lerobot_adamanip.__version__,
+        "numpy": version("numpy"),
+    }

@@ -1,0 +1,92 @@
+"""The board that is held before a camera: ChArUco, a chessboard with a marker in each white square.
+
+Of OpenCV 4.10 and later; what was called `CharucoBoard_create` and `interpolateCornersCharuco` before is gone.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError
+
+DICTIONARY = "DICT_5X5_100"
+FEWEST_CORNERS = 8
+"""A picture that shows fewer tells the board's pose badly."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """Sizes as printed: measured with a ruler, since printers scale.
+
+    Attributes:
+        columns, rows: squares along x and y.
+        square: side of a square [m].
+        marker: side of a marker [m], less than a square's.
+    """
+
+    columns: int = 7
+    rows: int = 5
+    square: float = 0.040
+    marker: float = 0.030
+
+    def __post_init__(self) -> None:
+        """Refuses what is no board."""
+        if not (3 <= self.columns <= 14 and 3 <= self.rows <= 14 and 0.2 * self.square < self.marker < self.square < 1):
+            raise ConfigurationError(
+                "No ChArUco board.",
+                got=f"{self.columns} x {self.rows} squares of {self.square} m, markers of {self.marker} m",
+                allowed="3 ... 14 squares along a side, less than 1 m, markers smaller than squares",
+                hint="--columns 7 --rows 5 --square 0.04 --marker 0.03",
+            )
+
+    @property
+    def _clear_of_markers(self) -> float:
+        """How far from a corner the next marker is, in squares."""
+        return (self.square - self.marker) / (2 * self.square)
+
+    def image(self, pixels_per_metre: float) -> NDArray[np.uint8]:
+        """Returns the board as a picture, white margin of half a square around it."""
+        square = round(self.square * pixels_per_metre)
+        size, margin = (self.columns * square, self.rows * square), square // 2
+        drawn = _aruco(self)[0].generateImage((size[0] + 2 * margin, size[1] + 2 * margin), marginSize=margin)
+        return np.asarray(drawn, np.uint8)
+
+    def detect(self, gray: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns the inner corners that a picture (H, W) shows, as points (K, 3) [m] in the board's frame (x right,
+        y down, from its first corner) and pixels (K, 2); none if they are fewer than `FEWEST_CORNERS`.
+        """
+        import cv2
+
+        corners, ids, _, _ = _aruco(self)[1].detectBoard(gray)
+        if ids is None or len(ids) < FEWEST_CORNERS:
+            return np.zeros((0, 3)), np.zeros((0, 2))
+        # Up to 4.13 OpenCV tells corners half a pixel too far right and down (its issue 25539), later ones do not: from
+        # either the same corner is found again, in a window that the markers' edges stay out of.
+        window = int(np.clip(self._clear_of_markers * _spacing(np.asarray(corners).reshape(-1, 2)), 2, 8))
+        ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
+        corners = cv2.cornerSubPix(gray, np.array(corners, np.float32), (window, window), (-1, -1), ends)
+        row, column = np.divmod(np.asarray(ids).ravel(), self.columns - 1)
+        points = np.stack([(column + 1) * self.square, (row + 1) * self.square, np.zeros(len(row))], axis=1)
+        return points, np.asarray(corners, np.float64).reshape(-1, 2)
+
+
+def _spacing(corners: NDArray[np.float64]) -> float:
+    """Median distance from each corner (K, 2) to the nearest other [px]."""
+    apart = np.linalg.norm(corners[:, None] - corners[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return float(np.median(apart.min(axis=1)))
+
+
+@functools.lru_cache(maxsize=4)
+def _aruco(board: Board) -> tuple[Any, Any]:
+    """OpenCV's board and its detector."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+    made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
+    return made, cv2.aruco.CharucoDetector(made)

@@ -1,0 +1,280 @@
+"""Where a camera is, from pictures of a board at known poses of the tool.
+
+The camera stands beside the robot and the board is held by the hand, or the camera is on the hand and the board lies
+somewhere: the same equation, ``board_in_camera = inv(camera) @ moved @ board``, where ``moved`` is the tool's pose in
+the base for a camera that stands, and its inverse for one on the hand. Park & Martin (1994) solve it from the board's
+poses alone; then both poses are refined on all corners together, which is several times more exact.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hardware.calibration.projection import project
+from lerobot_adamanip.hardware.frames import Intrinsics
+from lerobot_adamanip.rotations import (
+    angle_between,
+    matrix_from_rotation_vector,
+    rotation_vector_from_matrix,
+    transform,
+)
+
+Array = NDArray[np.float64]
+FEWEST_VIEWS = 12
+LEAST_SPREAD = np.deg2rad(30)
+"""The tool has to be turned by this much about two axes: less leaves the camera's place open."""
+WORST_RMS = 1.0
+"""Of a calibration that is accepted [px]."""
+_DRAWS, _DRAWN = 60, 6
+"""Starts from subsets: one or two wrong poses spoil a solution from all."""
+
+
+class Mounting(enum.StrEnum):
+    """Where the camera is."""
+
+    FIXED = "fixed"
+    WRIST = "wrist"
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture of the board.
+
+    Attributes:
+        name: of the picture.
+        tcp_in_base: (4, 4) pose of the tool when it was taken [m].
+        points: (K, 3) corners in the board's frame [m].
+        pixels: (K, 2) where they are seen.
+    """
+
+    name: str
+    tcp_in_base: Array
+    points: Array
+    pixels: Array
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How far a view is from the solution.
+
+    Attributes:
+        name: of the view.
+        pixels: root mean square over its corners [px].
+        position: between the board where the view alone sees it and where the solution has it [m].
+        angle: likewise [rad].
+    """
+
+    name: str
+    pixels: float
+    position: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """The solution.
+
+    Attributes:
+        mounting: where the camera is.
+        camera: (4, 4) its pose, in the base's frame if it is fixed, in the tool's if it is on the hand [m].
+        board: (4, 4) the board's pose, in the tool's frame if the camera is fixed, else in the base's [m].
+        rms: over all corners [px].
+        residuals: of each view.
+        position_spread: farthest that the camera moves if one view is left out [m].
+        angle_spread: likewise [rad].
+    """
+
+    mounting: Mounting
+    camera: Array
+    board: Array
+    rms: float
+    residuals: tuple[Residual, ...]
+    position_spread: float
+    angle_spread: float
+
+
+def solve(views: Sequence[View], intrinsics: Intrinsics, mounting: Mounting) -> HandEye:
+    """Finds the camera.
+
+    Args:
+        views: of one board, from poses that differ.
+        intrinsics: of the imager that took the pictures.
+        mounting: where it is.
+
+    Raises:
+        ConfigurationError: views are too few or too much alike, single ones contradict the others (they are named), or
+            none fit.
+    """
+    moved = _moved(views, mounting)
+    _require_variety(views, moved)
+    problem = _Problem(views, moved, intrinsics)
+    seen = np.stack([_board_in_camera(view, intrinsics) for view in views])
+    start = _best_start(problem, moved, seen)
+    found = problem.refined(*start)
+    _require_agreement(views, problem.rms_of_views(*found))
+    rms = float(np.sqrt(np.mean(np.square(problem.errors(*found)))))
+    camera, board = found
+    positions, angles = _left_out(problem, camera, board)
+    expected = np.linalg.inv(camera) @ moved @ board
+    each = zip(views, problem.rms_of_views(*found), seen, expected, strict=True)
+    residuals = tuple(
+        Residual(
+            view.name,
+            float(pixels),
+            float(np.linalg.norm(alone[:3, 3] - together[:3, 3])),
+            angle_between(alone[:3, :3], together[:3, :3]),
+        )
+        for view, pixels, alone, together in each
+    )
+    return HandEye(mounting, camera, board, rms, residuals, float(max(positions)), float(max(angles)))
+
+
+class _Problem:
+    """All corners of all views, and where two poses would have them seen."""
+
+    def __init__(self, views: Sequence[View], moved: Array, intrinsics: Intrinsics) -> None:
+        self.moved, self.intrinsics = moved, intrinsics
+        self.view = np.repeat(np.arange(len(views)), [len(view.points) for view in views])
+        points = np.concatenate([view.points for view in views])
+        self.points = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+        self.pixels = np.concatenate([view.pixels for view in views])
+
+    def errors(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> Array:
+        """(K, 2) [px] of all corners, or of those ``kept``."""
+        chosen = slice(None) if kept is None else kept
+        board_in_camera = np.linalg.inv(camera) @ self.moved @ board
+        points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
+        return np.asarray(project(points[:, :3], self.intrinsics) - self.pixels[chosen])
+
+    def rms_of_views(self, camera: Array, board: Array) -> Array:
+        """(V,) [px]."""
+        squares = np.square(self.errors(camera, board)).mean(axis=1)
+        return np.asarray(np.sqrt(np.bincount(self.view, squares) / np.bincount(self.view)))
+
+    def refined(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
+        """Returns both poses where all errors together are least; far ones count less (soft L1)."""
+        from scipy.optimize import least_squares
+
+        def poses(step: Array) -> tuple[Array, Array]:
+            return camera @ _small(step[:6]), board @ _small(step[6:])
+
+        def errors(step: Array) -> Array:
+            return self.errors(*poses(step), kept).ravel()
+
+        done = least_squares(errors, np.zeros(12), loss="soft_l1", x_scale="jac", max_nfev=100)
+        return poses(done.x)
+
+
+def _moved(views: Sequence[View], mounting: Mounting) -> Array:
+    """(V, 4, 4): what the robot did, see above."""
+    poses = np.stack([view.tcp_in_base for view in views]) if views else np.zeros((0, 4, 4))
+    return poses if mounting is Mounting.FIXED or not len(poses) else np.asarray(np.linalg.inv(poses), np.float64)
+
+
+def _small(step: Array) -> Array:
+    return transform(step[:3], matrix_from_rotation_vector(step[3:]))
+
+
+def _board_in_camera(view: View, intrinsics: Intrinsics) -> Array:
+    """The board's pose from one view alone."""
+    import cv2
+
+    _, turn, position = cv2.solvePnP(view.points, view.pixels, intrinsics.matrix, intrinsics.distortion)
+    return transform(np.ravel(position), matrix_from_rotation_vector(np.asarray(turn, np.float64).ravel()))
+
+
+def _best_start(problem: _Problem, moved: Array, seen: Array) -> tuple[Array, Array]:
+    """Of solutions of all views and of small subsets, that which most views agree with."""
+    rng = np.random.default_rng(0)
+    subsets = [np.arange(len(moved)), *(rng.choice(len(moved), _DRAWN, replace=False) for _ in range(_DRAWS))]
+    starts = [found for subset in subsets if (found := _park(moved[subset], seen[subset])) is not None]
+    return min(starts, key=lambda start: float(np.median(problem.rms_of_views(*start))))
+
+
+def _park(moved: Array, seen: Array) -> tuple[Array, Array] | None:
+    """Park & Martin's solution, the board where the views say in the middle; None where there is no finite one."""
+    import cv2
+
+    hand = np.linalg.inv(moved)  # OpenCV's "gripper to base" of a camera on the gripper
+    rotation, position = cv2.calibrateHandEye(
+        list(hand[:, :3, :3]),
+        list(hand[:, :3, 3]),
+        list(seen[:, :3, :3]),
+        list(seen[:, :3, 3]),
+        method=cv2.CALIB_HAND_EYE_PARK,
+    )
+    camera = transform(np.ravel(position), rotation)
+    if not np.isfinite(camera).all():
+        return None
+    boards = np.linalg.inv(moved) @ camera @ seen
+    middle = np.median(boards[:, :3, 3], axis=0)
+    nearest = boards[np.argmin(np.linalg.norm(boards[:, :3, 3] - middle, axis=1))]
+    return camera, transform(middle, nearest[:3, :3])
+
+
+def _require_variety(views: Sequence[View], moved: Array) -> None:
+    if len(views) < FEWEST_VIEWS:
+        raise ConfigurationError(
+            "Too few pictures of the board.",
+            got=f"{len(views)} in which it was found",
+            allowed=f"at least {FEWEST_VIEWS}; 20 are better",
+            hint="more poses, board whole in the picture and lit evenly",
+        )
+    spread = rotation_spread(moved)
+    if spread[1] < LEAST_SPREAD:
+        degrees = ", ".join(f"{each:.0f}" for each in np.rad2deg(spread))
+        raise ConfigurationError(
+            "The poses are too much alike: the board is hardly turned.",
+            got=f"turned by {degrees} degrees about three axes",
+            allowed=f"at least {np.rad2deg(LEAST_SPREAD):.0f} about two axes",
+            hint="tilt the hand to all sides, 20 degrees and more",
+        )
+
+
+def rotation_spread(poses: Array) -> Array:
+    """How far poses (V, 4, 4) are turned from end to end about three axes, the largest first (3,) [rad].
+
+    About their own principal axes, so that it does not matter how the base is turned.
+    """
+    left, _, right = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
+    middle = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    turns = np.stack([rotation_vector_from_matrix(middle.T @ pose[:3, :3]) for pose in poses])
+    axes = np.linalg.svd(turns - turns.mean(axis=0))[2]
+    return np.sort(np.ptp(turns @ axes.T, axis=0))[::-1]
+
+
+def _require_agreement(views: Sequence[View], rms: Array) -> None:
+    """Names views that contradict the others, and refuses a fit that is none."""
+    wrong = np.flatnonzero(rms > max(3 * WORST_RMS, 5 * float(np.median(rms))))
+    if len(wrong):
+        named = ", ".join(f"{views[index].name} ({rms[index]:.1f} px)" for index in wrong)
+        raise ConfigurationError(
+            "Pictures contradict the others: pose and picture do not belong together, or the arm moved.",
+            got=named,
+            allowed=f"rms below {WORST_RMS:.0f} px, the others' median is {np.median(rms):.2f}",
+            hint="leave them out, or take them again",
+        )
+    overall = float(np.sqrt(np.mean(np.square(rms))))
+    if overall > WORST_RMS:
+        raise ConfigurationError(
+            "The board is not seen where the solution has it.",
+            got=f"rms {overall:.2f} px",
+            allowed=f"at most {WORST_RMS:.0f} px",
+            hint="measure the printed squares; hold the board flat; rest at each pose; is the mounting right?",
+        )
+
+
+def _left_out(problem: _Problem, camera: Array, board: Array) -> tuple[list[float], list[float]]:
+    """How far the camera moves and turns if each view in turn is left out [m, rad]."""
+    positions, angles = [], []
+    for index in range(len(problem.moved)):
+        other, _ = problem.refined(camera, board, problem.view != index)
+        positions.append(float(np.linalg.norm(other[:3, 3] - camera[:3, 3])))
+        angles.append(angle_between(other[:3, :3], camera[:3, :3]))
+    return positions, angles

@@ -1,0 +1,137 @@
+"""Takes pictures of the board with a robot and its camera: the person moves the arm, this notes where it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware.calibration.board import Board
+from lerobot_adamanip.hardware.calibration.hand_eye import Mounting
+from lerobot_adamanip.hardware.calibration.views import FILE, ViewFolder
+from lerobot_adamanip.hardware.cameras.base import FrameReader
+from lerobot_adamanip.rotations import angle_between, pose_from_vector
+from lerobot_adamanip.schema import POSE_NAMES
+
+MOVED, TURNED = 0.0005, 0.002
+"""An arm that moved by more [m, rad] while the picture was taken was not at rest."""
+WITHIN = 2.0
+"""A camera delivers a frame within this [s]."""
+
+
+def robot_from_file(path: Path) -> Any:
+    """Returns the robot of LeRobot that a JSON file describes, as ``--robot.*`` does; not connected.
+
+    Raises:
+        ConfigurationError: the file describes none.
+    """
+    import draccus
+    from lerobot.robots import make_robot_from_config
+    from lerobot.robots.config import RobotConfig
+
+    from lerobot_adamanip import checked_json
+
+    try:
+        return make_robot_from_config(draccus.decode(RobotConfig, checked_json.read(path)))
+    except Exception as error:  # draccus and LeRobot raise many kinds
+        raise ConfigurationError(
+            "The file describes no robot.",
+            got=f"{path}: {error}",
+            allowed='JSON of the options after --robot: {"type": "adamanip_franka", ..., "cameras": {...}}',
+            hint="the options that lerobot-record is given",
+        ) from error
+
+
+def camera_of(robot: Any, key: str) -> FrameReader:
+    """Returns a robot's camera; raises `ConfigurationError` if it has none such, or one that tells no stamps."""
+    cameras: Mapping[str, object] = getattr(robot, "cameras", {})
+    camera = cameras.get(key)
+    if not isinstance(camera, FrameReader):
+        raise ConfigurationError(
+            f"The robot has no camera {key} that can be calibrated.",
+            got=", ".join(f"{name}: {type(each).__name__}" for name, each in cameras.items()) or "no cameras",
+            allowed="one of this project's cameras: adamanip_realsense, adamanip_k4a",
+            hint="--key, or another camera in the robot's file",
+        )
+    return camera
+
+
+def begin(folder: Path, camera: FrameReader, mounting: Mounting, board: Board) -> ViewFolder:
+    """Returns a folder of pictures to add to: the one that is there, or a new one with what the camera tells of itself.
+
+    Raises:
+        ConfigurationError: what is there is of another camera, mounting or board.
+        RobotError: the camera does not tell its intrinsics.
+    """
+    depth = camera.depth_in_color()
+    new = ViewFolder(
+        folder,
+        camera.name,
+        mounting,
+        board,
+        camera.color_intrinsics(),
+        None if depth is None else camera.depth_intrinsics(),
+        depth,
+    )
+    if not (folder / FILE).exists():
+        return new
+    there = ViewFolder.open(folder)
+    if (there.camera, there.mounting, there.board) != (new.camera, new.mounting, new.board):
+        raise ConfigurationError(
+            "The folder holds pictures of something else.",
+            got=f"{there.camera}, {there.mounting}, {there.board}",
+            allowed=f"{new.camera}, {new.mounting}, {new.board}",
+            hint="another folder",
+        )
+    return there
+
+
+def take_views(
+    robot: Any, camera: FrameReader, folder: ViewFolder, ask: Callable[[], bool], tell: Callable[[str], None]
+) -> ViewFolder:
+    """Takes a picture whenever ``ask`` returns True, until it returns False; returns the folder with them.
+
+    Only what can be used is kept: the board is seen, and the arm was at rest.
+
+    Args:
+        robot: connected; LeRobot's.
+        camera: connected; of it.
+        folder: to add to.
+        ask: waits for the person at a pose.
+        tell: is told what became of it.
+    """
+    import cv2
+
+    while ask():
+        before = tcp_in_base(robot.get_observation())
+        try:
+            frame = camera.frame_after(time.perf_counter(), WITHIN)
+        except RobotError as error:
+            tell(str(error))
+            continue
+        after = tcp_in_base(robot.get_observation())
+        if (
+            np.linalg.norm(after[:3, 3] - before[:3, 3]) > MOVED
+            or angle_between(after[:3, :3], before[:3, :3]) > TURNED
+        ):
+            tell("the arm moved: not kept")
+            continue
+        assert frame.color is not None
+        gray = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
+        corners = len(folder.board.detect(gray)[0])
+        if not corners:
+            tell("the board is not seen: not kept")
+            continue
+        folder = folder.added(frame.color, after)
+        tell(f"{len(folder.tcp_in_base)} pictures; {corners} corners in this one")
+    return folder
+
+
+def tcp_in_base(observation: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Returns the tool's pose (4, 4) [m] of an observation of our robots."""
+    return pose_from_vector([observation[name] for name in POSE_NAMES])[0]

@@ -1,0 +1,162 @@
+"""Compares clouds made of a depth picture with the simulator's own, scene by scene.
+
+The simulator's camera takes depth in whole millimetres, as a depth camera delivers it; from that picture and the
+camera's calibration a cloud is made as on a robot. Each of its points should lie on what the simulator sees, and each
+point of the simulator's cloud on what the depth shows: distances to the nearest neighbour among all points, both ways.
+
+Returns 1 if half of the points are farther than 1 mm, or one in a hundred farther than 5 mm, or if making a cloud takes
+more than 10 ms (processor time, median). For example: ``python scripts/check_depth_cloud.py --json``. With
+``--source render`` the renderer takes the pictures, which needs a Vulkan device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from check_common import Progress, count, header
+from numpy.typing import NDArray
+
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
+from lerobot_adamanip.hardware.depth_cloud import depth_cloud, points_in_base
+from lerobot_adamanip.hardware.frames import CameraCalibration
+from lerobot_adamanip.observation import workspace_cloud
+from lerobot_adamanip.schema import DEFAULT_NUM_POINTS
+
+FIRST_SEED = 500
+MEDIAN, P99, CPU_MS = 1.0, 5.0, 10.0
+"""[mm, mm, ms]"""
+REPEATS = 5
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One scene.
+
+    Attributes:
+        category: of its object.
+        seed: of it.
+        seen: distance of each point of the cloud from depth to the simulator's nearest [mm].
+        kept: of each point of the simulator's cloud to the nearest of those from depth [mm].
+        milliseconds: processor time of one cloud from depth.
+    """
+
+    category: str
+    seed: int
+    seen: NDArray[np.float64]
+    kept: NDArray[np.float64]
+    milliseconds: float
+
+
+def compare(task: Any, seed: int, num_points: int, calibration: CameraCalibration | None = None) -> Comparison:
+    """Compares both clouds of the scene that a task, made with a cloud source, shows at this moment."""
+    from scipy.spatial import cKDTree
+
+    views = task.views
+    dense = views.points()
+    depth = rendered_depth(task) if views.rendered is not None else cast_depth(task)
+    known = calibration or simulated_calibration(camera_of(task))
+    start = time.process_time()
+    for _ in range(REPEATS):
+        cloud = depth_cloud(depth, known, num_points, views.workspace)
+    took = 1e3 * (time.process_time() - start) / REPEATS
+    own = workspace_cloud(dense, views.workspace, num_points)
+    seen, _ = cKDTree(dense).query(cloud)
+    kept, _ = cKDTree(points_in_base(depth, known)).query(own)
+    return Comparison(task.category, seed, 1e3 * seen, 1e3 * kept, took)
+
+
+def camera_of(task: Any) -> dict[str, Any]:
+    """The depth camera's parameters, as episodes tell them."""
+    from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
+
+    views = task.views
+    return camera_parameters(pinhole(views.camera(views.depth_size)), views.depth_size).to_json()
+
+
+def rendered_depth(task: Any) -> NDArray[np.uint16]:
+    """The renderer's depth of the scene that was just captured (H, W) [mm]."""
+    told = task._sensors["front"].get_obs(rgb=False, depth=True, position=False, segmentation=False)["depth"]
+    depth = told[0].cpu().numpy()[..., 0]
+    return np.where(depth > 0, depth, 0).astype(np.uint16)
+
+
+def cast_depth(task: Any) -> NDArray[np.uint16]:
+    """The same of rays: 0 where none met anything near the workspace."""
+    from lerobot_env_adamanip.sim.sensors import RaycastSensor
+
+    views = task.views
+    pixels, points = RaycastSensor(views.camera(views.depth_size), views.bodies(), views.workspace).pixels()
+    depth = np.zeros(views.depth_size**2, np.uint16)
+    depth[pixels] = -points[:, 2]
+    return depth.reshape(views.depth_size, views.depth_size)
+
+
+def scenes(categories: tuple[str, ...], wanted: int, source: str) -> Iterator[tuple[Any, int]]:
+    """Puts up so many scenes, as many of each category as of the others; those that cannot be placed are left out."""
+    from lerobot_env_adamanip.keyframe_env import make_task
+
+    for index, category in enumerate(categories):
+        share = wanted // len(categories) + (index < wanted % len(categories))
+        task, seed = make_task(category, cloud_source=source), FIRST_SEED
+        try:
+            while share:
+                seed += 1
+                try:
+                    task.reset(seed=seed, options={"reconfigure": True})
+                except UnreachableError:
+                    continue
+                share -= 1
+                yield task, seed
+        finally:
+            task.close()
+
+
+def summary(found: list[Comparison]) -> dict[str, Any]:
+    """Numbers over all scenes, and whether they pass."""
+    told: dict[str, Any] = {"scenes": len(found)}
+    for name in ("seen", "kept"):
+        distances = np.concatenate([getattr(each, name) for each in found])
+        told[name] = {"median_mm": float(np.median(distances)), "p99_mm": float(np.percentile(distances, 99))}
+    told["cloud_ms"] = float(np.median([each.milliseconds for each in found]))
+    near = all(told[name]["median_mm"] <= MEDIAN and told[name]["p99_mm"] <= P99 for name in ("seen", "kept"))
+    return {**told, "passed": near and told["cloud_ms"] <= CPU_MS}
+
+
+def main() -> int:
+    """Parses, runs, prints. Returns 0 if the clouds are the same."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--category", choices=(*CATEGORIES, "all"), default="all")
+    parser.add_argument("--scenes", type=count, default=50)
+    parser.add_argument("--source", choices=("raycast", "render"), default="raycast")
+    parser.add_argument("--num-points", type=count, default=DEFAULT_NUM_POINTS)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    warnings.filterwarnings("ignore")
+    categories = tuple(CATEGORIES) if options.category == "all" else (options.category,)
+    progress, found = Progress(0, options.scenes), []
+    for task, seed in scenes(categories, options.scenes, options.source):
+        found.append(compare(task, seed, options.num_points))
+        progress.tell(1)
+    told = summary(found)
+    if options.json:
+        sys.stdout.write(json.dumps({**header(), "source": options.source, **told}) + "\n")
+    else:
+        for name, what in (("seen", "from depth to the simulator's"), ("kept", "from the simulator's to depth's")):
+            numbers = told[name]
+            sys.stdout.write(f"{what}: median {numbers['median_mm']:.2f} mm, p99 {numbers['p99_mm']:.2f} mm\n")
+        sys.stdout.write(f"{told['scenes']} scenes; a cloud takes {told['cloud_ms']:.1f} ms\n")
+    return 0 if told["passed"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

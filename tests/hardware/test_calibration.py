@@ -1,0 +1,266 @@
+"""Calibration on rendered boards, of which the truth is known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration_helpers import BOARD, CAMERA, INTRINSICS, Truth, rendered, truth, views_of, write_views
+from numpy.typing import NDArray
+
+from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware.calibration.board import Board
+from lerobot_adamanip.hardware.calibration.file import read_calibrations
+from lerobot_adamanip.hardware.calibration.hand_eye import FEWEST_VIEWS, Mounting, View, rotation_spread, solve
+from lerobot_adamanip.hardware.calibration.live import begin, camera_of, take_views
+from lerobot_adamanip.hardware.calibration.projection import project
+from lerobot_adamanip.hardware.calibration.views import ViewFolder
+from lerobot_adamanip.hardware.cameras.base import FrameReader
+from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_vector, pose_vector, transform
+from lerobot_adamanip.schema import POSE_NAMES
+
+
+@pytest.fixture(scope="module")
+def fixed() -> tuple[Truth, list[View]]:
+    known = truth(0)
+    return known, views_of(known, 0)
+
+
+def test_corners_are_found_where_they_are() -> None:
+    """Without the half pixel that OpenCV adds."""
+    for board in truth(3, 4).board_in_camera:
+        points, pixels = BOARD.detect(rendered(board))
+        assert len(points) == (BOARD.columns - 1) * (BOARD.rows - 1)
+        expected = project(points @ board[:3, :3].T + board[:3, 3], INTRINSICS)
+        assert np.abs((pixels - expected).mean(axis=0)).max() < 0.03
+        assert np.sqrt(np.mean(np.square(pixels - expected))) < 0.1
+    assert len(BOARD.detect(np.full((480, 640), 127, np.uint8))[0]) == 0
+
+
+@pytest.mark.parametrize("mounting", list(Mounting))
+@pytest.mark.parametrize("seed", [0, 1])
+def test_twenty_poses_find_the_camera_to_a_millimetre_and_a_tenth_of_a_degree(mounting: Mounting, seed: int) -> None:
+    """0.2 px on each corner, 0.1 mm on each pose of the tool."""
+    known = truth(seed, 20, mounting)
+    solved = solve(views_of(known, seed), INTRINSICS, mounting)
+    assert np.linalg.norm(solved.camera[:3, 3] - known.camera[:3, 3]) <= 1e-3
+    assert np.rad2deg(angle_between(solved.camera[:3, :3], known.camera[:3, :3])) <= 0.1
+    assert 0.1 < solved.rms < 0.4
+    assert len(solved.residuals) == 20
+    assert all(each.pixels < 0.6 and each.position < 5e-3 and np.rad2deg(each.angle) < 1 for each in solved.residuals)
+    assert 0 < solved.position_spread < 1e-3
+    assert 0 < np.rad2deg(solved.angle_spread) < 0.1
+
+
+def test_one_swapped_pose_is_named(fixed: tuple[Truth, list[View]]) -> None:
+    views = list(fixed[1])
+    views[4] = replace(views[4], tcp_in_base=views[9].tcp_in_base)
+    with pytest.raises(ConfigurationError, match=r"got: +view_004\.png \(\d+\.\d px\)\n"):
+        solve(views, INTRINSICS, Mounting.FIXED)
+    views[9] = replace(views[9], tcp_in_base=fixed[1][4].tcp_in_base)  # swapped with each other
+    with pytest.raises(ConfigurationError, match=r"got: +view_004\.png \(.*\), view_009\.png \(.*\)\n"):
+        solve(views, INTRINSICS, Mounting.FIXED)
+    nudged = [*fixed[1][:7], replace(fixed[1][7], tcp_in_base=transform((0.01, 0, 0)) @ fixed[1][7].tcp_in_base)]
+    with pytest.raises(ConfigurationError, match=r"got: +view_007\.png \(.*\)\n"):
+        solve([*nudged, *fixed[1][8:]], INTRINSICS, Mounting.FIXED)  # an arm that was not where it says, by 1 cm
+
+
+def test_too_few_and_too_similar_poses_are_refused(fixed: tuple[Truth, list[View]]) -> None:
+    with pytest.raises(ConfigurationError, match="Too few") as caught:
+        solve(fixed[1][: FEWEST_VIEWS - 1], INTRINSICS, Mounting.FIXED)
+    assert str(FEWEST_VIEWS) in str(caught.value)
+    solve(fixed[1][:FEWEST_VIEWS], INTRINSICS, Mounting.FIXED)
+    with pytest.raises(ConfigurationError, match="too much alike"):
+        solve(views_of(truth(5, 14, tilt=0.1), 5), INTRINSICS, Mounting.FIXED)
+    with pytest.raises(ConfigurationError, match="Too few"):
+        solve([], INTRINSICS, Mounting.WRIST)
+
+
+def test_the_wrong_mounting_and_a_wrong_square_do_not_fit(fixed: tuple[Truth, list[View]]) -> None:
+    with pytest.raises(ConfigurationError, match="px"):
+        solve(fixed[1], INTRINSICS, Mounting.WRIST)
+    larger = [replace(view, points=1.1 * view.points) for view in fixed[1]]
+    with pytest.raises(ConfigurationError, match=r"measure the printed squares|contradict"):
+        solve(larger, INTRINSICS, Mounting.FIXED)
+
+
+def test_turning_about_one_axis_is_no_spread_about_two() -> None:
+    rng = np.random.default_rng(0)
+    base = matrix_from_rotation_vector(rng.normal(size=3))
+    about_one = [
+        transform((0, 0, 0), base @ matrix_from_rotation_vector(np.array([0, a, 0]))) for a in (-1.0, 0.0, 0.7)
+    ]
+    spread = rotation_spread(np.stack(about_one))
+    assert spread[0] == pytest.approx(1.7, abs=1e-6)
+    assert spread[1] == pytest.approx(0, abs=1e-6)
+    turns = np.array([[0.3, 0, 0], [-0.3, 0, 0], [0, 0.4, 0], [0, -0.4, 0.0]])
+    spread = rotation_spread(np.stack([transform((0, 0, 0), base @ matrix_from_rotation_vector(t)) for t in turns]))
+    assert spread == pytest.approx([0.8, 0.6, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "lens", [(), (0.1, -0.2, 0.003, -0.002, 0.05), (0.5, -2.6, 0.001, -0.0005, 1.5, 0.4, -2.4, 1.4)]
+)
+def test_projection_is_opencvs(lens: tuple[float, ...]) -> None:
+    import cv2
+
+    points = np.random.default_rng(0).uniform((-0.3, -0.2, 0.5), (0.3, 0.2, 1.0), (50, 3))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), INTRINSICS.matrix, np.array(lens))
+    assert project(points, replace(INTRINSICS, distortion=np.array(lens))) == pytest.approx(expected[:, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("changes", [{"columns": 2}, {"marker": 0.04}, {"marker": 0.001}, {"square": 2.0}])
+def test_what_is_no_board_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match="No ChArUco board"):
+        Board(**changes)
+
+
+# The command ----------------------------------------------------------------------------------------------------------
+
+DEPTH = Intrinsics(np.array([[380.0, 0, 212], [0, 380.0, 120], [0, 0, 1]]), np.zeros(5), 424, 240)
+DEPTH_IN_COLOR = transform((0.015, 0.0, 0.001), matrix_from_rotation_vector(np.array([0.01, 0.0, -0.01])))
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("views")
+    write_views(folder, truth(1, 13), depth=DEPTH, depth_in_color=DEPTH_IN_COLOR)
+    return folder
+
+
+def test_the_command_calibrates_from_a_folder(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "lab.cameras.json"
+    assert main(["calibrate", str(pictures), "--output", str(output)]) == 0
+    told = capsys.readouterr().out
+    assert told.count(" px ") >= 13
+    assert "one picture less moves the camera by at most" in told
+    found = read_calibrations(output)["front"]
+    assert found.depth_in_base is not None
+    assert np.linalg.norm(found.depth_in_base[:3, 3] - (CAMERA @ DEPTH_IN_COLOR)[:3, 3]) < 1e-3
+    assert found.depth.width == 424
+    assert found.color is not None
+    assert found.camera == "0123"
+    assert main(["calibrate", str(pictures), "--json", "--output", str(output), "--key", "side"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert len(numbers["views"]) == numbers["pictures"] == 13
+    assert numbers["rms_px"] < 0.2
+    assert set(read_calibrations(output)) == {"front", "side"}
+
+
+def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate"]) == 2
+    assert "--board-image" in capsys.readouterr().err
+    assert main(["calibrate", str(tmp_path)]) == 2
+    assert "views.json" in capsys.readouterr().err
+    (tmp_path / "robot.json").write_text('{"type": "no_such_robot"}')
+    assert main(["calibrate", str(tmp_path), "--record", str(tmp_path / "robot.json")]) == 2
+    assert "describes no robot" in capsys.readouterr().err
+
+
+def test_the_printed_board_is_the_one_that_is_looked_for(tmp_path: Path) -> None:
+    from PIL import Image
+
+    path = tmp_path / "board.png"
+    assert main(["calibrate", "--board-image", str(path), "--square", "0.03", "--marker", "0.022"]) == 0
+    picture = Image.open(path)
+    assert picture.info["dpi"][0] == pytest.approx(300, abs=0.1)
+    assert picture.width == pytest.approx((7 + 1) * 0.03 / 0.0254 * 300, abs=9)
+    small = np.asarray(picture.resize((picture.width // 4, picture.height // 4)), np.uint8)
+    assert len(Board(square=0.03, marker=0.022).detect(small)[0]) == 24
+
+
+def test_a_missing_picture_is_named(tmp_path: Path) -> None:
+    folder = write_views(tmp_path, truth(0, 2))
+    (tmp_path / "view_001.png").unlink()
+    with pytest.raises(ConfigurationError, match=r"view_001\.png"):
+        folder.views()
+
+
+# With a robot ---------------------------------------------------------------------------------------------------------
+
+
+class FakeCamera(FrameReader):
+    """Sees the board where the robot's hand holds it."""
+
+    name, use_rgb, use_depth = "0123", True, True
+
+    def __init__(self, robot: FakeRobot) -> None:
+        self.robot = robot
+
+    def color_intrinsics(self) -> Intrinsics:
+        return INTRINSICS
+
+    def depth_intrinsics(self) -> Intrinsics:
+        return DEPTH
+
+    def depth_in_color(self) -> NDArray[np.float64]:
+        return DEPTH_IN_COLOR
+
+    def frame_after(self, stamp: float, timeout: float = 1.0) -> Frame:
+        if self.robot.frozen:
+            raise RobotError("Camera 0123: It is frozen.")
+        return Frame(stamp + 0.01, stamp + 0.02, np.repeat(self.robot.picture()[..., None], 3, 2), None, 0)
+
+
+class FakeRobot:
+    """A hand that is led from pose to pose."""
+
+    def __init__(self, known: Truth) -> None:
+        self.known, self.at, self.creeps, self.frozen, self.blank = known, 0, 0.0, False, False
+        self.cameras: dict[str, Any] = {"front": FakeCamera(self), "phone": object()}
+
+    def picture(self) -> NDArray[np.uint8]:
+        return np.zeros((480, 640), np.uint8) if self.blank else rendered(self.known.board_in_camera[self.at])
+
+    def get_observation(self) -> dict[str, Any]:
+        pose = self.known.tcp_in_base[self.at]
+        self.known.tcp_in_base[self.at] = transform((self.creeps, 0, 0)) @ pose
+        return dict(zip(POSE_NAMES, pose_vector(pose, 1.0).tolist(), strict=True))
+
+
+def test_pictures_are_taken_with_a_robot_and_only_good_ones_kept(tmp_path: Path) -> None:
+    known = truth(2, 3)
+    robot, told = FakeRobot(known), []
+
+    def person() -> Iterator[bool]:
+        yield True  # at pose 0
+        robot.creeps = 0.002
+        yield True  # the arm creeps
+        robot.creeps, robot.at, robot.blank = 0.0, 1, True
+        yield True  # something is in the way
+        robot.blank, robot.frozen = False, True
+        yield True
+        robot.frozen = False
+        yield True
+        yield False
+
+    asked = person()
+    camera = camera_of(robot, "front")
+    folder = begin(tmp_path, camera, Mounting.FIXED, BOARD)
+    folder = take_views(robot, camera, folder, lambda: next(asked), told.append)
+    kept = ViewFolder.open(tmp_path)
+    assert len(folder.tcp_in_base) == len(kept.tcp_in_base) == 2
+    expected = [
+        "1 pictures; 24 corners in this one",
+        "the arm moved",
+        "the board is not seen",
+        "Camera 0123",
+        "2 pictures; 24 corners in this one",
+    ]
+    assert [line.partition(":")[0] for line in told] == expected
+    assert kept.tcp_in_base[1] == pytest.approx(known.tcp_in_base[1], abs=1e-6)
+    assert len(kept.views()) == 2
+    assert len(begin(tmp_path, camera, Mounting.FIXED, BOARD).tcp_in_base) == 2  # one may go on another day
+    with pytest.raises(ConfigurationError, match="something else"):
+        begin(tmp_path, camera, Mounting.WRIST, BOARD)
+    with pytest.raises(ConfigurationError, match="no camera phone"):
+        camera_of(robot, "phone")
