@@ -33,6 +33,7 @@ from lerobot_adamanip.demos.shards import read_shard
 from lerobot_adamanip.demos.statistics import fix_statistics
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.jobs import JobResult, WorkerError
+from lerobot_adamanip.pointcloud import Workspace
 
 _VIDEO_FILE_MB = 25
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
@@ -162,7 +163,13 @@ def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[
 
 
 def create_dataset(
-    root: Path, repo_id: str, *, num_points: int, image_size: int | None, intrinsics: list[list[float]] | None
+    root: Path,
+    repo_id: str,
+    *,
+    num_points: int,
+    image_size: int | None,
+    intrinsics: list[list[float]] | None,
+    workspace: Workspace | None = None,
 ) -> Any:
     """Returns an empty LeRobotDataset of the contract, whoever demonstrates: the one place that describes its columns.
 
@@ -172,6 +179,7 @@ def create_dataset(
         num_points: points per cloud.
         image_size: height and width of the front image [px]; None for no images.
         intrinsics: (3, 3) of the front camera for that size [px], if known.
+        workspace: box of the clouds, where no manifest tells it and it is not the default one.
     """
     import av
     import datasets
@@ -181,7 +189,8 @@ def create_dataset(
     datasets.disable_progress_bars()
     images = image_size is not None
     features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=images)
-    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base"}
+    box = {} if workspace is None else {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
+    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **box}
     if images:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(

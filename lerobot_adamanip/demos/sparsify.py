@@ -90,7 +90,8 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
 
     First and last sample are always key frames. Of a stay in one place the last sample is: there the arm, and the
     gripper, have settled. A change of the gripper is kept at the end of the stay it happens in, or where it happens if
-    the arm is moving. Applying it again to its own result changes nothing.
+    the arm is moving. A goal that is given up ends a stay then and there. Applying it again to its own result changes
+    nothing.
     """
     chosen = options or SparsifyOptions()
     indices: NDArray[np.int64] = np.arange(len(trajectory.pose), dtype=np.int64)
@@ -113,8 +114,15 @@ def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.i
         if is_open[t] != is_open[t - 1]:
             kept.add(int(stay_end[t]) if stay_end[t] >= 0 else t)
     if trajectory.command is not None:
-        kept.update(_given_up(trajectory.pose, trajectory.command, options))
+        given_up = _given_up(trajectory.pose, trajectory.command, options)
+        kept.difference_update(_late_ends(stay_end, given_up, count))
+        kept.update(given_up)
     return np.array(sorted(kept), dtype=np.int64)
+
+
+def _late_ends(stay_end: NDArray[np.int64], given_up: list[int], count: int) -> set[int]:
+    """Returns ends of stays that were over when their goal was given up: after that an arm takes a while to begin."""
+    return {int(stay_end[t]) for t in given_up if stay_end[t] >= 0} - {count - 1}
 
 
 def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: SparsifyOptions) -> NDArray[np.int64]:

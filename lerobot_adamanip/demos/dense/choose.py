@@ -115,9 +115,9 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
             allowed="two key frames or more",
             hint="--skip-still, or lerobot-edit-dataset --operation.type=delete_episodes",
         )
-    accepted = np.array(
-        [_accepted(episode, first, last, chosen) for first, last in zip(rows[:-1], rows[1:], strict=True)], np.int64
-    )
+    spans = zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True)
+    stands = _stands(episode, fps, chosen)
+    accepted = np.array([_accepted(episode, stands, first, last, chosen) for first, last in spans], np.int64)
     stay = np.concatenate([episode.state[rows[-1], : schema.GRIPPER_DIM], [episode.sent[accepted[-1], -1]]])
     actions = np.concatenate([episode.sent[accepted], stay[None]]).astype(np.float32)
     actions[:, schema.GRIPPER_DIM] = actions[:, schema.GRIPPER_DIM] > 0.5
@@ -127,16 +127,32 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
 
 def trajectory_of(episode: DenseEpisode, fps: int) -> tuple[DenseTrajectory, NDArray[np.int64]]:
     """Returns what `sparsify` looks at, and the ticks that it consists of: each reading of the arm once."""
-    ticks = np.arange(len(episode), dtype=np.int64)
-    moments = episode.stamp
-    if not np.isfinite(moments).all() or (len(ticks) > 1 and moments[-1] - moments[0] < _SHORTEST):
-        moments = ticks / fps
-    fresh = np.r_[True, np.diff(moments) > _SHORTEST] if len(ticks) else np.zeros(0, bool)
-    ticks = ticks[fresh]
-    pose, moments = episode.pose[ticks], moments[ticks]
+    moments = _moments(episode, fps)
+    ticks = np.flatnonzero(np.r_[True, np.diff(moments) > _SHORTEST])
+    pose = episode.pose[ticks]
     way = np.array([distance(a, b) for a, b in zip(pose[:-1], pose[1:], strict=True)])
-    speed = np.r_[way / np.diff(moments), 0.0] if len(ticks) else np.zeros(0)
+    speed = np.r_[way / np.diff(moments[ticks]), 0.0]
     return DenseTrajectory(pose, speed, episode.following[ticks]), ticks
+
+
+def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
+    """Returns when each row was measured (T,) [s]; by the rate, where the stamps tell nothing."""
+    told = episode.stamp
+    if np.isfinite(told).all() and told[-1] - told[0] > _SHORTEST:
+        return told
+    return np.arange(len(episode)) / fps
+
+
+def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArray[np.bool_]:
+    """Returns for each tick whether the accepted target stood still since the reading before it, (T,)."""
+    moments, sent = _moments(episode, fps), episode.sent.astype(np.float64)
+    stands, before = np.ones(len(episode), bool), 0
+    for tick in range(1, len(episode)):
+        while moments[tick] - moments[before + 1] > _SHORTEST and before + 1 < tick:
+            before += 1
+        elapsed = max(_SHORTEST, float(moments[tick] - moments[before]))
+        stands[tick] = distance(sent[before], sent[tick]) <= options.sparsify.stopped * elapsed
+    return stands
 
 
 def _key_rows(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
@@ -154,7 +170,9 @@ def _same_place(trajectory: DenseTrajectory, first: int, last: int, options: Key
     return bool(near and (gripper == gripper[0]).all())
 
 
-def _accepted(episode: DenseEpisode, first: int, last: int, options: KeyFrameOptions) -> int:
+def _accepted(
+    episode: DenseEpisode, stands: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions
+) -> int:
     """Returns the tick whose ``sent`` is the target that key frame ``last`` ended, of those after ``first``.
 
     By then the target of the next key frame may have been accepted: the arm, and fingers, take a while to begin. So it
@@ -165,10 +183,7 @@ def _accepted(episode: DenseEpisode, first: int, last: int, options: KeyFrameOpt
     while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.sparsify.same_place:
         begin -= 1
     for tick in range(begin, last + 1):
-        before, now = episode.sent[tick - 1].astype(np.float64), episode.sent[tick].astype(np.float64)
-        elapsed = max(_SHORTEST, float(episode.stamp[tick] - episode.stamp[tick - 1]))
-        stands = distance(before, now) <= options.sparsify.stopped * elapsed
-        if stands and (now[schema.GRIPPER_DIM] > 0.5) == is_open:
+        if stands[tick] and (episode.sent[tick, schema.GRIPPER_DIM] > 0.5) == is_open:
             return tick
     return last
 
