@@ -170,7 +170,9 @@ def add(dataset: Any, episode: DenseEpisode) -> None:
 
 def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
     """As `lerobot-record` writes it."""
-    more = {"intervention": {"dtype": "bool", "shape": (1,), "names": None}} if episodes[0].corrected is not None else {}
+    more = (
+        {"intervention": {"dtype": "bool", "shape": (1,), "names": None}} if episodes[0].corrected is not None else {}
+    )
     dataset = begun(root, **more)
     for episode in episodes:
         add(dataset, episode)

@@ -5,6 +5,7 @@ Pure: `lerobot_adamanip.demos.dense.recording` reads episodes, `lerobot_adamanip
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -115,7 +116,7 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
             allowed="two key frames or more",
             hint="--skip-still, or lerobot-edit-dataset --operation.type=delete_episodes",
         )
-    spans = zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True)
+    spans = itertools.pairwise(rows.tolist())
     stands = _stands(episode, fps, chosen)
     accepted = np.array([_accepted(episode, stands, first, last, chosen) for first, last in spans], np.int64)
     stay = np.concatenate([episode.state[rows[-1], : schema.GRIPPER_DIM], [episode.sent[accepted[-1], -1]]])
@@ -130,7 +131,7 @@ def trajectory_of(episode: DenseEpisode, fps: int) -> tuple[DenseTrajectory, NDA
     moments = _moments(episode, fps)
     ticks = np.flatnonzero(np.r_[True, np.diff(moments) > _SHORTEST])
     pose = episode.pose[ticks]
-    way = np.array([distance(a, b) for a, b in zip(pose[:-1], pose[1:], strict=True)])
+    way = np.array([distance(a, b) for a, b in itertools.pairwise(pose)])
     speed = np.r_[way / np.diff(moments[ticks]), 0.0]
     return DenseTrajectory(pose, speed, episode.following[ticks]), ticks
 
@@ -170,9 +171,7 @@ def _same_place(trajectory: DenseTrajectory, first: int, last: int, options: Key
     return bool(near and (gripper == gripper[0]).all())
 
 
-def _accepted(
-    episode: DenseEpisode, stands: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions
-) -> int:
+def _accepted(episode: DenseEpisode, stands: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions) -> int:
     """Returns the tick whose ``sent`` is the target that key frame ``last`` ended, of those after ``first``.
 
     By then the target of the next key frame may have been accepted: the arm, and fingers, take a while to begin. So it

@@ -119,7 +119,10 @@ def convert(
     count = 0
     if simulated:
         merged = merge(
-            [built, *simulated], out, repo_id=chosen.repo_id, progress=lambda done, total: progress("merge", done, total)
+            [built, *simulated],
+            out,
+            repo_id=chosen.repo_id,
+            progress=lambda done, total: progress("merge", done, total),
         )
         count = merged.episodes - len(shards)
     else:
@@ -214,7 +217,9 @@ def _converted(
         chosen = choose_key_frames(episode, recording.fps, options.key_frames)
     except DatasetError as error:
         if not options.skip_still:
-            raise DatasetError(f"{name} cannot be converted.", got=error, allowed="motion", hint="--skip-still") from error
+            raise DatasetError(
+                f"{name} cannot be converted.", got=error, allowed="motion", hint="--skip-still"
+            ) from error
         made.skipped.append(name)
         return None
     columns = demonstration_columns(
@@ -246,9 +251,7 @@ def _converted(
     return RecordedEpisode(columns, record)
 
 
-def _assembled(
-    work: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress
-) -> Path:
+def _assembled(work: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:
     """Writes a dataset of these episodes, syncs it and reads it back."""
     if not shards:
         raise DatasetError(

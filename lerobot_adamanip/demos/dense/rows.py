@@ -22,6 +22,23 @@ DepthPoints = Callable[[NDArray[np.uint16], CameraCalibration], Cloud]
 """Depth (H, W) [mm] of a camera whose ``depth_in_base`` is known -> points (M, 3) [m], robot base frame."""
 Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
 """Tick -> colour (H, W, 3), if there is any, and depth (H, W) [mm]."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What a camera saw in an episode, and what turns its depth into points.
+
+    Attributes:
+        pictures: of a tick.
+        calibration: of the camera.
+        points: depth to points.
+    """
+
+    pictures: Pictures
+    calibration: CameraCalibration
+    points: DepthPoints
+
+
 UNKNOWN = -1
 """Phase and trial of key frames that nobody has labelled."""
 _OPEN_FINGER = 0.04
@@ -44,12 +61,7 @@ class RowOptions:
 
 
 def demonstration_columns(
-    episode: DenseEpisode,
-    chosen: ChosenKeyFrames,
-    pictures: Pictures,
-    calibration: CameraCalibration,
-    points: DepthPoints,
-    options: RowOptions,
+    episode: DenseEpisode, chosen: ChosenKeyFrames, camera: Camera, options: RowOptions
 ) -> dict[str, NDArray[Any]]:
     """Returns one (K, ...) array per column of the contract, for the K key frames of an episode.
 
@@ -74,7 +86,7 @@ def demonstration_columns(
     }
     state = episode.state[rows]
     return {
-        **_seen(episode, rows, pictures, calibration, points, options),
+        **_seen(episode, rows, camera, options),
         schema.STATE: state,
         schema.EFFORT: episode.effort[rows],
         schema.ACTION: _asked(episode, chosen),
@@ -94,18 +106,13 @@ def _asked(episode: DenseEpisode, chosen: ChosenKeyFrames) -> NDArray[np.float32
 
 
 def _seen(
-    episode: DenseEpisode,
-    rows: NDArray[np.int64],
-    pictures: Pictures,
-    calibration: CameraCalibration,
-    points: DepthPoints,
-    options: RowOptions,
+    episode: DenseEpisode, rows: NDArray[np.int64], camera: Camera, options: RowOptions
 ) -> dict[str, NDArray[Any]]:
     clouds, images = [], []
     for row in rows.tolist():
-        colour, depth = pictures(row)
-        placed = _placed(calibration, episode.pose[row])
-        clouds.append(workspace_cloud(points(depth, placed), options.workspace, options.num_points))
+        colour, depth = camera.pictures(row)
+        placed = _placed(camera.calibration, episode.pose[row])
+        clouds.append(workspace_cloud(camera.points(depth, placed), options.workspace, options.num_points))
         if options.image_size is not None:
             if colour is None:
                 raise DatasetError(
@@ -130,7 +137,8 @@ def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     side = min(height, width)
     left, top = (width - side) // 2, (height - side) // 2
     image = Image.fromarray(picture[top : top + side, left : left + side])
-    return np.asarray(image if side == size else image.resize((size, size), Image.Resampling.BOX if side > size else Image.Resampling.BILINEAR))
+    how = Image.Resampling.BOX if side > size else Image.Resampling.BILINEAR
+    return np.asarray(image if side == size else image.resize((size, size), how))
 
 
 def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str, Any]:
