@@ -107,7 +107,7 @@ def _warn_once() -> None:
     if version not in _warned:
         _warned.add(version)
         _log.warning(
-            "LeRobot %s is not what lerobot_env_adamanip was tested with (%s): a kill loses all episodes of a recording.",
+            "LeRobot %s is not what lerobot_env_adamanip was tested with (%s): a kill loses a recording's episodes.",
             version,
             ", ".join(TESTED),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,7 +56,7 @@ def goal_between(start: Stop, end: Stop, share: float, gripper: float) -> NDArra
 def streamed(stops: Sequence[Stop]) -> list[NDArray[np.float32]]:
     """Targets, tick by tick."""
     targets = [stops[0].goal] * stops[0].rest
-    for start, end in zip(stops[:-1], stops[1:], strict=True):
+    for start, end in itertools.pairwise(stops):
         way = float(np.linalg.norm(np.subtract(end.position, start.position))) + 0.1 * abs(end.turn - start.turn)
         ticks = int(np.ceil(way / SPEED * FPS))
         targets += [goal_between(start, end, tick / ticks, start.gripper) for tick in range(1, ticks)]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -21,13 +23,14 @@ from lerobot_adamanip.hub.check.repair import repair
 
 HERE = Path(__file__).parent
 ENCODINGS = (False, True)
-PATIENCE = 240.0
+PATIENCE = 280.0
 WAIT = 0.05
 
 
 def command(root: Path, *, resume: bool, streaming: bool, episodes: int) -> list[str]:
     options = {
-        "robot.type": "recorded_robot", "teleop.type": "recorded_teleop", "robot.discover_packages_path": "recorded_robot",
+        "robot.type": "recorded_robot", "teleop.type": "recorded_teleop",
+        "robot.discover_packages_path": "recorded_robot",
         "dataset.repo_id": "local/killed", "dataset.no_stamp": "true", "dataset.root": str(root),
         "dataset.push_to_hub": "false", "dataset.single_task": "open it", "dataset.num_episodes": str(episodes),
         "dataset.episode_time_s": "0.4", "dataset.reset_time_s": "0", "play_sounds": "false", "dataset.fps": "30",
@@ -73,12 +76,19 @@ class Recording:
         return (self.saved.parent / "log").read_text(errors="replace")[-3000:]
 
     def kill(self) -> None:
-        os.killpg(self.process.pid, 9)  # its encoders too, which are its own
+        os.killpg(self.process.pid, signal.SIGKILL)  # its encoders too, which are its own
         self.process.wait()
-        os.close(self._terminal)
 
     def end(self) -> None:
         assert self.process.wait(PATIENCE) == 0, self.told()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leaves no process behind, however a test ends."""
+        with contextlib.suppress(ProcessLookupError):
+            self.kill()
         os.close(self._terminal)
 
 
@@ -108,10 +118,10 @@ def killed_again_and_again(folder: Path, kills: int, *, streaming: bool, seed: i
     draw = random.Random(seed)
     root = folder / "recording"
     for number in range(kills):
-        recording = Recording(folder, resume=number > 0, streaming=streaming)
-        recording.wait_for(draw.randint(1, 3))
-        time.sleep(draw.uniform(0.0, 1.5))
-        recording.kill()
+        with Recording(folder, resume=number > 0, streaming=streaming) as recording:
+            recording.wait_for(draw.randint(1, 3))
+            time.sleep(draw.uniform(0.0, 1.5))
+            recording.kill()
         saved = recording.lines()
         assert [number for number, _ in saved] == list(range(len(saved)))
         done = repair(root)
@@ -123,9 +133,9 @@ def killed_again_and_again(folder: Path, kills: int, *, streaming: bool, seed: i
             length = episode_length(root, episodes - 1)
             with recording.saved.open("a") as file:
                 file.write(f"{episodes - 1} {length}\n")
-    last = Recording(folder, resume=True, streaming=streaming, episodes=1)
-    before = len(last.lines())
-    last.end()
+    with Recording(folder, resume=True, streaming=streaming, episodes=1) as last:
+        before = len(last.lines())
+        last.end()
     assert [number for number, _ in last.lines()] == list(range(before + 1))
     return require_readable(root, last.lines())
 

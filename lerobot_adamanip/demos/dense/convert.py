@@ -6,6 +6,7 @@ description is the same whoever demonstrated.
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,16 +14,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import lerobot_adamanip
 from lerobot_adamanip import files, schema
 from lerobot_adamanip.demos.assemble import add_episode_columns, append_shards, cameras_json, create_dataset
 from lerobot_adamanip.demos.dense.choose import DenseEpisode, KeyFrameOptions, choose_key_frames
-from lerobot_adamanip.demos.dense.recording import DenseRecording
-from lerobot_adamanip.demos.dense.rows import DepthPoints, RowOptions, camera_record, demonstration_columns
+from lerobot_adamanip.demos.dense.recording import INTERVENTION, DenseRecording
+from lerobot_adamanip.demos.dense.rows import (
+    Camera,
+    DepthPoints,
+    RowOptions,
+    camera_record,
+    demonstration_columns,
+)
 from lerobot_adamanip.demos.loading import load_check, read_back, read_info
 from lerobot_adamanip.demos.merge import merge, require_free
-from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.demos.statistics import fix_statistics
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
@@ -74,11 +82,23 @@ class Converted:
     skipped: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Eyes:
+    """How depth becomes points.
+
+    Attributes:
+        calibration_of: finds the calibration of a recording's camera.
+        points: depth to points.
+    """
+
+    calibration_of: CalibrationOf
+    points: DepthPoints
+
+
 def convert(
     sources: Sequence[Path],
     out: Path,
-    calibration_of: CalibrationOf,
-    points: DepthPoints,
+    eyes: Eyes,
     options: ConvertOptions | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Converted:
@@ -89,8 +109,7 @@ def convert(
     Args:
         sources: dense recordings, one or more, and any datasets of the contract.
         out: a folder that does not exist.
-        calibration_of: finds the calibration of a recording's camera.
-        points: depth to points.
+        eyes: how depth becomes points.
         options: how.
         progress: told of what is done.
 
@@ -113,31 +132,17 @@ def convert(
     work = out.with_name(out.name + ".converting")
     files.remove_tree(work)
     (work / "episodes").mkdir(parents=True)
-    made = _Made()
-    shards = [each for each in _shards(work, recordings, calibration_of, points, chosen, made, progress)]
+    conversion = _Conversion(work, eyes, chosen, progress)
+    shards = list(conversion.shards(recordings))
     built = _assembled(work, shards, chosen, chosen.repo_id or f"local/{out.name}", progress)
-    count = 0
+    merged = 0
     if simulated:
-        merged = merge(
-            [built, *simulated],
-            out,
-            repo_id=chosen.repo_id,
-            progress=lambda done, total: progress("merge", done, total),
-        )
-        count = merged.episodes - len(shards)
+        told = functools.partial(progress, "merge")
+        merged = merge([built, *simulated], out, repo_id=chosen.repo_id, progress=told).episodes - len(shards)
     else:
         files.move_durably(built, out)
     files.remove_tree(work)
-    return Converted(len(shards), made.ticks, made.key_frames, count, tuple(made.skipped))
-
-
-@dataclass
-class _Made:
-    """Counts, while episodes are converted."""
-
-    ticks: int = 0
-    key_frames: int = 0
-    skipped: list[str] = field(default_factory=list)
+    return Converted(len(shards), conversion.ticks, conversion.key_frames, merged, tuple(conversion.skipped))
 
 
 def _is_demonstrations(root: Path) -> bool:
@@ -161,28 +166,82 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
     return replace(options, rows=rows)
 
 
-def _shards(
-    work: Path,
-    recordings: Sequence[DenseRecording],
-    calibration_of: CalibrationOf,
-    points: DepthPoints,
-    options: ConvertOptions,
-    made: _Made,
-    progress: Progress,
-) -> Iterator[Path]:
-    done, total = 0, sum(map(len, recordings))
-    for recording in recordings:
-        calibration = calibration_of(recording.root)
-        for number in range(len(recording)):
-            for part, (begin, episode) in enumerate(_parts(recording.episode(number))):
-                path = work / "episodes" / f"{done:06d}-{part:03d}.safetensors"
-                name = f"{recording.root.name}:{number}"
-                converted = _converted(recording, number, begin, episode, calibration, points, options, made, name)
-                if converted is not None:
-                    write_shard(path, converted)
-                    yield path
-            done += 1
-            progress("convert", done, total)
+@dataclass
+class _Conversion:
+    """Recordings on their way into shards, and what was counted so far."""
+
+    work: Path
+    eyes: Eyes
+    options: ConvertOptions
+    progress: Progress
+    ticks: int = 0
+    key_frames: int = 0
+    skipped: list[str] = field(default_factory=list)
+
+    def shards(self, recordings: Sequence[DenseRecording]) -> Iterator[Path]:
+        """Writes the shards of all recordings, and yields them in order."""
+        done, total = 0, sum(map(len, recordings))
+        for recording in recordings:
+            calibration = self.eyes.calibration_of(recording.root)
+            for number in range(len(recording)):
+                for part, (begin, episode) in enumerate(_parts(recording.episode(number))):
+                    path = self.work / "episodes" / f"{done:06d}-{part:03d}.safetensors"
+                    converted = self._converted(_Place(recording, number, begin, calibration), episode)
+                    if converted is not None:
+                        write_shard(path, converted)
+                        yield path
+                done += 1
+                self.progress("convert", done, total)
+
+    def _converted(self, place: _Place, episode: DenseEpisode) -> RecordedEpisode | None:
+        try:
+            chosen = choose_key_frames(episode, place.recording.fps, self.options.key_frames)
+        except DatasetError as error:
+            if not self.options.skip_still:
+                what = f"{place.name} cannot be converted."
+                raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
+            self.skipped.append(place.name)
+            return None
+        camera = Camera(place.pictures, place.calibration, self.eyes.points)
+        columns = demonstration_columns(episode, chosen, camera, self.options.rows)
+        self.ticks += len(episode)
+        self.key_frames += len(chosen.rows) - 1
+        record = {
+            "task": episode.task,
+            "success": bool(columns[schema.SUCCESS].any()),
+            "key_frames": len(chosen.rows) - 1,
+            "camera": camera_record(place.calibration, self.options.rows.image_size),
+            "recorded": {**place.origin(), "ticks": (place.begin + chosen.rows).tolist()},
+        }
+        return RecordedEpisode(columns, record)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """An episode, or a part of it that begins at a tick."""
+
+    recording: DenseRecording
+    number: int
+    begin: int
+    calibration: CameraCalibration
+
+    @property
+    def name(self) -> str:
+        return f"{self.recording.root.name}:{self.number}"
+
+    def pictures(self, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
+        return self.recording.pictures(self.number, self.begin + tick)
+
+    def origin(self) -> dict[str, Any]:
+        """What an episode says of where it comes from."""
+        return {
+            "recording": self.recording.root.name,
+            "episode": self.number,
+            "robot_type": self.recording.info.get("robot_type"),
+            "fps": self.recording.fps,
+            "corrections": INTERVENTION in self.recording.info["features"],
+            "plugin": lerobot_adamanip.__version__,
+        }
 
 
 def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
@@ -202,63 +261,12 @@ def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
     return parts
 
 
-def _converted(
-    recording: DenseRecording,
-    number: int,
-    begin: int,
-    episode: DenseEpisode,
-    calibration: CameraCalibration,
-    points: DepthPoints,
-    options: ConvertOptions,
-    made: _Made,
-    name: str,
-) -> RecordedEpisode | None:
-    try:
-        chosen = choose_key_frames(episode, recording.fps, options.key_frames)
-    except DatasetError as error:
-        if not options.skip_still:
-            raise DatasetError(
-                f"{name} cannot be converted.", got=error, allowed="motion", hint="--skip-still"
-            ) from error
-        made.skipped.append(name)
-        return None
-    columns = demonstration_columns(
-        episode,
-        chosen,
-        lambda tick: recording.pictures(number, begin + tick),
-        calibration,
-        points,
-        options.rows,
-    )
-    made.ticks += len(episode)
-    made.key_frames += len(chosen.rows) - 1
-    origin = {
-        "recording": recording.root.name,
-        "episode": number,
-        "ticks": (begin + chosen.rows).tolist(),
-        "robot_type": recording.info.get("robot_type"),
-        "fps": recording.fps,
-        "corrections": episode.corrected is not None,
-        "plugin": lerobot_adamanip.__version__,
-    }
-    record = {
-        "task": episode.task,
-        "success": bool(columns[schema.SUCCESS].any()),
-        "key_frames": len(chosen.rows) - 1,
-        "camera": camera_record(calibration, options.rows.image_size),
-        "recorded": origin,
-    }
-    return RecordedEpisode(columns, record)
-
-
 def _assembled(work: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:
     """Writes a dataset of these episodes, syncs it and reads it back."""
     if not shards:
         raise DatasetError(
             "No episode was converted.", got="0 episodes", allowed="1 or more", hint="adamanip check RECORDING"
         )
-    from lerobot_adamanip.demos.shards import read_record
-
     root = work / "dataset"
     first = read_record(shards[0]) or {}
     dataset = create_dataset(
