@@ -23,6 +23,9 @@ from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 from lerobot.utils.utils import flatten_dict
 
 from lerobot_adamanip import files
+from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.features import CALIBRATIONS
+from lerobot_adamanip.hardware.session import BOARD
 
 _FULL = 0.0
 """A file of this size is full [MB]: every episode begins another one."""
@@ -51,6 +54,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
         episode_metadata: dict[str, Any],
     ) -> None:
         """As LeRobot's; the episode is saved once ``meta/info.json`` has been replaced."""
+        _keep_calibrations(self.root)
         told = {"episode_index": episode_index, "tasks": episode_tasks, "length": episode_length}
         self._save_episode_metadata({**told, **episode_metadata, **flatten_dict({"stats": episode_stats})})
         self._close_writer()
@@ -96,6 +100,15 @@ class DurableWriter(DatasetWriter):
         metadata: dict[str, Any] = super()._save_episode_data(episode_buffer)
         self.close_writer()
         return metadata
+
+
+def _keep_calibrations(root: Path) -> None:
+    """Writes where the connected robot's cameras stand beside its first episode: the pictures alone do not tell."""
+    session = BOARD.find()
+    if session is None or (root / CALIBRATIONS).exists():
+        return
+    for key, calibration in session.calibrations.items():
+        save_calibration(root / CALIBRATIONS, key, calibration)
 
 
 def _write_atomically(root: Path, write: Callable[[Path], None]) -> None:

@@ -25,6 +25,9 @@ FRONT_CAMERA = "front"
 DEPTH_SUFFIX = "_depth"
 """A camera's depth is a second image under its key and this: uint16, millimetres, 0 where nothing was seen."""
 
+CALIBRATIONS = "meta/calibrations.json"
+"""Of a recording: where its cameras stood, `lerobot_adamanip.hardware.calibration.file`."""
+
 
 def names_of(feature: Mapping[str, Any] | None) -> list[str]:
     """Returns the names of a column's numbers, in order; LeRobot keeps them as a list, or in groups."""

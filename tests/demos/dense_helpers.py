@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.demos.dense.choose import DenseEpisode
-from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
+from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES
 from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE
@@ -123,16 +124,6 @@ def calibration() -> CameraCalibration:
     return CameraCalibration("front", Intrinsics(matrix, np.zeros(0), SIZE, SIZE), looks)
 
 
-def points_of(depth: NDArray[np.uint16], placed: CameraCalibration) -> NDArray[np.float32]:
-    """The closed form, without any of what real depth needs."""
-    assert placed.depth_in_base is not None
-    v, u = np.nonzero(depth > 15)
-    z = depth[v, u] / 1000.0
-    rays = np.stack([u + 0.5, v + 0.5, np.ones(len(u))], axis=1) @ np.linalg.inv(placed.depth.matrix).T
-    points = rays * z[:, None]
-    return (points @ placed.depth_in_base[:3, :3].T + placed.depth_in_base[:3, 3]).astype(np.float32)
-
-
 def dense_features() -> dict[str, dict[str, Any]]:
     picture = {"dtype": "video", "names": ["height", "width", "channels"]}
     return {
@@ -179,4 +170,5 @@ def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
         add(dataset, episode)
         dataset.save_episode()
     dataset.finalize()
+    save_calibration(root / CALIBRATIONS, "front", calibration())
     return root

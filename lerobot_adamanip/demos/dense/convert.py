@@ -23,7 +23,6 @@ from lerobot_adamanip.demos.dense.choose import DenseEpisode, KeyFrameOptions, c
 from lerobot_adamanip.demos.dense.recording import INTERVENTION, DenseRecording
 from lerobot_adamanip.demos.dense.rows import (
     Camera,
-    DepthPoints,
     RowOptions,
     camera_record,
     demonstration_columns,
@@ -39,8 +38,6 @@ from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 
 Progress = Callable[[str, int, int], None]
 """Told of stage (``convert``, ``assemble``, ``merge``), episodes done, and all."""
-CalibrationOf = Callable[[Path], CameraCalibration]
-"""Recording -> calibration of its camera; raises `DatasetError` if there is none."""
 _LEAST_TICKS = 2
 
 
@@ -52,6 +49,7 @@ class ConvertOptions:
         key_frames: what counts as one.
         rows: what the columns are; of simulated datasets in the mix, whatever these have.
         camera: whose depth becomes the cloud.
+        calibration: file that says where it stood; None for the one in each recording.
         skip_still: leave episodes out in which nothing moves, instead of ending with an error.
         repo_id: ``local/<folder name>`` by default.
     """
@@ -59,6 +57,7 @@ class ConvertOptions:
     key_frames: KeyFrameOptions = field(default_factory=KeyFrameOptions)
     rows: RowOptions = field(default_factory=RowOptions)
     camera: str = FRONT_CAMERA
+    calibration: Path | None = None
     skip_still: bool = False
     repo_id: str | None = None
 
@@ -82,23 +81,9 @@ class Converted:
     skipped: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Eyes:
-    """How depth becomes points.
-
-    Attributes:
-        calibration_of: finds the calibration of a recording's camera.
-        points: depth to points.
-    """
-
-    calibration_of: CalibrationOf
-    points: DepthPoints
-
-
 def convert(
     sources: Sequence[Path],
     out: Path,
-    eyes: Eyes,
     options: ConvertOptions | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Converted:
@@ -109,7 +94,6 @@ def convert(
     Args:
         sources: dense recordings, one or more, and any datasets of the contract.
         out: a folder that does not exist.
-        eyes: how depth becomes points.
         options: how.
         progress: told of what is done.
 
@@ -132,7 +116,7 @@ def convert(
     work = out.with_name(out.name + ".converting")
     files.remove_tree(work)
     (work / "episodes").mkdir(parents=True)
-    conversion = _Conversion(work, eyes, chosen, progress)
+    conversion = _Conversion(work, chosen, progress)
     shards = list(conversion.shards(recordings))
     built = _assembled(work, shards, chosen, chosen.repo_id or f"local/{out.name}", progress)
     merged = 0
@@ -171,7 +155,6 @@ class _Conversion:
     """Recordings on their way into shards, and what was counted so far."""
 
     work: Path
-    eyes: Eyes
     options: ConvertOptions
     progress: Progress
     ticks: int = 0
@@ -182,7 +165,7 @@ class _Conversion:
         """Writes the shards of all recordings, and yields them in order."""
         done, total = 0, sum(map(len, recordings))
         for recording in recordings:
-            calibration = self.eyes.calibration_of(recording.root)
+            calibration = recording.calibration(self.options.calibration)
             for number in range(len(recording)):
                 for part, (begin, episode) in enumerate(_parts(recording.episode(number))):
                     path = self.work / "episodes" / f"{done:06d}-{part:03d}.safetensors"
@@ -202,7 +185,7 @@ class _Conversion:
                 raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
             self.skipped.append(place.name)
             return None
-        camera = Camera(place.pictures, place.calibration, self.eyes.points)
+        camera = Camera(place.pictures, place.calibration)
         columns = demonstration_columns(episode, chosen, camera, self.options.rows)
         self.ticks += len(episode)
         self.key_frames += len(chosen.rows) - 1

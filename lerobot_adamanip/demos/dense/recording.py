@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -17,7 +18,9 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.demos.dense.choose import DenseEpisode
 from lerobot_adamanip.demos.loading import read_info
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.features import (
+    CALIBRATIONS,
     DEPTH_SUFFIX,
     FRONT_CAMERA,
     LABEL_NAME,
@@ -27,6 +30,7 @@ from lerobot_adamanip.hardware.features import (
     is_dense,
     names_of,
 )
+from lerobot_adamanip.hardware.frames import CameraCalibration
 
 INTERVENTION = "intervention"
 """Column of LeRobot's DAgger recordings: whether a person, or an expert, had taken over."""
@@ -82,6 +86,22 @@ class DenseRecording:
 
         return LeRobotDataset(f"local/{self.root.name}", root=self.root, video_backend="pyav")
 
+    def calibration(self, path: Path | None = None) -> CameraCalibration:
+        """Returns the calibration of the camera, of a file, or of the one that was recorded with the episodes.
+
+        Raises:
+            DatasetError: none was recorded, and none is given, or it is of other cameras.
+            ConfigurationError: the file is none of calibrations.
+        """
+        chosen = path or self.root / CALIBRATIONS
+        if path is None and not chosen.exists():
+            got, hint = f"no {CALIBRATIONS} in {self.root.name}", "adamanip keyframes --calibration FILE"
+            raise _unusable(self.root, got, "the calibration that the robot had", hint)
+        known = read_calibrations(chosen)
+        if self.camera not in known:
+            raise _unusable(self.root, f"calibrations of {', '.join(known)}", self.camera, "--camera, --calibration")
+        return known[self.camera]
+
     def __len__(self) -> int:
         return int(self.info["total_episodes"])
 
@@ -98,7 +118,7 @@ class DenseRecording:
 
     def episode(self, number: int) -> DenseEpisode:
         """Returns an episode's columns; raises `DatasetError` for values that no robot tells."""
-        table = self._rows.filter(pa.compute.equal(self._rows["episode_index"], number))
+        table = self._rows.filter(pc.equal(self._rows["episode_index"], number))
         states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
         names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,30 +13,21 @@ from PIL import Image
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.dense.choose import ChosenKeyFrames, DenseEpisode
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 from lerobot_adamanip.hardware.frames import CameraCalibration
-from lerobot_adamanip.observation import workspace_cloud
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Cloud, Workspace
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.rotations import pose_from_vector
 
-DepthPoints = Callable[[NDArray[np.uint16], CameraCalibration], Cloud]
-"""Depth (H, W) [mm] of a camera whose ``depth_in_base`` is known -> points (M, 3) [m], robot base frame."""
 Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
 """Tick -> colour (H, W, 3), if there is any, and depth (H, W) [mm]."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """What a camera saw in an episode, and what turns its depth into points.
-
-    Attributes:
-        pictures: of a tick.
-        calibration: of the camera.
-        points: depth to points.
-    """
+    """What a camera saw in an episode, and where it stood: the calibration turns its depth into points."""
 
     pictures: Pictures
     calibration: CameraCalibration
-    points: DepthPoints
 
 
 UNKNOWN = -1
@@ -111,8 +102,8 @@ def _seen(
     clouds, images = [], []
     for row in rows.tolist():
         colour, depth = camera.pictures(row)
-        placed = _placed(camera.calibration, episode.pose[row])
-        clouds.append(workspace_cloud(camera.points(depth, placed), options.workspace, options.num_points))
+        tcp_in_base = pose_from_vector(episode.pose[row])[0]
+        clouds.append(depth_cloud(depth, camera.calibration, options.num_points, options.workspace, tcp_in_base))
         if options.image_size is not None:
             if colour is None:
                 raise DatasetError(
@@ -121,14 +112,6 @@ def _seen(
             images.append(square_image(colour, options.image_size))
     found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds)}
     return found | ({schema.FRONT_IMAGE: np.stack(images)} if images else {})
-
-
-def _placed(calibration: CameraCalibration, pose: NDArray[np.float64]) -> CameraCalibration:
-    """A camera on the hand, where the hand has taken it."""
-    if calibration.depth_in_tcp is None:
-        return calibration
-    tcp_in_base = pose_from_vector(pose)[0]
-    return replace(calibration, depth_in_base=tcp_in_base @ calibration.depth_in_tcp, depth_in_tcp=None)
 
 
 def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
