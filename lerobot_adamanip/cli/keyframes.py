@@ -68,6 +68,9 @@ class Keyframes:
     reached: float = DEFAULT_MOTION.reached_position
     """A target this close was reached; farther ones have stalled [m]."""
 
+    successful: bool = False
+    """Count episodes of roll-outs, which do not tell of success, as successes."""
+
     skip_still: bool = False
     """Leave episodes out in which nothing moves, instead of ending with an error."""
 
@@ -90,6 +93,7 @@ class Keyframes:
             ),
             camera=self.camera,
             calibration=self.calibration,
+            successful=self.successful,
             skip_still=self.skip_still,
             repo_id=self.repo_id,
         )

@@ -36,6 +36,10 @@ def names_of(feature: Mapping[str, Any] | None) -> list[str]:
 
 
 def is_dense(features: Mapping[str, Any]) -> bool:
-    """Whether a dataset's features are those of a recording of our robots: all their scalars, poses, and no cloud."""
-    whole = set(SCALAR_NAMES) <= set(names_of(features.get(STATE)))
-    return whole and set(POSE_NAMES) <= set(names_of(features.get(ACTION))) and POINT_CLOUD not in features
+    """Whether a dataset's features are those of a dense recording of our robots, and not of key frames.
+
+    `lerobot-record` keeps all scalars; `lerobot-rollout` keeps those that a policy is shown, the contract's 24.
+    """
+    names = names_of(features.get(STATE))
+    ours = set(SCALAR_NAMES) <= set(names) or names == list(STATE_NAMES)
+    return ours and set(POSE_NAMES) <= set(names_of(features.get(ACTION))) and POINT_CLOUD not in features

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.demos.dense.choose import DenseEpisode
 from lerobot_adamanip.hardware.calibration.file import save_calibration
-from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES
+from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES, names_of
 from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
-from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE
+from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE, STATE_NAMES
 
 FPS = 30
 SPEED, FOLLOWS, FINGERS, LEAD = 0.3, 0.4, 0.2, 0.04
@@ -124,10 +124,10 @@ def calibration() -> CameraCalibration:
     return CameraCalibration("front", Intrinsics(matrix, np.zeros(0), SIZE, SIZE), looks)
 
 
-def dense_features() -> dict[str, dict[str, Any]]:
+def dense_features(names: Sequence[str] = SCALAR_NAMES) -> dict[str, dict[str, Any]]:
     picture = {"dtype": "video", "names": ["height", "width", "channels"]}
     return {
-        STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},
+        STATE: {"dtype": "float32", "shape": (len(names),), "names": list(names)},
         ACTION: {"dtype": "float32", "shape": (10,), "names": list(POSE_NAMES)},
         "observation.images.front": {**picture, "shape": (SIZE, SIZE, 3)},
         f"observation.images.front{DEPTH_SUFFIX}": {
@@ -136,12 +136,12 @@ def dense_features() -> dict[str, dict[str, Any]]:
     }  # fmt: skip
 
 
-def begun(root: Path, **more: Any) -> Any:
+def begun(root: Path, names: Sequence[str] = SCALAR_NAMES, **more: Any) -> Any:
     from lerobot.configs.video import DepthEncoderConfig, RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     return LeRobotDataset.create(
-        "local/dense", FPS, {**dense_features(), **more}, root=root, robot_type="adamanip_franka",
+        "local/dense", FPS, {**dense_features(names), **more}, root=root, robot_type="adamanip_franka",
         rgb_encoder=RGBEncoderConfig(vcodec="h264"), depth_encoder=DepthEncoderConfig(depth_min=0.0, depth_max=2.0),
     )  # fmt: skip
 
@@ -149,7 +149,7 @@ def begun(root: Path, **more: Any) -> Any:
 def add(dataset: Any, episode: DenseEpisode) -> None:
     for tick, values in enumerate(scalars(episode)):
         frame = {
-            STATE: values,
+            STATE: values[: len(names_of(dataset.meta.features[STATE]))],
             ACTION: episode.asked[tick],
             "observation.images.front": np.full((SIZE, SIZE, 3), tick % 250, np.uint8),
             f"observation.images.front{DEPTH_SUFFIX}": depth_at(tick),
@@ -161,11 +161,11 @@ def add(dataset: Any, episode: DenseEpisode) -> None:
 
 
 def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
-    """As `lerobot-record` writes it."""
-    more = (
-        {"intervention": {"dtype": "bool", "shape": (1,), "names": None}} if episodes[0].corrected is not None else {}
-    )
-    dataset = begun(root, **more)
+    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` does."""
+    if episodes[0].corrected is None:
+        dataset = begun(root)
+    else:
+        dataset = begun(root, STATE_NAMES, intervention={"dtype": "bool", "shape": (1,), "names": None})
     for episode in episodes:
         add(dataset, episode)
         dataset.save_episode()

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from dense_helpers import SIZE, STOPS, Stop, dense_episode, depth_at, write_recording
+from dense_helpers import FPS, SIZE, STOPS, Stop, calibration, dense_episode, depth_at, write_recording
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.dense.choose import choose_key_frames
 from lerobot_adamanip.demos.dense.convert import ConvertOptions, convert
-from lerobot_adamanip.demos.dense.rows import RowOptions
+from lerobot_adamanip.demos.dense.rows import Camera, RowOptions, demonstration_columns
 from lerobot_adamanip.demos.loading import episode_table, open_dataset, read_info
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.features import CALIBRATIONS
@@ -131,18 +132,32 @@ def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
     episode = dense_episode(seed=3)
     ticks = np.arange(len(episode))
     rest = int(np.flatnonzero((episode.sent == STOPS[2].goal).all(axis=1))[0]) + 6
-    asked = episode.asked.copy()
-    asked[:, 2] += 0.01  # what was asked for was clipped
-    corrected = replace(episode, corrected=ticks >= rest, asked=asked)
+    corrected = replace(episode, corrected=ticks >= rest)
     root = write_recording(tmp_path / "rollout", corrected)
-    made = convert([root], tmp_path / "made", OPTIONS)
+    assert check(root).findings == ()
+    made = convert([root], tmp_path / "made", replace(OPTIONS, successful=True))
     assert made.episodes == 1
     rows = rows_of(tmp_path / "made")
     goals = np.stack([stop.goal for stop in STOPS[3:]])
-    np.testing.assert_array_equal(np.stack([row[schema.EXECUTED] for row in rows[:-1]]), goals)
-    lifted = goals + np.eye(10, dtype=np.float32)[2] * np.float32(0.01)
-    np.testing.assert_allclose(np.stack([row[schema.ACTION] for row in rows[:-1]]), lifted, atol=1e-6)
+    for key in (schema.ACTION, schema.EXECUTED):
+        np.testing.assert_array_equal(np.stack([row[key] for row in rows[:-1]]), goals)
+    assert [bool(row[schema.SUCCESS]) for row in rows] == [False] * (len(goals) - 1) + [True, True]
     assert json.loads(episode_table(tmp_path / "made")["recorded"][0].as_py())["corrections"]
+
+
+def test_what_a_corrector_asked_for_stands_beside_what_was_accepted() -> None:
+    episode = dense_episode()
+    asked = episode.asked.copy()
+    asked[:, 2] += 0.01  # the safety filter took that off again
+    asked[:, 9] *= 0.9  # a trigger that is not pulled all the way
+    corrected = replace(episode, corrected=np.ones(len(episode), bool), asked=asked)
+    chosen = choose_key_frames(corrected, FPS)
+    camera = Camera(lambda tick: (None, depth_at(tick)[..., 0]), calibration())
+    columns = demonstration_columns(corrected, chosen, camera, RowOptions(POINTS, None))
+    goals = np.stack([stop.goal for stop in STOPS[1:]])
+    np.testing.assert_array_equal(columns[schema.EXECUTED][:-1], goals)
+    lifted = goals + np.eye(10, dtype=np.float32)[2] * np.float32(0.01)
+    np.testing.assert_allclose(columns[schema.ACTION][:-1], lifted, atol=1e-6)
 
 
 def test_what_cannot_be_converted_is_named(recording: Path, finished: Path, tmp_path: Path) -> None:

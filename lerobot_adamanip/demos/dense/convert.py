@@ -50,6 +50,7 @@ class ConvertOptions:
         rows: what the columns are; of simulated datasets in the mix, whatever these have.
         camera: whose depth becomes the cloud.
         calibration: file that says where it stood; None for the one in each recording.
+        successful: whether episodes of roll-outs, which do not tell, count as successes from their last row on.
         skip_still: leave episodes out in which nothing moves, instead of ending with an error.
         repo_id: ``local/<folder name>`` by default.
     """
@@ -58,6 +59,7 @@ class ConvertOptions:
     rows: RowOptions = field(default_factory=RowOptions)
     camera: str = FRONT_CAMERA
     calibration: Path | None = None
+    successful: bool = False
     skip_still: bool = False
     repo_id: str | None = None
 
@@ -186,6 +188,8 @@ class _Conversion:
             self.skipped.append(place.name)
             return None
         camera = Camera(place.pictures, place.calibration)
+        if self.options.successful and not place.recording.tells_success:
+            episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
         columns = demonstration_columns(episode, chosen, camera, self.options.rows)
         self.ticks += len(episode)
         self.key_frames += len(chosen.rows) - 1

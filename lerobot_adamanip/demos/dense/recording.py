@@ -65,7 +65,7 @@ class DenseRecording:
             raise _unusable(
                 folder,
                 "columns " + ", ".join(sorted(info["features"])),
-                "observation.state with all names of `lerobot_adamanip.hardware.features.SCALAR_NAMES`",
+                "observation.state with the names of `lerobot_adamanip.hardware.features.SCALAR_NAMES`",
                 "lerobot-record --robot.type=adamanip_franka",
             )
         depth = f"{_IMAGES}{camera}{DEPTH_SUFFIX}"
@@ -122,29 +122,39 @@ class DenseRecording:
         states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
         names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
 
-        def columns(wanted: Sequence[str]) -> NDArray[np.float32]:
+        def told(wanted: Sequence[str], otherwise: float) -> NDArray[np.float32]:
+            if not set(wanted) <= set(names):
+                return np.full((len(states), len(wanted)), otherwise, np.float32)
             return states[:, [names.index(name) for name in wanted]]
 
-        def column(name: str) -> NDArray[np.float32]:
-            return columns([name])[:, 0]
-
-        state = columns(schema.STATE_NAMES)
+        state = told(schema.STATE_NAMES, np.nan)
         if not np.isfinite(state).all() or len(state) < 2:
-            told = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
-            raise _unusable(self.root, told, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
+            found = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
+            raise _unusable(self.root, found, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
+        asked = asked[:, [asked_names.index(name) for name in schema.POSE_NAMES]]
+        # A roll-out does not tell what was sent: it is what was asked for, one tick later.
+        sent = told(SENT_NAMES, np.nan) if self._tells(SENT_NAMES) else np.concatenate([state[:1, :10], asked[:-1]])
         return DenseEpisode(
             state=state,
-            effort=columns(schema.EFFORT_NAMES),
-            sent=_targets(columns(SENT_NAMES), state),
-            stamp=column(STAMP_NAME).astype(np.float64),
-            outcome=np.rint(column(OUTCOME_NAME)).astype(np.int64),
-            success=column(LABEL_NAME) > 0.5,
+            effort=told(schema.EFFORT_NAMES, 0.0),
+            sent=_targets(sent, state),
+            stamp=told([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
+            outcome=np.rint(told([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
+            success=told([LABEL_NAME], 0.0)[:, 0] > 0.5,
             task=str(self.dataset.meta.tasks.index[table["task_index"][0].as_py()]),
-            asked=asked[:, [asked_names.index(name) for name in schema.POSE_NAMES]],
+            asked=asked,
             corrected=np.asarray(table[INTERVENTION].to_pylist()).reshape(-1).astype(bool)
             if INTERVENTION in table.column_names
             else None,
         )
+
+    def _tells(self, wanted: Sequence[str]) -> bool:
+        return set(wanted) <= set(names_of(self.info["features"][schema.STATE]))
+
+    @property
+    def tells_success(self) -> bool:
+        """Whether it says when the task was done; roll-outs do not."""
+        return self._tells([LABEL_NAME])
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
         """Returns colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""

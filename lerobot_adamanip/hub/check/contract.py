@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense, names_of
+from lerobot_adamanip.hardware.features import is_dense, names_of
 from lerobot_adamanip.hub.check.findings import Report
 from lerobot_adamanip.hub.check.layout import INFO
 
@@ -49,7 +49,7 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
 
 def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
     """Of a robot's recording: its numbers come in the order of their names, and LeRobot's columns are there."""
-    for key, names in ((schema.STATE, SCALAR_NAMES), (schema.ACTION, schema.POSE_NAMES)):
+    for key, names in ((schema.STATE, schema.STATE_NAMES), (schema.ACTION, schema.POSE_NAMES)):
         found = names_of(features[key])
         if found[: len(names)] != list(names) or list(features[key]["shape"]) != [len(found)]:
             report.add("schema", f"{key}: names {found!r:.80}, not {list(names)!r:.80} first", INFO)
