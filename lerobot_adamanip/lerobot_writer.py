@@ -59,8 +59,10 @@ class DurableMetadata(LeRobotDatasetMetadata):
         self._save_episode_metadata({**told, **episode_metadata, **flatten_dict({"stats": episode_stats})})
         self._close_writer()
         self._sync_latest()
-        self.stats = episode_stats if self.stats is None else aggregate_stats([self.stats, episode_stats])
-        _write_atomically(self.root, lambda folder: write_stats(self.stats, folder))
+        before: dict[str, dict[str, Any]] | None = self.stats
+        stats = episode_stats if before is None else aggregate_stats([before, episode_stats])
+        self.stats = stats
+        _write_atomically(self.root, lambda folder: write_stats(stats, folder))
         self.info.total_episodes += 1
         self.info.total_frames += episode_length
         self.info.total_tasks = len(self.tasks)
@@ -87,11 +89,12 @@ class DurableWriter(DatasetWriter):
     def __init__(self, meta: LeRobotDatasetMetadata, *args: Any, **kwargs: Any) -> None:
         super().__init__(meta, *args, **kwargs)
         meta.__class__ = DurableMetadata  # the same data, written otherwise
-        if self._batch_encoding_size > 1:
+        batch: int = self._batch_encoding_size
+        if batch > 1:
             _log.warning(
                 "video_encoding_batch_size = %d would leave saved episodes without videos until so many are saved: it "
                 "is 1 for this robot. For quick saving: --dataset.streaming_encoding=true",
-                self._batch_encoding_size,
+                batch,
             )
             self._batch_encoding_size = 1
 

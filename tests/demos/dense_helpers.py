@@ -168,7 +168,7 @@ def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
         dataset = begun(root, STATE_NAMES, intervention={"dtype": "bool", "shape": (1,), "names": None})
     for episode in episodes:
         add(dataset, episode)
-        dataset.save_episode()
+        dataset.save_episode(parallel_encoding=False)
     dataset.finalize()
     save_calibration(root / CALIBRATIONS, "front", calibration())
     return root

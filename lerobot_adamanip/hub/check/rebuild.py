@@ -108,7 +108,7 @@ def _decoder(info: Mapping[str, Any]) -> tuple[Callable[[Any], NDArray[Any]], fl
 
 
 def write_episode_rows(root: Path, rows: Sequence[Mapping[str, Any]], place: str, like: pa.Table) -> None:
-    """Writes rows to a file of ``meta/episodes``, with the columns and types of the others; empty what is not known."""
+    """Writes rows to a file of ``meta/episodes``, with columns, order and types of the others; empty what is not known."""
     table = pa.Table.from_pylist([dict(row) for row in rows])
     for field in like.schema:
         if field.name == "listed_in":
@@ -118,7 +118,8 @@ def write_episode_rows(root: Path, rows: Sequence[Mapping[str, Any]], place: str
         else:
             at = table.schema.get_field_index(field.name)
             table = table.set_column(at, field, table[field.name].cast(field.type))
-    write_table(root / place, table)
+    order = [name for name in like.schema.names if name in table.column_names]
+    write_table(root / place, table.select([*order, *(name for name in table.column_names if name not in order)]))
 
 
 def write_table(path: Path, table: pa.Table) -> None:
