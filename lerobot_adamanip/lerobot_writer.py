@@ -35,6 +35,8 @@ _log = logging.getLogger(__name__)
 class DurableMetadata(LeRobotDatasetMetadata):
     """LeRobot's metadata, written through with every episode; ``meta/info.json`` last."""
 
+    stats: dict[str, dict[str, Any]] | None
+
     @property
     def data_files_size_in_mb(self) -> float:
         """Any file is full. What ``meta/info.json`` says stays."""
@@ -59,8 +61,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
         self._save_episode_metadata({**told, **episode_metadata, **flatten_dict({"stats": episode_stats})})
         self._close_writer()
         self._sync_latest()
-        before: dict[str, dict[str, Any]] | None = self.stats
-        stats = episode_stats if before is None else aggregate_stats([before, episode_stats])
+        stats = episode_stats if self.stats is None else aggregate_stats([self.stats, episode_stats])
         self.stats = stats
         _write_atomically(self.root, lambda folder: write_stats(stats, folder))
         self.info.total_episodes += 1
@@ -86,15 +87,16 @@ class DurableMetadata(LeRobotDatasetMetadata):
 class DurableWriter(DatasetWriter):
     """LeRobot's writer, which ends an episode's files when it saves the episode."""
 
+    _batch_encoding_size: int
+
     def __init__(self, meta: LeRobotDatasetMetadata, *args: Any, **kwargs: Any) -> None:
         super().__init__(meta, *args, **kwargs)
         meta.__class__ = DurableMetadata  # the same data, written otherwise
-        batch: int = self._batch_encoding_size
-        if batch > 1:
+        if self._batch_encoding_size > 1:
             _log.warning(
                 "video_encoding_batch_size = %d would leave saved episodes without videos until so many are saved: it "
                 "is 1 for this robot. For quick saving: --dataset.streaming_encoding=true",
-                batch,
+                self._batch_encoding_size,
             )
             self._batch_encoding_size = 1
 

@@ -58,7 +58,7 @@ class TickWatch:
             tick(target, velocity, finger)
 
         # The driver of an episode is given the task's `_tick` when it is built, at reset.
-        vars(self._sim)["_tick"] = watched
+        self._sim._tick = watched  # type: ignore[method-assign]
 
     def begin(self) -> None:
         """Forgets what was seen so far: an episode is about to be reset."""

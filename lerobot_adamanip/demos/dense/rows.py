@@ -93,7 +93,7 @@ def _asked(episode: DenseEpisode, chosen: ChosenKeyFrames) -> NDArray[np.float32
     # What was asked for in answer to a row is, after the safety filter, what the next row tells as sent.
     asked = episode.asked[np.maximum(chosen.accepted - 1, 0)].copy()
     asked[:, schema.GRIPPER_DIM] = asked[:, schema.GRIPPER_DIM] > 0.5
-    return np.concatenate([asked, chosen.actions[-1:]]).astype(np.float32)
+    return np.asarray(np.concatenate([asked, chosen.actions[-1:]]), np.float32)
 
 
 def _seen(
@@ -149,4 +149,4 @@ def _joints(state: NDArray[np.float32]) -> NDArray[np.float32]:
     finger = _OPEN_FINGER * state[:, schema.GRIPPER_DIM : schema.GRIPPER_DIM + 1]
     arm = state[:, schema.ACTION_DIM : schema.ACTION_DIM + schema.NUM_JOINTS]
     unknown = np.zeros((len(state), schema.MAX_OBJECT_JOINTS))
-    return np.concatenate([arm, finger, finger, unknown], axis=1).astype(np.float32)
+    return np.asarray(np.concatenate([arm, finger, finger, unknown], axis=1), np.float32)

@@ -108,7 +108,7 @@ def _decoder(info: Mapping[str, Any]) -> tuple[Callable[[Any], NDArray[Any]], fl
 
 
 def write_episode_rows(root: Path, rows: Sequence[Mapping[str, Any]], place: str, like: pa.Table) -> None:
-    """Writes rows to a file of ``meta/episodes``, with columns, order and types of the others; empty what is not known."""
+    """Writes rows to a file of ``meta/episodes`` with the others' columns, order and types; empty what is not known."""
     table = pa.Table.from_pylist([dict(row) for row in rows])
     for field in like.schema:
         if field.name == "listed_in":
