@@ -90,7 +90,8 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
 
     First and last sample are always key frames. Of a stay in one place the last sample is: there the arm, and the
     gripper, have settled. A change of the gripper is kept at the end of the stay it happens in, or where it happens if
-    the arm is moving. A goal that is given up ends a stay then and there. Applying it again to its own result changes
+    the arm is moving; not while the arm is on its way to a goal far off. A goal that is replaced ends a stay then and
+    there. Applying it again to its own result changes
     nothing.
     """
     chosen = options or SparsifyOptions()
@@ -117,12 +118,45 @@ def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.i
         given_up = _given_up(trajectory.pose, trajectory.command, options)
         kept.difference_update(_late_ends(stay_end, given_up, count))
         kept.update(given_up)
+        _take_back_beginnings(kept, set(given_up), trajectory, is_open, options)
     return np.array(sorted(kept), dtype=np.int64)
 
 
 def _late_ends(stay_end: NDArray[np.int64], given_up: list[int], count: int) -> set[int]:
     """Returns ends of stays that were over when their goal was given up: after that an arm takes a while to begin."""
     return {int(stay_end[t]) for t in given_up if stay_end[t] >= 0} - {count - 1}
+
+
+def _take_back_beginnings(
+    kept: set[int],
+    given_up: set[int],
+    trajectory: DenseTrajectory,
+    is_open: NDArray[np.bool_],
+    options: SparsifyOptions,
+) -> None:
+    """Moves key frames at which an arm has begun to move to where its goal changed, or drops them.
+
+    An arm that leaves for a far goal is slow at first, and its fingers may change meanwhile: it stands still by its
+    speed, and yet is on its way. What was kept for that is the place where the goal before had ended; if that has a key
+    frame of its own, as it has where the fingers changed, there is none here.
+    """
+    pose, command, last = trajectory.pose, trajectory.command, len(trajectory.pose) - 1
+    assert command is not None
+
+    def changes(t: int) -> bool:
+        return distance(command[t], command[t + 1]) > options.given_up
+
+    for end in sorted(kept - given_up - {0, last}):
+        if distance(pose[end], command[end]) <= options.given_up or changes(end):
+            continue
+        before = end - 1
+        while before >= 0 and is_open[before] == is_open[end] and not changes(before):
+            before = before - 1 if distance(pose[before], pose[end]) <= options.same_place else -1
+        if before >= 0 and is_open[before] == is_open[end]:
+            kept.discard(end)
+            kept.add(before)
+        elif (is_open[end : min(each for each in kept if each > end) + 1] == is_open[end]).all():
+            kept.discard(end)
 
 
 def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: SparsifyOptions) -> NDArray[np.int64]:

@@ -25,6 +25,7 @@ def test_what_is_missed_invented_or_cannot_be_seen_is_counted() -> None:
     # One that nobody drove, one that was driven and did not move the arm, one where the arm was on its way.
     told = np.sort(np.r_[ends[1:], ends[2] + 1, ends[3] + 2])
     found = score(episode, chosen, told, FPS)
-    assert (found.known, found.found, found.matched, found.unmoved) == (len(ends), len(ends), len(ends) - 1, 1)
+    assert (found.known, found.found, found.matched) == (len(ends), len(ends), len(ends) - 1)
+    assert (found.unmoved, found.unmoved_found) == (1, 0)
     assert found.precision == found.recall == (len(ends) - 1) / len(ends)
     assert found + found == Score(*(2 * value for value in vars(found).values()))

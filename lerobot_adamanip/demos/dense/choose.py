@@ -19,6 +19,9 @@ from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_6d
 
 _SHORTEST = 1e-3
 """Stamps nearer to each other than this are one moment [s]: a recorder may ask faster than an arm tells."""
+_FINGERS_BEGIN, _FINGERS_REST = 0.3, 0.01
+"""Fingers that were sent somewhere have begun to move after this [s]; slower than this per tick, they rest on a part
+that is wider than half way."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,8 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
         DatasetError: nothing moves in the episode.
     """
     chosen = options or KeyFrameOptions()
-    rows = _key_rows(episode, fps, chosen)
+    grips = _grips(episode, fps)
+    rows = _sent_for(episode, grips, _key_rows(episode, grips, fps, chosen))
     if len(rows) < 2:
         raise DatasetError(
             "There is nothing to learn from in an episode.",
@@ -118,7 +122,8 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
         )
     spans = itertools.pairwise(rows.tolist())
     stands = _stands(episode, fps, chosen)
-    accepted = np.array([_accepted(episode, stands, first, last, chosen) for first, last in spans], np.int64)
+    usable = stands & ((episode.sent[:, schema.GRIPPER_DIM] > 0.5) == grips)
+    accepted = np.array([_accepted(episode, usable, grips, first, last, chosen) for first, last in spans], np.int64)
     stay = np.concatenate([episode.state[rows[-1], : schema.GRIPPER_DIM], [episode.sent[accepted[-1], -1]]])
     actions = np.concatenate([episode.sent[accepted], stay[None]]).astype(np.float32)
     actions[:, schema.GRIPPER_DIM] = actions[:, schema.GRIPPER_DIM] > 0.5
@@ -126,14 +131,48 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
     return ChosenKeyFrames(rows, accepted, actions, np.array([*told, Outcome.REACHED], np.int64))
 
 
-def trajectory_of(episode: DenseEpisode, fps: int) -> tuple[DenseTrajectory, NDArray[np.int64]]:
+def trajectory_of(
+    episode: DenseEpisode, grips: NDArray[np.bool_], fps: int
+) -> tuple[DenseTrajectory, NDArray[np.int64]]:
     """Returns what `sparsify` looks at, and the ticks that it consists of: each reading of the arm once."""
     moments = _moments(episode, fps)
     ticks = np.flatnonzero(np.r_[True, np.diff(moments) > _SHORTEST])
     pose = episode.pose[ticks]
+    pose[:, schema.GRIPPER_DIM] = grips[ticks]
     way = np.array([distance(a, b) for a, b in itertools.pairwise(pose)])
     speed = np.r_[way / np.diff(moments[ticks]), 0.0]
     return DenseTrajectory(pose, speed, episode.following[ticks]), ticks
+
+
+def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
+    """Returns whether the hand is open, (T,): as it was sent, once the fingers are half way, or rest before that.
+
+    Fingers that close on a bottle's cap stay open by more than half.
+    """
+    wanted, opening = episode.sent[:, schema.GRIPPER_DIM] > 0.5, episode.state[:, schema.GRIPPER_DIM]
+    moments, found = _moments(episode, fps), np.empty(len(episode), bool)
+    now, since = bool(opening[0] > 0.5), 0
+    for tick in range(len(episode)):
+        since = tick if tick and wanted[tick] != wanted[tick - 1] else since
+        crossed = (opening[tick] > 0.5) == wanted[tick]
+        begun = moments[tick] - moments[since] >= _FINGERS_BEGIN
+        rests = begun and abs(opening[tick] - opening[tick - 1]) < _FINGERS_REST
+        now = bool(wanted[tick]) if crossed or rests else now
+        found[tick] = now
+    return found
+
+
+def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Leaves out key frames to which the hand was never sent as it is: fingers on their way, where the arm stands.
+
+    After a blocked pull a hand is opened where it is: it gives way, stands, and opens, all for one target.
+    """
+    wanted = episode.sent[:, schema.GRIPPER_DIM] > 0.5
+    kept = [int(rows[0])]
+    for row in rows[1:].tolist():
+        if row == rows[-1] or (wanted[kept[-1] + 1 : row + 1] == grips[row]).any():
+            kept.append(row)
+    return np.array(kept, np.int64)
 
 
 def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
@@ -156,8 +195,8 @@ def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArra
     return stands
 
 
-def _key_rows(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
-    trajectory, ticks = trajectory_of(episode, fps)
+def _key_rows(episode: DenseEpisode, grips: NDArray[np.bool_], fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
+    trajectory, ticks = trajectory_of(episode, grips, fps)
     kept = sparsify(trajectory, options.sparsify)
     # An arm that waits before it begins is in one place twice: in the first sample, and at the end of the wait.
     waits = len(kept) > 1 and _same_place(trajectory, kept[0], kept[1], options)
@@ -171,20 +210,24 @@ def _same_place(trajectory: DenseTrajectory, first: int, last: int, options: Key
     return bool(near and (gripper == gripper[0]).all())
 
 
-def _accepted(episode: DenseEpisode, stands: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions) -> int:
+def _accepted(
+    episode: DenseEpisode,
+    usable: NDArray[np.bool_],
+    grips: NDArray[np.bool_],
+    first: int,
+    last: int,
+    options: KeyFrameOptions,
+) -> int:
     """Returns the tick whose ``sent`` is the target that key frame ``last`` ended, of those after ``first``.
 
     By then the target of the next key frame may have been accepted: the arm, and fingers, take a while to begin. So it
     is the first that stands still while the arm is where it ends, with the fingers sent to where they then are.
     """
-    is_open, here = episode.state[last, schema.GRIPPER_DIM] > 0.5, episode.pose[last]
-    begin = last
+    begin, here = last, episode.pose[last]
     while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.sparsify.same_place:
         begin -= 1
-    for tick in range(begin, last + 1):
-        if stands[tick] and (episode.sent[tick, schema.GRIPPER_DIM] > 0.5) == is_open:
-            return tick
-    return last
+    found = [tick for tick in range(begin, last + 1) if usable[tick] and grips[tick] == grips[last]]
+    return found[0] if found else last
 
 
 def _outcome(episode: DenseEpisode, tick: int, target: NDArray[np.float32], options: KeyFrameOptions) -> int:

@@ -24,7 +24,9 @@ class Score:
         found: that were found in the recording.
         matched: of both.
         same_action: matched ones whose action is the target that was in force, in float32, the gripper made 0 or 1.
-        unmoved: key frames that were driven and left arm and fingers where they were: none can tell them.
+        unmoved: key frames that were driven and left arm and fingers where they were (a pull that is blocked at once):
+            to find them is right, and not to find them is no mistake.
+        unmoved_found: of these, that were found.
     """
 
     known: int = 0
@@ -32,14 +34,15 @@ class Score:
     matched: int = 0
     same_action: int = 0
     unmoved: int = 0
+    unmoved_found: int = 0
 
     def __add__(self, other: Score) -> Score:
         return Score(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
 
     @property
     def precision(self) -> float:
-        """Share of found key frames that are known."""
-        return self.matched / max(1, self.found)
+        """Share of found key frames that were driven."""
+        return (self.matched + self.unmoved_found) / max(1, self.found)
 
     @property
     def recall(self) -> float:
@@ -58,18 +61,21 @@ def score(episode: DenseEpisode, chosen: ChosenKeyFrames, ends: NDArray[np.int64
     """
     options = KeyFrameOptions()
     moved = [number for number in range(len(ends)) if _moves(episode, ends, number, options)]
+    unmoved = [number for number in range(len(ends)) if number not in moved]
     free = list(zip(chosen.rows[1:].tolist(), chosen.actions[:-1], strict=True))
-    matched = same = 0
-    for number in moved:
-        near = [place for place, (row, _) in enumerate(free) if _is_it(episode, row, int(ends[number]), fps, options)]
-        if not near:
-            continue
-        place = min(near, key=lambda each: abs(free[each][0] - int(ends[number])))
+    pairs: dict[int, NDArray[np.float32]] = {}
+    for number in (*moved, *unmoved):
+        end = int(ends[number])
+        near = [place for place, (row, _) in enumerate(free) if _is_it(episode, row, end, fps, options)]
+        if near:
+            pairs[number] = free.pop(min(near, key=lambda place: abs(free[place][0] - end)))[1]
+    same = 0
+    for number in set(pairs) & set(moved):
         wanted = episode.asked[ends[number] - 1].copy()  # what was in force during its last tick
         wanted[schema.GRIPPER_DIM] = wanted[schema.GRIPPER_DIM] > 0.5
-        matched += 1
-        same += bool((free.pop(place)[1] == wanted).all())
-    return Score(len(moved), len(chosen.rows) - 1, matched, same, len(ends) - len(moved))
+        same += bool((pairs[number] == wanted).all())
+    matched = len(set(pairs) & set(moved))
+    return Score(len(moved), len(chosen.rows) - 1, matched, same, len(unmoved), len(pairs) - matched)
 
 
 def _moves(episode: DenseEpisode, ends: NDArray[np.int64], number: int, options: KeyFrameOptions) -> bool:
