@@ -12,6 +12,8 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d
 
+_STANDS = 1e-3
+"""A goal that moves by less than this from sample to sample stands still [m]."""
 _LEVER = 0.1
 """Weighs a rotation against a translation: the way of a point this far from the tool centre point [m]."""
 
@@ -115,7 +117,7 @@ def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.i
         if is_open[t] != is_open[t - 1]:
             kept.add(int(stay_end[t]) if stay_end[t] >= 0 else t)
     if trajectory.command is not None:
-        given_up = _given_up(trajectory.pose, trajectory.command, options)
+        given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
         kept.difference_update(_late_ends(stay_end, given_up, count))
         kept.update(given_up)
         _take_back_beginnings(kept, set(given_up), trajectory, is_open, options)
@@ -136,9 +138,9 @@ def _take_back_beginnings(
 ) -> None:
     """Moves key frames at which an arm has begun to move to where its goal changed, or drops them.
 
-    An arm that leaves for a far goal is slow at first, and its fingers may change meanwhile: it stands still by its
-    speed, and yet is on its way. What was kept for that is the place where the goal before had ended; if that has a key
-    frame of its own, as it has where the fingers changed, there is none here.
+    An arm that leaves for a goal that stands still is slow at first, and its fingers may change meanwhile: it stands
+    still by its speed, and yet is on its way. What was kept for that is the place where the goal before had ended; if
+    that has a key frame of its own, as it has where the fingers changed, there is none here.
     """
     pose, command, last = trajectory.pose, trajectory.command, len(trajectory.pose) - 1
     assert command is not None
@@ -147,7 +149,8 @@ def _take_back_beginnings(
         return distance(command[t], command[t + 1]) > options.given_up
 
     for end in sorted(kept - given_up - {0, last}):
-        if distance(pose[end], command[end]) <= options.given_up or changes(end):
+        stands = distance(command[end], command[end + 1]) <= _STANDS
+        if distance(pose[end], command[end]) <= options.given_up or not stands:
             continue
         before = end - 1
         while before >= 0 and is_open[before] == is_open[end] and not changes(before):
@@ -178,13 +181,19 @@ def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options:
     return ends
 
 
-def _given_up(pose: NDArray[np.float64], command: NDArray[np.float64], options: SparsifyOptions) -> list[int]:
-    """Returns the last sample before each change of goal that comes while the old goal is still far away.
+def _replaced(
+    pose: NDArray[np.float64],
+    command: NDArray[np.float64],
+    stay_end: NDArray[np.int64],
+    options: SparsifyOptions,
+) -> list[int]:
+    """Returns the last sample before each change of goal that ends a stay, or comes while the old goal is far away.
 
     A goal that streams ahead of the arm, as in teleoperation, moves by little from sample to sample and is not meant.
     """
     return [
         t
         for t in range(len(pose) - 1)
-        if distance(pose[t], command[t]) > options.given_up and distance(command[t], command[t + 1]) > options.given_up
+        if distance(command[t], command[t + 1]) > options.given_up
+        and (stay_end[t] >= 0 or distance(pose[t], command[t]) > options.given_up)
     ]

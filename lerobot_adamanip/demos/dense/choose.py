@@ -123,7 +123,8 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
     spans = itertools.pairwise(rows.tolist())
     stands = _stands(episode, fps, chosen)
     usable = stands & ((episode.sent[:, schema.GRIPPER_DIM] > 0.5) == grips)
-    accepted = np.array([_accepted(episode, usable, grips, first, last, chosen) for first, last in spans], np.int64)
+    places = [_accepted(episode, usable & (grips == grips[last]), first, last, chosen) for first, last in spans]
+    accepted = np.array(places, np.int64)
     stay = np.concatenate([episode.state[rows[-1], : schema.GRIPPER_DIM], [episode.sent[accepted[-1], -1]]])
     actions = np.concatenate([episode.sent[accepted], stay[None]]).astype(np.float32)
     actions[:, schema.GRIPPER_DIM] = actions[:, schema.GRIPPER_DIM] > 0.5
@@ -170,7 +171,7 @@ def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.
     wanted = episode.sent[:, schema.GRIPPER_DIM] > 0.5
     kept = [int(rows[0])]
     for row in rows[1:].tolist():
-        if row == rows[-1] or (wanted[kept[-1] + 1 : row + 1] == grips[row]).any():
+        if row == rows[-1] or (wanted[kept[-1] + 2 : row + 1] == grips[row]).any():
             kept.append(row)
     return np.array(kept, np.int64)
 
@@ -210,14 +211,7 @@ def _same_place(trajectory: DenseTrajectory, first: int, last: int, options: Key
     return bool(near and (gripper == gripper[0]).all())
 
 
-def _accepted(
-    episode: DenseEpisode,
-    usable: NDArray[np.bool_],
-    grips: NDArray[np.bool_],
-    first: int,
-    last: int,
-    options: KeyFrameOptions,
-) -> int:
+def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions) -> int:
     """Returns the tick whose ``sent`` is the target that key frame ``last`` ended, of those after ``first``.
 
     By then the target of the next key frame may have been accepted: the arm, and fingers, take a while to begin. So it
@@ -226,7 +220,7 @@ def _accepted(
     begin, here = last, episode.pose[last]
     while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.sparsify.same_place:
         begin -= 1
-    found = [tick for tick in range(begin, last + 1) if usable[tick] and grips[tick] == grips[last]]
+    found = [tick for tick in range(begin, last + 1) if usable[tick]]
     return found[0] if found else last
 
 
