@@ -12,8 +12,8 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d
 
-_STANDS = 1e-3
-"""A goal that moves by less than this from sample to sample stands still [m]."""
+_STANDS, _AWHILE = 1e-3, 3
+"""A goal that moves by less than this [m] for so many samples stands still."""
 _LEVER = 0.1
 """Weighs a rotation against a translation: the way of a point this far from the tool centre point [m]."""
 
@@ -149,7 +149,8 @@ def _take_back_beginnings(
         return distance(command[t], command[t + 1]) > options.given_up
 
     for end in sorted(kept - given_up - {0, last}):
-        stands = distance(command[end], command[end + 1]) <= _STANDS
+        soon = command[end + 1 : end + 1 + _AWHILE]
+        stands = all(distance(command[end], goal) <= _STANDS for goal in soon)
         if distance(pose[end], command[end]) <= options.given_up or not stands:
             continue
         before = end - 1

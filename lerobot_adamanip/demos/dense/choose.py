@@ -58,11 +58,6 @@ class DenseEpisode:
         """(T, 10) measured: position [m], rotation 6D, gripper opening."""
         return self.state[:, : schema.ACTION_DIM].astype(np.float64)
 
-    @property
-    def following(self) -> NDArray[np.float64]:
-        """(T, 10) target in force after each row: what the next row tells; the last row's own, after the last."""
-        return np.concatenate([self.sent[1:], self.sent[-1:]]).astype(np.float64)
-
 
 @dataclass(frozen=True)
 class KeyFrameOptions:
@@ -142,7 +137,9 @@ def trajectory_of(
     pose[:, schema.GRIPPER_DIM] = grips[ticks]
     way = np.array([distance(a, b) for a, b in itertools.pairwise(pose)])
     speed = np.r_[way / np.diff(moments[ticks]), 0.0]
-    return DenseTrajectory(pose, speed, episode.following[ticks]), ticks
+    # In force after a reading is what the next one tells.
+    command = episode.sent[np.r_[ticks[1:], len(episode) - 1]].astype(np.float64)
+    return DenseTrajectory(pose, speed, command), ticks
 
 
 def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
