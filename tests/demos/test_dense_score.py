@@ -23,7 +23,7 @@ def test_what_is_missed_invented_or_cannot_be_seen_is_counted() -> None:
     chosen = choose_key_frames(episode, FPS)
     ends = np.arange(2, len(STOPS) + 1) * TICKS - 1
     # One that nobody drove, one that was driven and did not move the arm, one where the arm was on its way.
-    told = np.sort(np.r_[ends[1:], ends[2] + 1, ends[3] + 2])
+    told = np.sort(np.r_[ends[1:], ends[2] + 1, ends[4] + 4])
     found = score(episode, chosen, told, FPS)
     assert (found.known, found.found, found.matched) == (len(ends), len(ends), len(ends) - 1)
     assert (found.unmoved, found.unmoved_found) == (1, 0)
