@@ -4,8 +4,8 @@ LeRobot keeps its own reader, untouched, for every other dataset and in every ot
 `lerobot_adamanip.lerobot_reader` for what the faster one does. Nothing here fails if LeRobot renames something.
 
 A plugin must stay light, so it calls `apply` only where ``lerobot.datasets.lerobot_dataset`` is already loaded, as in
-lerobot-train. Scripts of one's own call `apply`. The one other place that changes LeRobot is
-`lerobot_adamanip.lerobot_editing`.
+lerobot-train. Scripts of one's own call `apply`. The other places that change LeRobot are
+`lerobot_adamanip.lerobot_editing` and `lerobot_adamanip.lerobot_recording`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ from lerobot_adamanip.cli.progress import Progress, show_progress
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.hub.check.dataset import check, check_replays
 from lerobot_adamanip.hub.check.findings import CheckResult
-from lerobot_adamanip.hub.check.repair import Repair, repair
+from lerobot_adamanip.hub.check.repair import Repair as Mended
+from lerobot_adamanip.hub.check.repair import repair
 
 _SHOWN = 20
 """Findings of a kind that are printed; `--json` has more."""
@@ -75,7 +76,25 @@ class Check:
         return replace(result, findings=tuple(report.findings), counts=dict(report.counts))
 
 
-def _print(result: CheckResult, mended: Repair | None) -> None:
+@dataclass
+class Repair:
+    """Mends what a kill leaves behind, then checks: `adamanip check --repair`.
+
+    Every episode whose saving had ended is kept; what is taken out of the dataset is moved into DIR.before-repair.
+    """
+
+    root: tyro.conf.Positional[Path]
+    """Folder of a LeRobotDataset: demonstrations, or a robot's recording."""
+
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def run(self) -> int:
+        """Mends and checks; 0 if nothing is wrong any more."""
+        return Check(self.root, repair=True, json=self.json).run()
+
+
+def _print(result: CheckResult, mended: Mended | None) -> None:
     for line in [] if mended is None else mended.lines():
         print(line)
     for kind, count in result.counts.items():

@@ -86,6 +86,10 @@ class Collect:
     late_starts: float = DEFAULT_LATE_STARTS
     """Share of episodes that start where another hand has driven some key frames and lost its grip."""
 
+    dense: bool = False
+    """Record every control tick instead of key frames, without pictures: ROOT is a recording like a robot's, beside
+    whose episodes meta/key_frames.jsonl says which key frames are in them. Late starts are left out."""
+
     keep_failed: bool = False
     """Keep failed episodes too, in a second dataset, ROOT-failed."""
 
@@ -146,6 +150,8 @@ class Collect:
         if self.push_to_hub:
             require_hub_name(self.repo_id)
         self._require_whole()
+        if self.dense:
+            return self._dense()
         spec, options = self.spec(), self.options()
         try:
             summary = self._collect(spec, options)
@@ -156,6 +162,18 @@ class Collect:
         if self.push_to_hub:
             self._publish()
         self._print(summary)
+        return 0
+
+    def _dense(self) -> int:
+        from lerobot_adamanip.experts import make_expert
+        from lerobot_env_adamanip.dense import collect_dense
+
+        spec = dataclasses.replace(self.spec(), late_starts=0.0)
+        with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
+            count = collect_dense(self.root, spec, make_expert, max_attempts=self.max_attempts, progress=progress)
+        print(
+            json.dumps({"root": str(self.root), "episodes": count}) if self.json else f"{count} episodes, {self.root}"
+        )
         return 0
 
     def _publish(self) -> None:

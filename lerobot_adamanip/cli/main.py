@@ -16,7 +16,19 @@ from lerobot_adamanip.jobs import preload
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
-_WITHOUT_PLUGIN = ("collect", "render", "merge", "filter", "split", "view", "check", "stats", "push")
+_WITHOUT_PLUGIN = (
+    "collect",
+    "render",
+    "merge",
+    "keyframes",
+    "filter",
+    "split",
+    "view",
+    "check",
+    "repair",
+    "stats",
+    "push",
+)
 """Commands to which our environments and policy are no plugin of LeRobot: registering them takes each process 3 s."""
 _WORKER_MODULES = ("lerobot_adamanip.demos.record", "lerobot_adamanip.experts", "lerobot_env_adamanip.preload")
 """What workers that record need, named here so that they are imported while this process is busy with its own."""
@@ -38,6 +50,10 @@ COMMANDS = {
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
     "render": Entry("lerobot_adamanip.cli.render:Render", "add pictures to a dataset that was collected without them"),
     "check": Entry("lerobot_adamanip.cli.check:Check", "check a dataset, and mend what a kill has left"),
+    "repair": Entry("lerobot_adamanip.cli.check:Repair", "mend what a kill has left of a dataset or a recording"),
+    "keyframes": Entry(
+        "lerobot_adamanip.cli.keyframes:Keyframes", "make demonstrations of a robot's recordings, alone or in a mix"
+    ),
     "stats": Entry(
         "lerobot_adamanip.cli.stats:Stats", "count what is in a dataset: episodes, tries, lengths, hidden values"
     ),

@@ -29,10 +29,11 @@ from lerobot_adamanip.demos.prepare import (
     preparing_session,
     video_encoder,
 )
-from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
+from lerobot_adamanip.demos.shards import read_shard
 from lerobot_adamanip.demos.statistics import fix_statistics
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.jobs import JobResult, WorkerError
+from lerobot_adamanip.pointcloud import Workspace
 
 _VIDEO_FILE_MB = 25
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
@@ -83,8 +84,13 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
     folder = assembling(root)
     files.remove_tree(folder)
     files.crash_point("assembly begun")
-    dataset = _create(folder, contents.manifest, read_shard(contents.shards[0]), contents.repo_id)
-    records, lengths = _append_all(dataset, contents.shards, progress, crews)
+    environment = contents.manifest.spec.environment
+    image_size = environment.image_size if environment.observe_images else None
+    intrinsics = read_shard(contents.shards[0]).record["camera"].get("intrinsics")
+    dataset = create_dataset(
+        folder, contents.repo_id, num_points=environment.num_points, image_size=image_size, intrinsics=intrinsics
+    )
+    records, lengths = append_shards(dataset, contents.shards, progress, crews)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
     _write_card(folder, root.name, contents, records)
@@ -96,10 +102,10 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
     return folder
 
 
-def _append_all(
-    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], crews: Crews | None
+def append_shards(
+    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], crews: Crews | None = None
 ) -> tuple[list[dict[str, Any]], list[int]]:
-    """Writes all episodes; returns their records and their numbers of rows."""
+    """Writes all episodes, and finalises the dataset; returns their records and their numbers of rows."""
     records: list[dict[str, Any]] = []
     lengths: list[int] = []
     appended = _appended(dataset, shards, crews) if is_tested() else _written_by_lerobot(dataset, shards)
@@ -156,20 +162,37 @@ def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[
     (folder / "README.md").write_text(card)
 
 
-def _create(root: Path, manifest: Manifest, first: RecordedEpisode, repo_id: str) -> Any:
+def create_dataset(
+    root: Path,
+    repo_id: str,
+    *,
+    num_points: int,
+    image_size: int | None,
+    intrinsics: list[list[float]] | None,
+    workspace: Workspace | None = None,
+) -> Any:
+    """Returns an empty LeRobotDataset of the contract, whoever demonstrates: the one place that describes its columns.
+
+    Args:
+        root: a folder that does not exist.
+        repo_id: for LeRobot.
+        num_points: points per cloud.
+        image_size: height and width of the front image [px]; None for no images.
+        intrinsics: (3, 3) of the front camera for that size [px], if known.
+        workspace: box of the clouds, where no manifest tells it and it is not the default one.
+    """
     import av
     import datasets
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     av.logging.set_libav_level(av.logging.ERROR)
     datasets.disable_progress_bars()
-    environment = manifest.spec.environment
-    images = environment.observe_images
-    features = schema.dataset_features(environment.num_points, environment.image_size, images=images)
-    camera = first.record["camera"]
-    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base"}
+    images = image_size is not None
+    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=images)
+    box = {} if workspace is None else {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
+    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **box}
     if images:
-        features[schema.FRONT_IMAGE]["info"] = {"intrinsics": camera.get("intrinsics"), "cameras": "meta/cameras.json"}
+        features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
         repo_id=repo_id,
         fps=schema.FPS,

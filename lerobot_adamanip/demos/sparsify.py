@@ -12,6 +12,8 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.rotations import matrix_from_rotation_6d
 
+_STANDS, _AWHILE = 1e-3, 3
+"""A goal that moves by less than this [m] for so many samples stands still."""
 _LEVER = 0.1
 """Weighs a rotation against a translation: the way of a point this far from the tool centre point [m]."""
 
@@ -90,7 +92,9 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
 
     First and last sample are always key frames. Of a stay in one place the last sample is: there the arm, and the
     gripper, have settled. A change of the gripper is kept at the end of the stay it happens in, or where it happens if
-    the arm is moving. Applying it again to its own result changes nothing.
+    the arm is moving; not while the arm is on its way to a goal far off. A goal that is replaced ends a stay then and
+    there. Applying it again to its own result changes
+    nothing.
     """
     chosen = options or SparsifyOptions()
     indices: NDArray[np.int64] = np.arange(len(trajectory.pose), dtype=np.int64)
@@ -113,8 +117,50 @@ def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.i
         if is_open[t] != is_open[t - 1]:
             kept.add(int(stay_end[t]) if stay_end[t] >= 0 else t)
     if trajectory.command is not None:
-        kept.update(_given_up(trajectory.pose, trajectory.command, options))
+        given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
+        kept.difference_update(_late_ends(stay_end, given_up, count))
+        kept.update(given_up)
+        _take_back_beginnings(kept, set(given_up), trajectory, is_open, options)
     return np.array(sorted(kept), dtype=np.int64)
+
+
+def _late_ends(stay_end: NDArray[np.int64], given_up: list[int], count: int) -> set[int]:
+    """Returns ends of stays that were over when their goal was given up: after that an arm takes a while to begin."""
+    return {int(stay_end[t]) for t in given_up if stay_end[t] >= 0} - {count - 1}
+
+
+def _take_back_beginnings(
+    kept: set[int],
+    given_up: set[int],
+    trajectory: DenseTrajectory,
+    is_open: NDArray[np.bool_],
+    options: SparsifyOptions,
+) -> None:
+    """Moves key frames at which an arm has begun to move to where its goal changed, or drops them.
+
+    An arm that leaves for a goal that stands still is slow at first, and its fingers may change meanwhile: it stands
+    still by its speed, and yet is on its way. What was kept for that is the place where the goal before had ended; if
+    that has a key frame of its own, as it has where the fingers changed, there is none here.
+    """
+    pose, command, last = trajectory.pose, trajectory.command, len(trajectory.pose) - 1
+    assert command is not None
+
+    def changes(t: int) -> bool:
+        return distance(command[t], command[t + 1]) > options.given_up
+
+    for end in sorted(kept - given_up - {0, last}):
+        soon = command[end + 1 : end + 1 + _AWHILE]
+        stands = all(distance(command[end], goal) <= _STANDS for goal in soon)
+        if distance(pose[end], command[end]) <= options.given_up or not stands:
+            continue
+        before = end - 1
+        while before >= 0 and is_open[before] == is_open[end] and not changes(before):
+            before = before - 1 if distance(pose[before], pose[end]) <= options.same_place else -1
+        if before >= 0 and is_open[before] == is_open[end]:
+            kept.discard(end)
+            kept.add(before)
+        elif (is_open[end : min(each for each in kept if each > end) + 1] == is_open[end]).all():
+            kept.discard(end)
 
 
 def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: SparsifyOptions) -> NDArray[np.int64]:
@@ -136,13 +182,19 @@ def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options:
     return ends
 
 
-def _given_up(pose: NDArray[np.float64], command: NDArray[np.float64], options: SparsifyOptions) -> list[int]:
-    """Returns the last sample before each change of goal that comes while the old goal is still far away.
+def _replaced(
+    pose: NDArray[np.float64],
+    command: NDArray[np.float64],
+    stay_end: NDArray[np.int64],
+    options: SparsifyOptions,
+) -> list[int]:
+    """Returns the last sample before each change of goal that ends a stay, or comes while the old goal is far away.
 
     A goal that streams ahead of the arm, as in teleoperation, moves by little from sample to sample and is not meant.
     """
     return [
         t
         for t in range(len(pose) - 1)
-        if distance(pose[t], command[t]) > options.given_up and distance(command[t], command[t + 1]) > options.given_up
+        if distance(command[t], command[t + 1]) > options.given_up
+        and (stay_end[t] >= 0 or distance(pose[t], command[t]) > options.given_up)
     ]

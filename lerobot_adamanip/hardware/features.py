@@ -6,7 +6,10 @@ that end in ``.pos`` or ``.vel``, which are the contract's state: nothing else m
 
 from __future__ import annotations
 
-from lerobot_adamanip.schema import EFFORT_NAMES, POSE_NAMES, STATE_NAMES
+from collections.abc import Mapping
+from typing import Any
+
+from lerobot_adamanip.schema import ACTION, EFFORT_NAMES, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
 
 SENT_NAMES = tuple(f"sent.{name.removesuffix('.pos')}" for name in POSE_NAMES)
 """The last target that the arm accepted: LeRobot stores the teleoperator's action, which may have been clipped."""
@@ -21,3 +24,22 @@ FRONT_CAMERA = "front"
 """Key of the camera whose depth becomes the cloud."""
 DEPTH_SUFFIX = "_depth"
 """A camera's depth is a second image under its key and this: uint16, millimetres, 0 where nothing was seen."""
+
+CALIBRATIONS = "meta/calibrations.json"
+"""Of a recording: where its cameras stood, `lerobot_adamanip.hardware.calibration.file`."""
+
+
+def names_of(feature: Mapping[str, Any] | None) -> list[str]:
+    """Returns the names of a column's numbers, in order; LeRobot keeps them as a list, or in groups."""
+    names = (feature or {}).get("names")
+    return [name for group in names.values() for name in group] if isinstance(names, Mapping) else list(names or ())
+
+
+def is_dense(features: Mapping[str, Any]) -> bool:
+    """Whether a dataset's features are those of a dense recording of our robots, and not of key frames.
+
+    `lerobot-record` keeps all scalars; `lerobot-rollout` keeps those that a policy is shown, the contract's 24.
+    """
+    names = names_of(features.get(STATE))
+    ours = set(SCALAR_NAMES) <= set(names) or names == list(STATE_NAMES)
+    return ours and set(POSE_NAMES) <= set(names_of(features.get(ACTION))) and POINT_CLOUD not in features

@@ -95,6 +95,16 @@ def test_a_goal_given_up_far_from_it_is_kept() -> None:
     assert set(kept) - set(without) == {14}
 
 
+def test_a_blocked_arm_that_is_given_another_goal_stays_once_for_each() -> None:
+    still = np.stack([pose(0.3)] * 20)
+    away = np.stack([pose(0.3 - 0.02 * i) for i in range(1, 10)] + [pose(0.1)] * 5)
+    samples = np.concatenate([still, away])
+    goals = [pose(0.4)] * 8 + [pose(0.5)] * 9 + [pose(0.1)] * (len(samples) - 17)
+    kept = sparsify(DenseTrajectory.from_samples(samples, RATE, np.stack(goals)))
+    # The arm leaves three samples after its second goal was given up; that is no key frame of its own.
+    assert kept.tolist() == [0, 7, 16, len(samples) - 1]
+
+
 def test_a_goal_that_streams_ahead_of_the_arm_is_not_given_up() -> None:
     samples = teleoperated([(0.0, 1.0, 2), (0.6, 1.0, 2)])
     command = np.concatenate([samples[3:], samples[-1:].repeat(3, axis=0)])

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.hardware.features import is_dense, names_of
 from lerobot_adamanip.hub.check.findings import Report
 from lerobot_adamanip.hub.check.layout import INFO
 
@@ -26,6 +27,9 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
         report: takes the findings.
         collected: whether `adamanip collect` made it, so that every column has to be there.
     """
+    if is_dense(features):
+        _check_dense(features, report)
+        return
     contract = _contract(features)
     for key, wanted in contract.items():
         feature = features.get(key)
@@ -41,6 +45,17 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
     for key in features:
         if key.startswith("observation.") and key not in contract and not key.startswith(_IMAGES):
             report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
+
+
+def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
+    """Of a robot's recording: its numbers come in the order of their names, and LeRobot's columns are there."""
+    for key, names in ((schema.STATE, schema.STATE_NAMES), (schema.ACTION, schema.POSE_NAMES)):
+        found = names_of(features[key])
+        if found[: len(names)] != list(names) or list(features[key]["shape"]) != [len(found)]:
+            report.add("schema", f"{key}: names {found!r:.80}, not {list(names)!r:.80} first", INFO)
+    for key, dtype in OF_LEROBOT.items():
+        if (features.get(key) or {}).get("dtype") != dtype:
+            report.add("schema", f"no column {key} of {dtype}", INFO)
 
 
 def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

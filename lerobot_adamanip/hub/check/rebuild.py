@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,16 +61,20 @@ def episode_statistics(root: Path, found: Found, features: Features) -> dict[str
     columns = {key: numeric(table, key) for key in table.column_names if key in features}
     known = {key: values for key, values in columns.items() if values is not None}
     stats: dict[str, dict[str, Any]] = compute_episode_stats(known, dict(features))
-    return stats | {key: picture_statistics(root / part.file, part, run.length) for key, part in found.videos.items()}
+    pictures = {
+        key: picture_statistics(root / part.file, part, run.length, features[key]) for key, part in found.videos.items()
+    }
+    return stats | pictures
 
 
-def picture_statistics(path: Path, part: VideoPart, length: int) -> dict[str, Any]:
-    """Returns statistics of an episode's frames, of colours of 0 to 1, as LeRobot samples and scales them."""
+def picture_statistics(path: Path, part: VideoPart, length: int, feature: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns statistics of an episode's frames, as LeRobot samples and scales them: colours of 0 to 1, depth as is."""
     import av
     from lerobot.datasets.compute_stats import auto_downsample_height_width, get_feature_stats, sample_indices
 
     wanted = set(sample_indices(length))
-    pictures: list[NDArray[np.uint8]] = []
+    decode, scale = _decoder(feature.get("info") or {})
+    pictures: list[NDArray[Any]] = []
     number = -1
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):
@@ -78,15 +82,33 @@ def picture_statistics(path: Path, part: VideoPart, length: int) -> dict[str, An
                 continue
             number += 1
             if number in wanted:
-                pictures.append(auto_downsample_height_width(frame.to_ndarray(format="rgb24").transpose(2, 0, 1)))
+                pictures.append(auto_downsample_height_width(decode(frame)))
             if number + 1 >= length:
                 break
     stats = get_feature_stats(np.stack(pictures), axis=(0, 2, 3), keepdims=True)
-    return {name: value if name == "count" else np.squeeze(value / 255.0, axis=0) for name, value in stats.items()}
+    return {name: value if name == "count" else np.squeeze(value / scale, axis=0) for name, value in stats.items()}
+
+
+def _decoder(info: Mapping[str, Any]) -> tuple[Callable[[Any], NDArray[Any]], float]:
+    """Returns what makes an array (C, H, W) of a video's frame, and the number that statistics are divided by."""
+    from lerobot.configs.video import DepthEncoderConfig
+    from lerobot.datasets.depth_utils import dequantize_depth
+
+    if not (info.get("is_depth_map") or info.get("video.is_depth_map")):
+        return lambda frame: frame.to_ndarray(format="rgb24").transpose(2, 0, 1), 255.0
+    told = DepthEncoderConfig.from_video_info(dict(info))
+    unit = info.get("depth_unit") or "mm"
+    ranges = {name: getattr(told, name) for name in ("depth_min", "depth_max", "shift", "use_log", "pix_fmt")}
+
+    def depth(frame: Any) -> NDArray[Any]:
+        found = np.asarray(dequantize_depth(frame, **ranges, output_unit=unit, output_tensor=False))
+        return found.reshape(1, *found.squeeze().shape)
+
+    return depth, 1.0
 
 
 def write_episode_rows(root: Path, rows: Sequence[Mapping[str, Any]], place: str, like: pa.Table) -> None:
-    """Writes rows to a file of ``meta/episodes``, with the columns and types of the others; empty what is not known."""
+    """Writes rows to a file of ``meta/episodes`` with the others' columns, order and types; empty what is not known."""
     table = pa.Table.from_pylist([dict(row) for row in rows])
     for field in like.schema:
         if field.name == "listed_in":
@@ -96,7 +118,8 @@ def write_episode_rows(root: Path, rows: Sequence[Mapping[str, Any]], place: str
         else:
             at = table.schema.get_field_index(field.name)
             table = table.set_column(at, field, table[field.name].cast(field.type))
-    write_table(root / place, table)
+    order = [name for name in like.schema.names if name in table.column_names]
+    write_table(root / place, table.select([*order, *(name for name in table.column_names if name not in order)]))
 
 
 def write_table(path: Path, table: pa.Table) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip import schema
 from lerobot_adamanip.checked_json import read
 from lerobot_adamanip.demos.loading import MAX_STATISTICS_BYTES
+from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.hub.check.findings import Report, listed
 from lerobot_adamanip.hub.check.layout import STATS, Layout
 from lerobot_adamanip.hub.check.reading import Batch, numeric, points_last
@@ -123,12 +124,13 @@ def _is_quantile(
     return np.asarray((below >= wanted - 1e-6) & (strictly <= wanted + 1e-6))
 
 
-def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
+def aggregated(stored: Stored, pictures: Collection[str], *, poses_fixed: bool = True) -> Statistics:
     """Returns the statistics of the dataset: LeRobot's aggregation of its episodes', poses fixed.
 
     Args:
         stored: statistics of the episodes.
-        pictures: columns whose statistics are of shape (3, 1, 1).
+        pictures: columns whose statistics are of shape (3, 1, 1), or (1, 1, 1) of depth.
+        poses_fixed: False for a robot's recording, which LeRobot alone has written.
     """
     from lerobot.datasets.compute_stats import aggregate_stats
 
@@ -145,7 +147,8 @@ def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
             key: {name: shaped(key, name, values[row]) for name, values in told.items()} for key, told in whole.items()
         }
 
-    return schema.fix_pose_statistics(aggregate_stats([of_episode(row) for row in range(episodes)]))
+    found = aggregate_stats([of_episode(row) for row in range(episodes)])
+    return schema.fix_pose_statistics(found) if poses_fixed else found
 
 
 def read_statistics(root: Path) -> Statistics:
@@ -177,7 +180,8 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     # Of what is no column, LeRobot cannot tell whether it is of pictures; a lost column is a finding of its own.
     of_columns = {key: each for key, each in stored.items() if key in layout.info["features"]}
     wrong = []
-    for key, right in aggregated(of_columns, layout.picture_keys).items():
+    fixed = not is_dense(layout.features)
+    for key, right in aggregated(of_columns, layout.picture_keys, poses_fixed=fixed).items():
         if key in OF_PLACE:
             continue
         if key not in told:

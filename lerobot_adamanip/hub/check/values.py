@@ -19,9 +19,11 @@ ORTHONORMAL = 1e-3
 """How far a row of a rotation may be from length 1, and two from being orthogonal."""
 MARGIN = 1e-4
 """Rounding: how far a point may be outside the workspace [m], and an opening outside [0, 1]."""
+UNKNOWN = -1
+"""Phase and trial of demonstrations by people, which nobody has labelled."""
 LABELS: Mapping[str, tuple[int, int]] = {
-    schema.PHASE: (min(Phase), max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
-    schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (0, 10_000),
+    schema.PHASE: (UNKNOWN, max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
+    schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (UNKNOWN, 10_000),
 }  # fmt: skip
 """Column -> least and largest code."""
 

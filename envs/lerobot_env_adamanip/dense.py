@@ -1,0 +1,241 @@
+"""Simulated episodes, recorded tick by tick as a robot's recorder would, beside the key frames that are in them.
+
+The simulator and its driver run as they always do; what happens at each control tick is watched from outside. So what
+finds key frames in recordings can be measured where the key frames are known. There are no pictures: a render takes as
+long as a hundred ticks. Recordings with pictures are the twin's.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip import files, schema
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.demos.dense.choose import DenseEpisode
+from lerobot_adamanip.demos.record import EpisodeRequest, ExpertFactory, attempt_episode
+from lerobot_adamanip.errors import ConfigurationError, DatasetError, UnreachableError
+from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.rotations import pose_vector
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+FPS = 50
+"""Control ticks per second: every one is recorded."""
+KEY_FRAMES = "meta/key_frames.jsonl"
+"""One line for each episode: where its key frames ended, and what they were."""
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass
+class TickWatch:
+    """Looks on while key frames are driven.
+
+    Attributes:
+        env: whose control ticks are watched, from now on.
+        rows: state (24,), effort (7,) and goal (10,) of each tick, before it.
+        ends: rows at which key frames had ended.
+        successes: whether the task was done, at each of these.
+    """
+
+    env: KeyframeEnv
+    rows: list[tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]] = field(default_factory=list)
+    ends: list[int] = field(default_factory=list)
+    successes: list[bool] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._sim = self.env._started()
+        tick = self._sim._tick
+
+        def watched(target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
+            self.rows.append((*self._seen(), self._goal()))
+            tick(target, velocity, finger)
+
+        # The driver of an episode is given the task's `_tick` when it is built, at reset.
+        self._sim._tick = watched  # type: ignore[method-assign]
+
+    def begin(self) -> None:
+        """Forgets what was seen so far: an episode is about to be reset."""
+        self.rows, self.ends, self.successes = [], [], []
+
+    def key_frame_ended(self) -> None:
+        """Is told so by whoever drives."""
+        self.ends.append(len(self.rows))
+        self.successes.append(self._sim.succeeded())
+
+    def episode(self, task: str) -> DenseEpisode:
+        """Returns what was seen since `begin`."""
+        state, effort, asked = (
+            np.stack(column) for column in zip(*self.rows, (*self._seen(), self._goal()), strict=True)
+        )
+        done = np.zeros(len(state), bool)
+        for end, success in zip(self.ends, self.successes, strict=True):
+            done[end:] |= success
+        return DenseEpisode(
+            state=state,
+            effort=effort,
+            sent=np.concatenate([state[:1, : schema.ACTION_DIM], asked[:-1]]),
+            stamp=np.arange(len(state)) / FPS,
+            outcome=np.full(len(state), -1),
+            success=done,
+            task=task,
+            asked=asked,
+        )
+
+    def _seen(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        arm, driver = self._sim.arm_state(), self._sim._arm
+        here = driver._feedback(None)
+        pose = pose_vector(here.tcp_in_base, float(np.clip(here.gripper, 0.0, 1.0)))
+        state = np.concatenate([pose, arm.qpos, arm.qvel]).astype(np.float32)
+        return state, driver._torque(arm).astype(np.float32)
+
+    def _goal(self) -> NDArray[np.float32]:
+        return pose_vector(*self._sim.goal)
+
+
+@dataclass(frozen=True)
+class KnownKeyFrames:
+    """The key frames of a dense episode, as they were driven.
+
+    Attributes:
+        object_id, seed: of the episode.
+        ends: (K,) ticks at which they had ended.
+        actions: (K, 10) that were commanded.
+        outcomes: (K,) `lerobot_adamanip.keyframes.Outcome`.
+        success: whether the task was done.
+    """
+
+    object_id: str
+    seed: int
+    ends: NDArray[np.int64]
+    actions: NDArray[np.float32]
+    outcomes: NDArray[np.int64]
+    success: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        arrays = {name: getattr(self, name).tolist() for name in ("ends", "actions", "outcomes")}
+        return {"object_id": self.object_id, "seed": self.seed, "success": self.success, **arrays}
+
+
+def dense_episode(
+    watch: TickWatch, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest
+) -> tuple[DenseEpisode, KnownKeyFrames]:
+    """Lets an expert work through an episode; returns its ticks, and its key frames."""
+    watch.begin()
+    attempt, recorded = attempt_episode(watch.env, spec, make_expert, request, watch.key_frame_ended)
+    columns = recorded.columns
+    known = KnownKeyFrames(
+        request.object_id,
+        request.seed,
+        np.array(watch.ends, np.int64),
+        columns[schema.ACTION][:-1],
+        columns[schema.OUTCOME][:-1, 0].astype(np.int64),
+        attempt.success,
+    )
+    return watch.episode(watch.env.task_description), known
+
+
+def successful_episode(
+    watch: TickWatch, spec: CollectionSpec, make_expert: ExpertFactory, item: EpisodeSpec, max_attempts: int
+) -> tuple[DenseEpisode, KnownKeyFrames]:
+    """As `dense_episode`, trying seeds until the expert succeeds; raises `DatasetError` if it does not."""
+    category = category_of(item.object_id)
+    for attempt in range(max_attempts):
+        seed = episode_seed(spec.seed, category, item.object_id, item.slot, attempt)
+        try:
+            episode, known = dense_episode(watch, spec, make_expert, EpisodeRequest(item.object_id, seed))
+        except UnreachableError:
+            continue
+        if known.success:
+            return episode, known
+    raise DatasetError(
+        "The expert did not succeed.",
+        got=f"{item}, {max_attempts} attempts",
+        allowed="a success",
+        hint="--max-attempts",
+    )
+
+
+def collect_dense(
+    root: Path,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    *,
+    max_attempts: int,
+    progress: Progress = lambda stage, done, total: None,
+) -> int:
+    """Records successful episodes tick by tick, as a recording of LeRobot; goes on where it was interrupted.
+
+    Args:
+        root: of the recording.
+        spec: what to record; late starts are left out.
+        make_expert: makes experts.
+        max_attempts: seeds to try per episode.
+        progress: told of episodes done, and all.
+
+    Returns:
+        How many episodes there are.
+
+    Raises:
+        ConfigurationError: LeRobot is not one whose recordings outlive a kill.
+        DatasetError: an expert did not succeed.
+    """
+    items, dataset = spec.items(), _opened(root)
+    env: KeyframeEnv | None = None
+    try:
+        for number in range(dataset.meta.total_episodes, len(items)):
+            category = category_of(items[number].object_id)
+            if env is None or env.category != category:
+                if env is not None:
+                    env.close()
+                env = KeyframeEnv(options=spec.environment_of(category).changed(observe_images=False))
+                watch = TickWatch(env)
+            episode, known = successful_episode(watch, spec, make_expert, items[number], max_attempts)
+            _save(dataset, episode, known, number)
+            progress("record", number + 1, len(items))
+    finally:
+        if env is not None:
+            env.close()
+        dataset.finalize()
+    return int(dataset.meta.total_episodes)
+
+
+def _opened(root: Path) -> Any:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    from lerobot_adamanip import lerobot_recording
+
+    if not lerobot_recording.apply():
+        raise ConfigurationError(
+            "This LeRobot writes recordings otherwise.",
+            got="another version",
+            allowed=", ".join(lerobot_recording.TESTED),
+            hint="pip install 'lerobot==0.6.1'",
+        )
+    if (root / "meta" / "info.json").exists():
+        return LeRobotDataset.resume(f"local/{root.name}", root=root)
+    features = {
+        schema.STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},
+        schema.ACTION: {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
+    }
+    return LeRobotDataset.create(f"local/{root.name}", FPS, features, root=root, robot_type="adamanip_dense")
+
+
+def _save(dataset: Any, episode: DenseEpisode, known: KnownKeyFrames, number: int) -> None:
+    """Writes what is known of the key frames first: a kill in between leaves a line that is replaced."""
+    path = Path(dataset.root) / KEY_FRAMES
+    before = path.read_text(encoding="utf-8").splitlines()[:number] if path.exists() else []
+    lines = [*before, json.dumps(known.to_json())]
+    files.write_atomically(path, ("\n".join(lines) + "\n").encode())
+    told = np.stack([episode.outcome, episode.stamp, episode.success], axis=1)
+    values = np.concatenate([episode.state, episode.effort, episode.sent, told], axis=1).astype(np.float32)
+    for row, asked in zip(values, episode.asked, strict=True):
+        dataset.add_frame({schema.STATE: row, schema.ACTION: asked, "task": episode.task})
+    dataset.save_episode()

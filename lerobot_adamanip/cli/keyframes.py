@@ -1,0 +1,116 @@
+"""`adamanip keyframes`: dense recordings of a robot to demonstrations."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import tyro
+
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.demos.dense.choose import KeyFrameOptions
+from lerobot_adamanip.demos.dense.convert import Converted, ConvertOptions, convert
+from lerobot_adamanip.demos.dense.rows import RowOptions
+from lerobot_adamanip.demos.sparsify import SparsifyOptions
+from lerobot_adamanip.hardware.features import FRONT_CAMERA
+from lerobot_adamanip.keyframes import DEFAULT_MOTION
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE
+
+_STAGES = {"convert": "episodes read", "assemble": "episodes written", "merge": "episodes mixed"}
+_SPARSIFY = SparsifyOptions()
+
+
+@dataclass
+class Keyframes:
+    """Writes the key frames of dense recordings as a dataset that policies train on.
+
+    A recording is what `lerobot-record` made of one of our robots. Datasets of key frames, of `adamanip collect` for
+    instance, may be named as well: their episodes follow those of the recordings, as they are.
+    """
+
+    sources: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of recordings, and of datasets to be mixed with them."""
+
+    out: Path
+    """Folder of the new dataset."""
+
+    camera: str = FRONT_CAMERA
+    """Camera whose depth becomes the cloud."""
+
+    calibration: Path | None = None
+    """File that says where the camera stood. By default the one that the robot has left in each recording."""
+
+    num_points: int = DEFAULT_NUM_POINTS
+    """Points per cloud. In a mix, as many as the other datasets have."""
+
+    images: bool = True
+    """Whether there are pictures beside the clouds."""
+
+    workspace_lower: tuple[float, float, float] = DEFAULT_WORKSPACE.lower
+    """Box of the clouds, robot base frame [m]: its lower corner."""
+
+    workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
+    """And its upper one."""
+
+    stopped: float = _SPARSIFY.stopped
+    """An arm slower than this stands still [m/s]."""
+
+    same_place: float = _SPARSIFY.same_place
+    """Two poses this close are one [m]."""
+
+    given_up: float = _SPARSIFY.given_up
+    """A target that is replaced while still this far away was given up [m]."""
+
+    reached: float = DEFAULT_MOTION.reached_position
+    """A target this close was reached; farther ones have stalled [m]."""
+
+    successful: bool = False
+    """Count episodes of roll-outs, which do not tell of success, as successes."""
+
+    skip_still: bool = False
+    """Leave episodes out in which nothing moves, instead of ending with an error."""
+
+    repo_id: str | None = None
+    """Name of the new dataset. local/<folder name> by default."""
+
+    json: bool = False
+    """Print one JSON object instead of text."""
+
+    def options(self) -> ConvertOptions:
+        """Returns them in the converter's terms."""
+        return ConvertOptions(
+            key_frames=KeyFrameOptions(
+                SparsifyOptions(self.stopped, self.same_place, self.given_up), reached_position=self.reached
+            ),
+            rows=RowOptions(
+                self.num_points,
+                IMAGE_SIZE if self.images else None,
+                Workspace(self.workspace_lower, self.workspace_upper),
+            ),
+            camera=self.camera,
+            calibration=self.calibration,
+            successful=self.successful,
+            skip_still=self.skip_still,
+            repo_id=self.repo_id,
+        )
+
+    def run(self) -> int:
+        """Converts; 0 when the dataset is complete."""
+        # What libraries print must not get into the JSON.
+        with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
+            made = convert(self.sources, self.out, self.options(), progress)
+        self._tell(made)
+        return 0
+
+    def _tell(self, made: Converted) -> None:
+        if self.json:
+            print(json.dumps({"out": str(self.out), **asdict(made)}))
+            return
+        mixed = f", and {made.simulated} of other datasets" if made.simulated else ""
+        print(f"{made.episodes} episodes, {made.key_frames} key frames of {made.ticks} ticks{mixed}, in {self.out}")
+        for name in made.skipped:
+            print(f"left out, nothing moves in it: {name}")

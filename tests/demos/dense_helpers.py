@@ -1,0 +1,174 @@
+"""Dense recordings, made by hand: an arm that follows a streamed target with a lag, and stops at a wall."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.demos.dense.choose import DenseEpisode
+from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES, names_of
+from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE, STATE_NAMES
+
+FPS = 30
+SPEED, FOLLOWS, FINGERS, LEAD = 0.3, 0.4, 0.2, 0.04
+WALL = 0.62
+SIZE = 64
+FOCAL = 60.0
+
+
+class Stop(NamedTuple):
+    """Where a person stops: position [m], turn about z [rad], gripper, ticks of rest."""
+
+    position: tuple[float, float, float]
+    turn: float = 0.0
+    gripper: float = 1.0
+    rest: int = 12
+
+    @property
+    def goal(self) -> NDArray[np.float32]:
+        return pose_vector(transform(self.position, rotation_about((0, 0, 1), self.turn)), self.gripper)
+
+
+STOPS = (
+    Stop((0.40, 0.0, 0.70)),
+    Stop((0.50, 0.1, 0.70), 0.3),
+    Stop((0.50, 0.1, 0.70), 0.3, 0.0),  # closes the hand where it is
+    Stop((0.655, 0.1, 0.70), 0.3, 0.0),  # against the wall
+    Stop((0.45, -0.1, 0.75), 0.3, 0.0),
+    Stop((0.45, -0.1, 0.75), 0.3, 1.0),
+    Stop((0.38, -0.1, 0.80), 0.0, 1.0),
+)
+
+
+def goal_between(start: Stop, end: Stop, share: float, gripper: float) -> NDArray[np.float32]:
+    position = (1 - share) * np.array(start.position) + share * np.array(end.position)
+    turn = (1 - share) * start.turn + share * end.turn
+    return pose_vector(transform(position, rotation_about((0, 0, 1), turn)), gripper)
+
+
+def streamed(stops: Sequence[Stop]) -> list[NDArray[np.float32]]:
+    """Targets, tick by tick."""
+    targets = [stops[0].goal] * stops[0].rest
+    for start, end in itertools.pairwise(stops):
+        way = float(np.linalg.norm(np.subtract(end.position, start.position))) + 0.1 * abs(end.turn - start.turn)
+        ticks = int(np.ceil(way / SPEED * FPS))
+        targets += [goal_between(start, end, tick / ticks, start.gripper) for tick in range(1, ticks)]
+        targets += [end.goal] * end.rest
+    return targets
+
+
+def jumped(stops: Sequence[Stop], ticks: int = 30) -> list[NDArray[np.float32]]:
+    """Targets of key frames that are sent whole."""
+    return [stop.goal for stop in stops for _ in range(ticks)]
+
+
+def dense_episode(
+    stops: Sequence[Stop] = STOPS,
+    *,
+    seed: int = 0,
+    noise: float = 1e-4,
+    opens: bool = True,
+    how: Callable[[Sequence[Stop]], list[NDArray[np.float32]]] = streamed,
+) -> DenseEpisode:
+    """What a robot would have told while it followed these stops."""
+    draw = np.random.default_rng(seed)
+    targets = np.stack(how(stops))
+    pose = targets[0].astype(np.float64)
+    states, sent = [], [targets[0]]
+    for target in targets:
+        state = np.zeros(24, np.float32)
+        state[:10] = pose
+        state[:3] += draw.normal(scale=noise, size=3)
+        states.append(state)
+        sent.append(target)
+        pose = pose + FOLLOWS * (target - pose)
+        pose[0] = min(pose[0], WALL)
+        rows = np.linalg.qr(pose[3:9].reshape(2, 3).T)[0].T
+        pose[3:9] = (rows * np.sign((rows * pose[3:9].reshape(2, 3)).sum(axis=1))[:, None]).reshape(6)
+        pose[9] = np.clip(pose[9] + np.clip(target[9] - pose[9], -FINGERS, FINGERS), 0, 1)
+    count = len(targets)
+    success = np.zeros(count, bool)
+    success[-5:] = opens
+    return DenseEpisode(
+        state=np.stack(states), effort=np.zeros((count, 7), np.float32), sent=np.stack(sent[:-1]),
+        stamp=np.arange(count) / FPS, outcome=np.full(count, -1), success=success, task="open the thing",
+        asked=targets,
+    )  # fmt: skip
+
+
+def scalars(episode: DenseEpisode) -> NDArray[np.float32]:
+    told = np.stack([episode.outcome, episode.stamp, episode.success], axis=1)
+    return np.concatenate([episode.state, episode.effort, episode.sent, told], axis=1).astype(np.float32)
+
+
+def depth_at(tick: int) -> NDArray[np.uint16]:
+    """A wall that nears by a millimetre per tick, and a hole."""
+    depth = np.full((SIZE, SIZE, 1), 900 - tick % 100, np.uint16)
+    depth[: SIZE // 4] = 0
+    return depth
+
+
+def calibration() -> CameraCalibration:
+    """A camera at the base that looks along x."""
+    middle = SIZE / 2
+    matrix = np.array([[FOCAL, 0, middle], [0, FOCAL, middle], [0, 0, 1.0]])
+    looks = transform((-0.3, 0.0, 0.75), np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float64))
+    return CameraCalibration("front", Intrinsics(matrix, np.zeros(0), SIZE, SIZE), looks)
+
+
+def dense_features(names: Sequence[str] = SCALAR_NAMES) -> dict[str, dict[str, Any]]:
+    picture = {"dtype": "video", "names": ["height", "width", "channels"]}
+    return {
+        STATE: {"dtype": "float32", "shape": (len(names),), "names": list(names)},
+        ACTION: {"dtype": "float32", "shape": (10,), "names": list(POSE_NAMES)},
+        "observation.images.front": {**picture, "shape": (SIZE, SIZE, 3)},
+        f"observation.images.front{DEPTH_SUFFIX}": {
+            **picture, "shape": (SIZE, SIZE, 1), "info": {"is_depth_map": True},
+        },
+    }  # fmt: skip
+
+
+def begun(root: Path, names: Sequence[str] = SCALAR_NAMES, **more: Any) -> Any:
+    from lerobot.configs.video import DepthEncoderConfig, RGBEncoderConfig
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    return LeRobotDataset.create(
+        "local/dense", FPS, {**dense_features(names), **more}, root=root, robot_type="adamanip_franka",
+        rgb_encoder=RGBEncoderConfig(vcodec="h264"), depth_encoder=DepthEncoderConfig(depth_min=0.0, depth_max=2.0),
+    )  # fmt: skip
+
+
+def add(dataset: Any, episode: DenseEpisode) -> None:
+    for tick, values in enumerate(scalars(episode)):
+        frame = {
+            STATE: values[: len(names_of(dataset.meta.features[STATE]))],
+            ACTION: episode.asked[tick],
+            "observation.images.front": np.full((SIZE, SIZE, 3), tick % 250, np.uint8),
+            f"observation.images.front{DEPTH_SUFFIX}": depth_at(tick),
+            "task": episode.task,
+        }
+        if episode.corrected is not None:
+            frame["intervention"] = episode.corrected[tick : tick + 1]
+        dataset.add_frame(frame)
+
+
+def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
+    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` does."""
+    if episodes[0].corrected is None:
+        dataset = begun(root)
+    else:
+        dataset = begun(root, STATE_NAMES, intervention={"dtype": "bool", "shape": (1,), "names": None})
+    for episode in episodes:
+        add(dataset, episode)
+        dataset.save_episode(parallel_encoding=False)
+    dataset.finalize()
+    save_calibration(root / CALIBRATIONS, "front", calibration())
+    return root

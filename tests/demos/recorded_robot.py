@@ -1,0 +1,153 @@
+"""A robot of LeRobot that tells what ours do, and who moves it: `lerobot-record` imports this as a plugin.
+
+`SAVED`, a file named by an environment variable, gets a line whenever the saving of an episode has ended.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.robots import Robot, RobotConfig
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+
+from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.schema import POSE_NAMES
+
+__path__: list[str] = []  # LeRobot imports plugins as packages
+SAVED = "RECORDED_ROBOT_SAVED"
+SIZE = 64
+
+
+def goal_at(tick: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+    turned = rotation_about((0, 0, 1), 0.2 * np.sin(0.05 * tick))
+    return pose_vector(transform((0.5, 0.1 * np.sin(0.1 * tick), 0.7), turned), 1.0)
+
+
+@RobotConfig.register_subclass("recorded_robot")
+@dataclass
+class RecordedRobotConfig(RobotConfig):
+    pass
+
+
+class RecordedRobot(Robot):  # type: ignore[misc]
+    config_class = RecordedRobotConfig
+    name = "recorded_robot"
+
+    def __init__(self, config: RecordedRobotConfig) -> None:
+        super().__init__(config)
+        self.cameras: dict[str, Any] = {"front": None}
+        self.tick, self.sent, self.connected = 0, goal_at(0), False
+
+    @cached_property
+    def observation_features(self) -> dict[str, Any]:
+        pictures = {"front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1)}
+        return {**dict.fromkeys(SCALAR_NAMES, float), **pictures}
+
+    @cached_property
+    def action_features(self) -> dict[str, Any]:
+        return dict.fromkeys(POSE_NAMES, float)
+
+    @property
+    def is_connected(self) -> bool:
+        return self.connected
+
+    @property
+    def is_calibrated(self) -> bool:
+        return True
+
+    def connect(self, calibrate: bool = True) -> None:
+        self.connected = True
+
+    def calibrate(self) -> None: ...
+
+    def configure(self) -> None: ...
+
+    def get_observation(self) -> dict[str, Any]:
+        values = np.zeros(len(SCALAR_NAMES))
+        values[:10] = goal_at(self.tick - 2)
+        values[list(SCALAR_NAMES).index("sent.ee.x") :][:10] = self.sent
+        values[list(SCALAR_NAMES).index("arm.stamp")] = self.tick / 30.0
+        shade = np.full((SIZE, SIZE, 3), self.tick % 200, np.uint8)
+        depth = np.full((SIZE, SIZE, 1), 600 + self.tick % 200, np.uint16)
+        named = dict(zip(SCALAR_NAMES, values.tolist(), strict=True))
+        return {**named, "front": shade, "front_depth": depth}
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        self.tick += 1
+        self.sent = np.array([action[name] for name in POSE_NAMES], np.float32)
+        return action
+
+    def disconnect(self) -> None:
+        self.connected = False
+
+
+@TeleoperatorConfig.register_subclass("recorded_teleop")
+@dataclass
+class RecordedTeleopConfig(TeleoperatorConfig):
+    pass
+
+
+class RecordedTeleop(Teleoperator):  # type: ignore[misc]
+    config_class = RecordedTeleopConfig
+    name = "recorded_teleop"
+
+    def __init__(self, config: RecordedTeleopConfig) -> None:
+        super().__init__(config)
+        self.tick, self.connected = 0, False
+
+    @property
+    def action_features(self) -> dict[str, Any]:
+        return dict.fromkeys(POSE_NAMES, float)
+
+    @property
+    def feedback_features(self) -> dict[str, Any]:
+        return {}
+
+    @property
+    def is_connected(self) -> bool:
+        return self.connected
+
+    @property
+    def is_calibrated(self) -> bool:
+        return True
+
+    def connect(self, calibrate: bool = True) -> None:
+        self.connected = True
+
+    def calibrate(self) -> None: ...
+
+    def configure(self) -> None: ...
+
+    def get_action(self) -> dict[str, Any]:
+        self.tick += 1
+        return dict(zip(POSE_NAMES, goal_at(self.tick).tolist(), strict=True))
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None: ...
+
+    def disconnect(self) -> None:
+        self.connected = False
+
+
+def _tell(saved: Path) -> None:
+    """Writes a line after each saving, so that a test knows which have ended."""
+    stock = LeRobotDataset.save_episode
+
+    def save_episode(self: Any, *args: Any, **kwargs: Any) -> None:
+        rows = self.writer.episode_buffer["size"]
+        stock(self, *args, **kwargs)
+        with saved.open("a") as file:
+            file.write(f"{self.meta.total_episodes - 1} {rows}\n")
+            file.flush()
+
+    LeRobotDataset.save_episode = save_episode
+
+
+if SAVED in os.environ:
+    _tell(Path(os.environ[SAVED]))

@@ -1,0 +1,194 @@
+"""Dense recordings become demonstrations: the columns, the description and the checks of simulated ones."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from dense_helpers import FPS, SIZE, STOPS, Stop, calibration, dense_episode, depth_at, write_recording
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.dense.choose import choose_key_frames
+from lerobot_adamanip.demos.dense.convert import ConvertOptions, convert
+from lerobot_adamanip.demos.dense.rows import Camera, RowOptions, demonstration_columns
+from lerobot_adamanip.demos.loading import episode_table, open_dataset, read_info
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hardware.features import CALIBRATIONS
+from lerobot_adamanip.hub.check.dataset import check
+from lerobot_adamanip.hub.check.repair import repair
+
+POINTS = 64
+OPTIONS = ConvertOptions(rows=RowOptions(num_points=POINTS))
+CAMERA_X = -0.3
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes. Not to be written to."""
+    root = tmp_path_factory.mktemp("dense") / "recording"
+    return write_recording(root, dense_episode(seed=1), dense_episode(seed=2, opens=False))
+
+
+@pytest.fixture(scope="module")
+def converted(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("converted") / "demonstrations"
+    made = convert([recording], out, OPTIONS)
+    assert (made.episodes, made.key_frames, made.simulated, made.skipped) == (2, 2 * (len(STOPS) - 1), 0, ())
+    return out
+
+
+def rows_of(root: Path) -> list[dict[str, Any]]:
+    dataset = open_dataset(root, video_backend="pyav")
+    return [dataset[index] for index in range(len(dataset))]
+
+
+def test_a_recording_passes_the_check(recording: Path) -> None:
+    assert check(recording).findings == ()
+
+
+def test_a_recording_is_mended(recording: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(recording, tmp_path / "recording"))
+    path = next((root / "meta" / "episodes").glob("*/*.parquet"))
+    whole = pq.read_table(path)
+    pq.write_table(whole.slice(0, 1), path)
+    (root / "meta" / "stats.json").unlink()
+    assert not check(root).clean
+    assert repair(root).left == []
+    assert check(root).findings == ()
+    again = episode_table(root)
+    assert again["length"].to_pylist() == whole["length"].to_pylist()
+    stats = pq.read_table(sorted((root / "meta" / "episodes").glob("*/*.parquet"))[-1])
+    for key in ("observation.images.front_depth", "observation.images.front"):
+        for name in ("mean", "min", "max"):
+            column = f"stats/{key}/{name}"
+            found, told = (np.ravel(table[column].to_pylist()[-1]) for table in (stats, whole))
+            np.testing.assert_allclose(found, told, atol=2.0 if key.endswith("depth") else 0.02)
+
+
+def test_converted_demonstrations_pass_the_check(converted: Path) -> None:
+    assert check(converted).findings == ()
+
+
+def test_every_action_is_an_accepted_target(recording: Path, converted: Path) -> None:
+    rows, number = rows_of(converted), 0
+    for episode, opens in ((dense_episode(seed=1), True), (dense_episode(seed=2), False)):
+        del episode
+        for stop in STOPS[1:]:
+            np.testing.assert_array_equal(rows[number][schema.ACTION], stop.goal)
+            np.testing.assert_array_equal(rows[number][schema.EXECUTED], stop.goal)
+            assert not rows[number][schema.DONE]
+            number += 1
+        assert rows[number][schema.DONE]
+        assert bool(rows[number][schema.SUCCESS]) is opens
+        number += 1
+    ticks = [json.loads(text)["ticks"] for text in episode_table(converted)["recorded"].to_pylist()]
+    assert number == len(rows) == sum(map(len, ticks))
+
+
+def test_clouds_and_pictures_are_those_of_the_ticks(converted: Path) -> None:
+    rows, number = rows_of(converted), 0
+    for text in episode_table(converted)["recorded"].to_pylist():
+        for tick in json.loads(text)["ticks"]:
+            cloud = np.asarray(rows[number][schema.POINT_CLOUD])
+            wanted = CAMERA_X + float(depth_at(tick).max()) / 1000.0
+            assert np.abs(cloud[:, 0] - wanted).max() < 1e-3
+            shade = float(rows[number][schema.FRONT_IMAGE].mean()) * 255.0
+            assert abs(shade - tick % 250) < 4.0
+            number += 1
+
+
+def test_the_description_is_that_of_simulated_demonstrations(recording: Path, finished: Path, tmp_path: Path) -> None:
+    simulated = read_info(finished)
+    image = int(simulated["features"][schema.FRONT_IMAGE]["shape"][0])
+    points = int(simulated["features"][schema.POINT_CLOUD]["shape"][0])
+    convert([recording], tmp_path / "made", ConvertOptions(rows=RowOptions(points, image)))
+    made = read_info(tmp_path / "made")
+
+    def told(info: dict[str, Any]) -> dict[str, Any]:
+        plain = json.loads(json.dumps(info))
+        plain["features"][schema.FRONT_IMAGE]["info"].pop("intrinsics")  # of another camera
+        return {key: value for key, value in plain.items() if not key.startswith("total_") and key != "splits"}
+
+    assert told(made) == told(simulated)
+
+
+def test_a_mix_has_both_and_passes_the_check(recording: Path, finished: Path, tmp_path: Path) -> None:
+    made = convert([recording, finished], tmp_path / "mix", OPTIONS)
+    simulated = read_info(finished)["total_episodes"]
+    assert (made.episodes, made.simulated) == (2, simulated)
+    assert read_info(tmp_path / "mix")["total_episodes"] == 2 + simulated
+    # The fake environment's poses are no poses; nothing else is wrong, and nothing with the recording's episodes.
+    findings = check(tmp_path / "mix").findings
+    assert {each.kind for each in findings} <= {each.kind for each in check(finished).findings}
+    assert all(each.episode is None or each.episode >= 2 for each in findings)
+    assert not list(tmp_path.glob("mix.*"))
+
+
+def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
+    episode = dense_episode(seed=3)
+    ticks = np.arange(len(episode))
+    rest = int(np.flatnonzero((episode.sent == STOPS[2].goal).all(axis=1))[0]) + 6
+    corrected = replace(episode, corrected=ticks >= rest)
+    root = write_recording(tmp_path / "rollout", corrected)
+    assert check(root).findings == ()
+    made = convert([root], tmp_path / "made", replace(OPTIONS, successful=True))
+    assert made.episodes == 1
+    rows = rows_of(tmp_path / "made")
+    goals = np.stack([stop.goal for stop in STOPS[3:]])
+    for key in (schema.ACTION, schema.EXECUTED):
+        np.testing.assert_array_equal(np.stack([row[key] for row in rows[:-1]]), goals)
+    assert [bool(row[schema.SUCCESS]) for row in rows] == [False] * (len(goals) - 1) + [True, True]
+    assert json.loads(episode_table(tmp_path / "made")["recorded"][0].as_py())["corrections"]
+
+
+def test_what_a_corrector_asked_for_stands_beside_what_was_accepted() -> None:
+    episode = dense_episode()
+    asked = episode.asked.copy()
+    asked[:, 2] += 0.01  # the safety filter took that off again
+    asked[:, 9] *= 0.9  # a trigger that is not pulled all the way
+    corrected = replace(episode, corrected=np.ones(len(episode), bool), asked=asked)
+    chosen = choose_key_frames(corrected, FPS)
+    camera = Camera(lambda tick: (None, depth_at(tick)[..., 0]), calibration())
+    columns = demonstration_columns(corrected, chosen, camera, RowOptions(POINTS, None))
+    goals = np.stack([stop.goal for stop in STOPS[1:]])
+    np.testing.assert_array_equal(columns[schema.EXECUTED][:-1], goals)
+    lifted = goals + np.eye(10, dtype=np.float32)[2] * np.float32(0.01)
+    np.testing.assert_allclose(columns[schema.ACTION][:-1], lifted, atol=1e-6)
+
+
+def test_what_cannot_be_converted_is_named(recording: Path, finished: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="no dense recording"):
+        convert([finished], tmp_path / "made", OPTIONS)
+    with pytest.raises(DatasetError, match="side_depth"):
+        convert([recording], tmp_path / "made", replace(OPTIONS, camera="side"))
+    root = Path(shutil.copytree(recording, tmp_path / "uncalibrated"))
+    (root / CALIBRATIONS).unlink()
+    with pytest.raises(DatasetError, match="calibration"):
+        convert([root], tmp_path / "made", OPTIONS)
+    assert not (tmp_path / "made").exists()
+
+
+def test_an_episode_without_motion_is_left_out_on_request(tmp_path: Path) -> None:
+    still = dense_episode((Stop((0.4, 0.0, 0.7), rest=20),))
+    root = write_recording(tmp_path / "recording", still, dense_episode(STOPS[:2]))
+    with pytest.raises(DatasetError, match="recording:0"):
+        convert([root], tmp_path / "made", OPTIONS)
+    made = convert([root], tmp_path / "made", replace(OPTIONS, skip_still=True))
+    assert (made.episodes, made.skipped) == (1, ("recording:0",))
+
+
+def test_the_command_converts(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "made"
+    assert main(["keyframes", str(recording), "--out", str(out), "--num-points", str(POINTS), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["key_frames"] == 2 * (len(STOPS) - 1)
+    assert main(["repair", str(out)]) == 0
+    assert main(["keyframes", str(recording), "--out", str(out)]) == 2
+    assert SIZE < schema.IMAGE_SIZE

@@ -1,0 +1,196 @@
+"""`lerobot-record`, killed: every episode whose saving had ended is readable, and resuming continues the count."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_robot import SAVED
+
+from lerobot_adamanip import lerobot_recording
+from lerobot_adamanip.demos.loading import read_info
+from lerobot_adamanip.hardware.features import is_dense
+from lerobot_adamanip.hub.check.repair import repair
+
+HERE = Path(__file__).parent
+ENCODINGS = (False, True)
+PATIENCE = 280.0
+WAIT = 0.05
+
+
+def command(root: Path, *, resume: bool, streaming: bool, episodes: int) -> list[str]:
+    options = {
+        "robot.type": "recorded_robot", "teleop.type": "recorded_teleop",
+        "robot.discover_packages_path": "recorded_robot",
+        "dataset.repo_id": "local/killed", "dataset.no_stamp": "true", "dataset.root": str(root),
+        "dataset.push_to_hub": "false", "dataset.single_task": "open it", "dataset.num_episodes": str(episodes),
+        "dataset.episode_time_s": "0.4", "dataset.reset_time_s": "0", "play_sounds": "false", "dataset.fps": "30",
+        "dataset.streaming_encoding": str(streaming).lower(), "dataset.encoder_threads": "1",
+        "dataset.rgb_encoder.vcodec": "h264", "resume": str(resume).lower(),
+    }  # fmt: skip
+    record = "import sys; from lerobot.scripts.lerobot_record import main; sys.exit(main())"
+    return [sys.executable, "-c", record, *(f"--{name}={value}" for name, value in options.items())]
+
+
+class Recording:
+    """A running `lerobot-record`, at a pseudo-terminal."""
+
+    def __init__(self, folder: Path, *, resume: bool = False, streaming: bool = False, episodes: int = 500) -> None:
+        self.saved = folder / "saved"
+        self._begun = len(self.lines())
+        self._terminal, slave = pty.openpty()
+        path = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
+        with (folder / "log").open("ab") as log:
+            self.process = subprocess.Popen(
+                command(folder / "recording", resume=resume, streaming=streaming, episodes=episodes),
+                stdin=slave, stdout=log, stderr=log, env={**os.environ, "PYTHONPATH": path, SAVED: str(self.saved)},
+                start_new_session=True,
+            )  # fmt: skip
+        os.close(slave)
+
+    def lines(self) -> list[tuple[int, int]]:
+        """Episodes whose saving has ended, and their rows."""
+        if not self.saved.exists():
+            return []
+        whole = self.saved.read_text().rpartition("\n")[0]
+        return [(int(line.split()[0]), int(line.split()[1])) for line in whole.splitlines()]
+
+    def wait_for(self, more: int) -> None:
+        """Until so many episodes are saved by this process."""
+        end = time.monotonic() + PATIENCE
+        while len(self.lines()) < self._begun + more:
+            assert self.process.poll() is None, self.told()
+            assert time.monotonic() < end, self.told()
+            time.sleep(WAIT)
+
+    def told(self) -> str:
+        return (self.saved.parent / "log").read_text(errors="replace")[-3000:]
+
+    def kill(self) -> None:
+        os.killpg(self.process.pid, signal.SIGKILL)  # its encoders too, which are its own
+        self.process.wait()
+
+    def end(self) -> None:
+        assert self.process.wait(PATIENCE) == 0, self.told()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leaves no process behind, however a test ends."""
+        with contextlib.suppress(ProcessLookupError):
+            self.kill()
+        os.close(self._terminal)
+
+
+def require_readable(root: Path, saved: list[tuple[int, int]]) -> int:
+    """Every saved episode is there with its rows and frames; returns how many episodes there are."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    dataset = LeRobotDataset("local/killed", root=root, video_backend="pyav")
+    lengths = [dataset.meta.episodes[number]["length"] for number in range(dataset.num_episodes)]
+    for number, rows in saved:
+        assert lengths[number] == rows
+        first = dataset.meta.episodes[number]["dataset_from_index"]
+        for row in (first, first + rows - 1):
+            item = dataset[row]
+            assert int(item["episode_index"]) == number
+            assert int(item["frame_index"]) == row - first
+            shade = float(item["observation.images.front"].mean()) * 255.0
+            tick = float(item["observation.state"][-2]) * 30.0
+            assert abs(shade - tick % 200) < 4.0
+            assert abs(float(item["observation.images.front_depth"].mean()) - (600 + tick % 200)) < 3.0
+    assert len(dataset) == sum(lengths)
+    return int(dataset.num_episodes)
+
+
+def killed_again_and_again(folder: Path, kills: int, *, streaming: bool, seed: int) -> int:
+    """Kills a recording at random moments, resuming it each time; returns its episodes in the end."""
+    draw = random.Random(seed)
+    root = folder / "recording"
+    for number in range(kills):
+        with Recording(folder, resume=number > 0, streaming=streaming) as recording:
+            recording.wait_for(draw.randint(1, 3))
+            time.sleep(draw.uniform(0.0, 1.5))
+            recording.kill()
+        saved = recording.lines()
+        assert [number for number, _ in saved] == list(range(len(saved)))
+        done = repair(root)
+        assert done.left == [], done.left
+        episodes = require_readable(root, saved)
+        # An episode that was whole, but not yet counted, when it was killed, is kept as well.
+        assert len(saved) <= episodes <= len(saved) + 1
+        if episodes > len(saved):
+            length = episode_length(root, episodes - 1)
+            with recording.saved.open("a") as file:
+                file.write(f"{episodes - 1} {length}\n")
+    with Recording(folder, resume=True, streaming=streaming, episodes=1) as last:
+        before = len(last.lines())
+        last.end()
+    assert [number for number, _ in last.lines()] == list(range(before + 1))
+    return require_readable(root, last.lines())
+
+
+def episode_length(root: Path, number: int) -> int:
+    from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
+
+    return int(LeRobotDatasetMetadata("local/killed", root=root).episodes[number]["length"])
+
+
+def test_a_killed_recording_is_readable_and_goes_on(tmp_path: Path) -> None:
+    assert lerobot_recording.is_tested()
+    episodes = killed_again_and_again(tmp_path, 1, streaming=True, seed=5)
+    assert episodes >= 2
+    info = read_info(tmp_path / "recording")
+    assert is_dense(info["features"])
+    assert info["data_files_size_in_mb"] == 100  # as LeRobot would have it
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("streaming", ENCODINGS)
+def test_ten_kills(tmp_path: Path, streaming: bool) -> None:
+    episodes = killed_again_and_again(tmp_path, 10, streaming=streaming, seed=11 + streaming)
+    assert episodes >= 11
+
+
+def test_of_other_robots_lerobot_keeps_the_writing(tmp_path: Path) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    assert lerobot_recording.apply()
+    features = {"observation.state": {"dtype": "float32", "shape": (2,), "names": ["a", "b"]}}
+    dataset = LeRobotDataset.create("local/other", 30, features, root=tmp_path / "other")
+    for _ in range(2):
+        for _ in range(3):
+            dataset.add_frame({"observation.state": np.zeros(2, np.float32), "task": "nothing"})
+        dataset.save_episode()
+    dataset.finalize()
+    assert len(list((tmp_path / "other").glob("data/*/*.parquet"))) == 1
+
+
+def test_a_lerobot_that_was_not_tested_stays_as_it_is(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    from lerobot.datasets import lerobot_dataset
+
+    lerobot_recording.restore()
+    stock = lerobot_dataset.DatasetWriter
+    monkeypatch.setattr(lerobot_recording, "TESTED", {"0.6.1": "another"})
+    try:
+        assert not lerobot_recording.apply()
+        assert not lerobot_recording.apply()
+        assert lerobot_dataset.DatasetWriter is stock
+        assert len([each for each in caplog.records if "a kill loses" in each.message]) == 1
+    finally:
+        monkeypatch.undo()
+        lerobot_recording.apply()
+        assert lerobot_dataset.DatasetWriter is not stock
