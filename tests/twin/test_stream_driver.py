@@ -12,7 +12,6 @@ from test_driver import STIFFNESS, Gantry, goal
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.keyframes import MotionLimits, Outcome
-from lerobot_adamanip.rotations import pose_vector, transform
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
 from lerobot_env_adamanip.sim.twin.stepped import MotionAbortedError, SteppedMotion
 from lerobot_env_adamanip.sim.twin.stream_driver import StreamDriver
@@ -65,7 +64,7 @@ def test_the_newest_target_wins_and_is_reached_without_overshoot() -> None:
     driver.follow_target(goal(0.6, 0.1))
     ticks(driver, 100)
     np.testing.assert_allclose(driver.measured().tcp_in_base[:3, 3], (0.6, 0.1, 0.7), atol=1e-3)
-    assert max(target[0] for target in gantry.targets) < 0.602
+    assert max(target[0] for target in gantry.targets) < 0.6005
     assert driver.stream_outcome is None
 
 
@@ -80,7 +79,7 @@ def test_without_a_target_the_arm_stays_and_hold_brings_it_to_rest() -> None:
     at = gantry.qpos[0]
     ticks(driver, 50)
     assert np.abs(gantry.qvel).max() < 1e-3
-    assert gantry.qpos[0] - at < 0.05
+    assert gantry.qpos[0] - at < 0.09  # v^2 / 2a
 
 
 def test_a_blocked_pull_stalls_at_a_bounded_lag_and_is_given_up_by_going_back() -> None:
@@ -150,7 +149,6 @@ def test_key_frames_after_a_stream_are_those_of_the_key_frame_driver() -> None:
     """`execute` is not ours: from the same state it commands the same, to the bit."""
     gantry, plain = Watched(), Watched()
     streaming, stock = gantry.streaming(), plain.driver()
-    streaming.follow_target(pose_vector(transform((0.5, 0.0, 0.7)), 1.0))
     ticks(streaming, 10)
     streaming.end_stream()
     gantry.targets.clear()

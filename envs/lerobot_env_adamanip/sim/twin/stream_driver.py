@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 
 SETTLING = 0.06
 """Time in which the commanded pose closes in on the target [s]: what lies between two of 30 a second is smoothed."""
+BRAKING = 0.8
+"""Share of the acceleration with which a target is run up to: ticks are not infinitely short."""
+FOLLOWS = 0.2
+"""A commanded pose that covers less of its way than this, for as long as a stall takes, has come to a joint's end."""
 CLOSES = 5e-3
 """A finger target that falls by more than this closes the hand [m]."""
 
@@ -40,7 +44,8 @@ class StreamDriver(KeyframeDriver):
         super().__init__(*args, **kwargs)
         self._slot: tuple[Array, float] | None = None
         self._velocity: Array = np.zeros(6)
-        self._closing_left = 0
+        self._holding = False
+        self._closing_left = self._stuck = 0
         self._gripped_at: Array | None = None
         self.stalled = False
         """Whether the tool leans against something that the target lies behind."""
@@ -61,32 +66,31 @@ class StreamDriver(KeyframeDriver):
             self._closing_left, self._gripped_at = self.limits.grip_ticks, None
         self._finger_target = finger_goal
         self._slot = self.goal = (goal, gripper)
+        self._holding = False
 
     def hold(self) -> None:
-        """Makes the pose that is commanded now the target: the arm comes to rest there."""
-        if self._slot is not None:
-            self._slot = (self.kinematics.tcp_in_base(self._target), self._slot[1])
+        """Gives the target up: the arm decelerates and stays where it comes to rest; the fingers go on."""
+        self._holding = True
 
     def stream_tick(self) -> None:
         """One control tick towards the target; without one the arm holds where it is."""
         before = self.kinematics.tcp_in_base(self._target)
-        goal = before if self._slot is None else self._slot[0]
+        goal = before if self._slot is None or self._holding else self._slot[0]
         self._grip(goal, before)
         lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), before)
         waypoint, velocity = self._next(before, goal)
         if self.stalled and self._farther(waypoint, lag):
             waypoint, velocity = before, np.zeros(6)
-        posture = self._posture(waypoint)
-        self._velocity = velocity if posture is not self._target else np.zeros(6)
-        self.stalled = self._advance(posture)
-        state = self._read()
-        self.effort = self._torque(state)
+        self._velocity = velocity
+        self.stalled = self._advance(self._posture(waypoint, before) if velocity.any() else self._target)
+        self.effort = self._torque(self._read())
         self.feedback = self._feedback(None)
 
     def end_stream(self) -> None:
         """Forgets the target: the next one, or a key frame, begins from where the arm is."""
         self._leans = self.stalled and bool(np.abs(self._read().qvel).max() < LEANING_SPEED)
-        self._slot, self._gripped_at, self._closing_left = None, None, 0
+        self._slot, self._gripped_at, self._closing_left, self._stuck = None, None, 0, 0
+        self._holding = False
         self._velocity, self.stalled, self.unreachable = np.zeros(6), False, False
         self.closing = self.moving_closed = False
 
@@ -132,7 +136,7 @@ class StreamDriver(KeyframeDriver):
             (slice(3, 6), limits.angular_speed, limits.angular_acceleration),
         ):
             distance = math.sqrt(float(left[part] @ left[part]))
-            wanted = min(distance / SETTLING, speed, math.sqrt(2 * acceleration * distance))
+            wanted = min(speed, _braking_speed(distance, BRAKING * acceleration))
             aim = left[part] * (wanted / distance) if distance > 0 else np.zeros(3)
             velocity[part] = _bounded_change(self._velocity[part], aim, acceleration * self._dt)
         waypoint = commanded.copy()
@@ -147,18 +151,31 @@ class StreamDriver(KeyframeDriver):
         turned = [np.linalg.norm(each[3:]) / limits.stall_rotation for each in (ahead, lag)]
         return bool(max(far[0], turned[0]) > max(far[1], turned[1]))
 
-    def _posture(self, waypoint: Array) -> Array:
-        """Returns the joint positions (7,) [rad] of a commanded pose; the present ones where there are none."""
+    def _posture(self, waypoint: Array, commanded: Array) -> Array:
+        """Returns the joint positions (7,) [rad] of a commanded pose; the present ones where there are none near it."""
         solution = self.kinematics.solve(waypoint, self._target, iterations=15, tolerance=PATH_TOLERANCE)
         if not solution.within(5e-3, 0.03):
             solution = self.kinematics.solve(waypoint, self._target, iterations=80)
-        self.unreachable = not solution.within(0.01, 0.06)
-        return self._target if self.unreachable else solution.qpos
+        follows = solution.within(0.01, 0.06)
+        wanted, got = (pose_error(commanded, each) for each in (waypoint, self.kinematics.tcp_in_base(solution.qpos)))
+        self._stuck = self._stuck + 1 if not follows or got @ wanted < FOLLOWS * (wanted @ wanted) else 0
+        self.unreachable = self._stuck >= self.limits.stall_ticks
+        if not follows:
+            self._velocity = np.zeros(6)
+        return solution.qpos if follows else self._target
 
 
 def _near(goal: Array, other: Array, position: float, rotation: float) -> bool:
     error = pose_error(other, goal)
     return bool(np.linalg.norm(error[:3]) < position and np.linalg.norm(error[3:]) < rotation)
+
+
+def _braking_speed(distance: float, deceleration: float) -> float:
+    """Returns the speed from which one comes to rest ``distance`` on: constant deceleration, and gently at the end."""
+    gentle = deceleration * SETTLING**2
+    if distance < gentle:
+        return distance / SETTLING
+    return math.sqrt(2 * deceleration * (distance - gentle / 2))
 
 
 def _bounded_change(velocity: Array, wanted: Array, most: float) -> Array:
