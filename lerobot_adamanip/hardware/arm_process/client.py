@@ -1,0 +1,278 @@
+"""The recorder's end of the arm's process: starts it, sends targets, sees the newest state, ends it."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmTarget, Execution
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.messages import (
+    COMMAND,
+    STATUS,
+    ArmStatus,
+    Request,
+    pack_request,
+    pack_target,
+    unpack_reply,
+    unpack_status,
+)
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions, Start, mailbox_capacities
+
+ARM_PROCESS = "lerobot_adamanip.hardware.arm_process"
+"""Program of the real arm and the fake."""
+POLL = 0.002
+"""Between two looks at a key frame under way [s]."""
+CLOSE_TIME = 1.8
+"""The arm's process has this long to stop the arm and end [s]; then it is killed, so that closing takes under 2 s."""
+LOCKSTEP_TIME = 600.0
+"""A step of a twin may take this long [s]."""
+
+
+class ArmClient:
+    """One arm's process, from `connect` to `close`. Targets and states may be used by one thread, frames by any.
+
+    Args:
+        backend: name in the table of the program.
+        options: of that backend, JSON-able.
+        program: module that is run with ``python -m``: a constant of the program that calls this, never data.
+        server: what the process watches.
+        frames: name -> bytes of the mailboxes that the backend fills with frames.
+        connect_time: the process has this long to start and to connect [s].
+    """
+
+    def __init__(
+        self,
+        backend: str,
+        options: Mapping[str, Any] | None = None,
+        *,
+        program: str = ARM_PROCESS,
+        server: ServerOptions | None = None,
+        frames: Mapping[str, int] | None = None,
+        connect_time: float = 30.0,
+    ) -> None:
+        self.server = server or ServerOptions()
+        self._backend, self._options, self._program = backend, dict(options or {}), program
+        self._frames, self._connect_time = dict(frames or {}), connect_time
+        self._process: subprocess.Popen[bytes] | None = None
+        self._connection: Connection | None = None
+        self._boxes: SharedMailboxes | None = None
+        self._lock, self._asked = threading.RLock(), 0
+
+    def __enter__(self) -> ArmClient:
+        self.connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # Life ------------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the process was started and has not ended."""
+        return self._process is not None and self._process.poll() is None
+
+    def connect(self) -> dict[str, Any]:
+        """Starts the process, waits until its backend is connected, returns what the backend tells of itself.
+
+        Raises:
+            RobotError: it is connected already, the backend cannot connect, or takes longer than ``connect_time``.
+        """
+        if self._process is not None:
+            raise RobotError("The arm's process was started already.")
+        try:
+            self._start()
+            told = self._receive(0, self._connect_time, "connect")
+            self._await_status()
+        except BaseException:
+            self.close()
+            raise
+        return told
+
+    def _start(self) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._boxes = SharedMailboxes(mailbox_capacities(self._frames))
+            start = Start(
+                theirs.fileno(), self._boxes.descriptor, self._backend, self._options, self.server, self._frames
+            )
+            # A session of its own: Ctrl-C in the recorder's terminal must not reach the arm before the recorder does.
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", self._program, start.to_json()],
+                stdin=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(), self._boxes.descriptor),
+                start_new_session=True,
+            )
+        self._connection = Connection(ours.detach())
+
+    def _await_status(self) -> None:
+        until = time.perf_counter() + self._connect_time
+        while self._box(STATUS).number == 0:
+            if time.perf_counter() > until or not self.is_connected:
+                raise RobotError(self._last_words("told no state"))
+            time.sleep(POLL)
+
+    def close(self) -> None:
+        """Ends the process, which stops the arm before; kills it after `CLOSE_TIME`. Idempotent, never raises."""
+        process, connection, boxes = self._process, self._connection, self._boxes
+        if connection is not None:
+            with contextlib.suppress(OSError):
+                connection.send_bytes(pack_request(Request(0, "shutdown")))
+            connection.close()  # end of file, for a process that reads no messages
+        if process is not None:
+            try:
+                process.wait(CLOSE_TIME)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if boxes is not None:
+            boxes.close()
+        self._process = self._connection = None
+
+    # States ----------------------------------------------------------------------------------------------------------
+
+    def status(self) -> ArmStatus:
+        """Returns the newest status, whatever it says.
+
+        Raises:
+            RobotError: the process has ended, or has not told anything for `ServerOptions.state_age` seconds.
+        """
+        found = self._box(STATUS).read()
+        if not self.is_connected or found is None:
+            raise RobotError(self._last_words("has ended"))
+        try:
+            status = unpack_status(found[1])
+        except ValueError as error:
+            raise RobotError(f"The arm's process told what is no status: {error}") from None
+        age = time.perf_counter() - status.beat
+        if self.server.lockstep_fps is None and age > self.server.state_age:
+            raise RobotError(
+                "The arm's process tells no state any more; the arm is told to stop.",
+                got=f"a state that is {age:.2f} s old",
+                allowed=f"{self.server.state_age:g} s",
+                hint="is the robot reachable, and the machine not overloaded? Disconnect and connect anew",
+            )
+        return status
+
+    def healthy(self) -> ArmStatus:
+        """Returns the newest status of an arm that can be moved. Raises `RobotError`, as `status` and for a fault."""
+        status = self.status()
+        if status.fault is not None:
+            hint = "disconnect and connect anew" if status.lost else "see to the arm, then recover it"
+            mode = "no state" if status.reading is None else status.reading.mode.name
+            raise RobotError(status.fault, got=mode, allowed="no fault: nothing is accepted until then", hint=hint)
+        return status
+
+    def frame(self, name: str) -> tuple[int, bytes] | None:
+        """Returns (number, content) of the newest frame of this name; None before the first. Any thread may ask."""
+        return self._box(name).read()
+
+    # Targets ---------------------------------------------------------------------------------------------------------
+
+    def send(self, pose: NDArray[np.float32], execution: Execution) -> int:
+        """Sends a target and returns its number; does not wait until it is taken, except in lockstep.
+
+        Args:
+            pose: (10,) float32 action that went through the safety filter.
+            execution: KEYFRAME is followed by `wait`.
+
+        Raises:
+            RobotError: the arm cannot be moved: see `healthy`.
+        """
+        self.healthy()
+        number = self._box(COMMAND).write(pack_target(ArmTarget(pose, execution, time.perf_counter())))
+        if self.server.lockstep_fps is not None:
+            self.request("step", time_limit=LOCKSTEP_TIME)
+        return number
+
+    def wait(self, number: int, time_limit: float) -> ArmStatus:
+        """Waits until the key frame of this number has ended, and returns the status that tells how.
+
+        Raises:
+            RobotError: the arm cannot be moved any more, or ``time_limit`` [s] is over; it is told to stop then.
+        """
+        until = time.perf_counter() + time_limit
+        while time.perf_counter() < until:
+            status = self.healthy()
+            if status.accepted >= number and status.reading is not None and status.reading.outcome is not None:
+                return status
+            time.sleep(POLL)
+        self.tell("stop")
+        raise RobotError("A key frame does not end.", got=f"{time_limit:g} s", allowed="the backend's own time limit")
+
+    # Requests --------------------------------------------------------------------------------------------------------
+
+    def request(self, ask: str, values: Mapping[str, Any] | None = None, *, time_limit: float = 10.0) -> dict[str, Any]:
+        """Asks the process for something and returns its answer: ``stop``, ``recover``, or what the backend knows.
+
+        Raises:
+            RobotError: it refuses, has ended, or does not answer within ``time_limit`` [s].
+        """
+        with self._lock:
+            self._asked += 1
+            self._write(Request(self._asked, ask, dict(values or {})))
+            return self._receive(self._asked, time_limit, ask)
+
+    def tell(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
+        """As `request`, without waiting for an answer. Nothing happens if the process has ended."""
+        with self._lock, contextlib.suppress(RobotError):
+            self._write(Request(0, ask, dict(values or {})))
+
+    def _write(self, request: Request) -> None:
+        try:
+            if self._connection is None:
+                raise OSError("not connected")
+            self._connection.send_bytes(pack_request(request))
+        except OSError as error:
+            raise RobotError(self._last_words(f"cannot be asked for {request.ask!r} ({error})")) from None
+
+    def _receive(self, number: int, time_limit: float, ask: str) -> dict[str, Any]:
+        """Returns the values of the reply of this number; replies to requests that were given up are dropped."""
+        until = time.perf_counter() + time_limit
+        while self._connection is not None:
+            if not self._connection.poll(max(0.0, until - time.perf_counter())):
+                raise RobotError(f"The arm's process did not answer {ask!r} within {time_limit:g} s.")
+            try:
+                reply = unpack_reply(self._connection.recv_bytes())
+            except (EOFError, OSError, ValueError) as error:
+                self._await_end()
+                raise RobotError(self._last_words(f"broke off at {ask!r} ({type(error).__name__})")) from None
+            if reply.number in (number, 0):
+                if reply.error is not None:
+                    raise RobotError(reply.error)
+                return reply.values
+        raise RobotError(self._last_words(f"cannot be asked for {ask!r}"))
+
+    # Help ------------------------------------------------------------------------------------------------------------
+
+    def _box(self, name: str) -> Mailbox:
+        if self._boxes is None:
+            raise RobotError("The arm is not connected.")
+        return self._boxes[name]
+
+    def _await_end(self) -> None:
+        """Gives a process that closed its connection the time to end, so that its exit status can be told."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            if self._process is not None:
+                self._process.wait(1.0)
+
+    def _last_words(self, what: str) -> str:
+        """Returns a message with the error that the process sent before it ended, if it did."""
+        told = ""
+        with contextlib.suppress(OSError, EOFError, ValueError):
+            while self._connection is not None and self._connection.poll(0):
+                told = unpack_reply(self._connection.recv_bytes()).error or told
+        code = None if self._process is None else self._process.poll()
+        return f"The arm's process {what}{'' if code is None else f' (exit status {code})'}. {told}".strip()

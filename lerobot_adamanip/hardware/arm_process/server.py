@@ -1,0 +1,295 @@
+"""What runs in the arm's process: targets in, states out, and what stops the arm when one of the two ends.
+
+A program of this kind is a few lines: a table of backends, and ``sys.exit(run_server(BACKENDS, sys.argv[1]))``. One
+thread does everything. A tick, every `ArmBackend.period` seconds:
+
+1. requests are answered (`OWN_REQUESTS` and the backend's handlers);
+2. the newest target, if there is a new one, is passed on to an arm that is well: `begin_keyframe` or `stream`;
+3. `ArmBackend.tick`, then `ArmBackend.read`; then the watchdogs;
+4. the status is published.
+
+In lockstep nothing happens by itself: each ``step`` request takes the newest target and then ticks. For a stream that
+is 1/fps seconds (the remainder of a tick is carried over, so that 30 Hz on 50 Hz ticks stays exact), for a key frame
+until its outcome is known.
+
+A fault (errors of the arm, a state that stands still, a malformed target, an exception of the backend) stops the arm
+and is kept: no target is accepted until ``recover``. The recorder's death (end of file, or another parent) stops the
+arm, waits until it rests and ends the process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection
+from typing import Any
+
+from lerobot_adamanip.errors import AdaManipError, RobotError
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
+from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.messages import (
+    COMMAND,
+    STATUS,
+    ArmStatus,
+    Reply,
+    Request,
+    pack_reply,
+    pack_status,
+    unpack_request,
+    unpack_target,
+)
+from lerobot_adamanip.hardware.arm_process.options import Start, parse_start
+from lerobot_adamanip.hardware.arm_process.parent import ended_with, killed_with_parent
+from lerobot_adamanip.hardware.arm_process.served import BackendFactory, Handler, Served
+from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
+
+REST_SPEED = 0.005
+"""Fastest joint of an arm that rests [rad/s]."""
+REST_WAIT = 2.0
+"""At most waited for it [s]."""
+KEYFRAME_LIMIT = 120.0
+"""A key frame in lockstep ends by then [s of the backend]: a backend's own limit comes first."""
+OWN_REQUESTS = ("step", "stop", "recover", "shutdown")
+
+
+class ArmServer:
+    """Drives one backend for one recorder. `run` returns when the recorder has said or shown that it is gone.
+
+    Args:
+        served: the backend, connected, and its handlers.
+        connection: to the recorder.
+        boxes: mailboxes shared with it.
+        start: what is watched, and whether time passes by itself.
+    """
+
+    def __init__(self, served: Served, connection: Connection, boxes: SharedMailboxes, start: Start) -> None:
+        self._backend, self._connection, self._options = served.backend, connection, start.server
+        self._command, self._status = boxes[COMMAND], boxes[STATUS]
+        own: dict[str, Handler] = {"step": self._step, "stop": self._hold, "recover": self._recover}
+        self._handlers = {**served.handlers, **own}
+        self._parent, self._ended = os.getppid(), False
+        self._reading: ArmReading | None = None
+        self._accepted = self._faults = 0
+        self._target: ArmTarget | None = None
+        self._arrival = self._advanced = time.perf_counter()
+        self._holding = self._lost = False
+        self._fault: str | None = None
+        self._owed = 0.0
+
+    def run(self) -> None:
+        """Ticks until the recorder is gone, then stops the arm and waits until it rests. Never raises `RobotError`."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder gets it as well, and ends this process in order
+        signal.signal(signal.SIGTERM, lambda *_: self._end())
+        lockstep = self._options.lockstep_fps is not None
+        self._try(self._read)
+        self._publish()
+        due = time.perf_counter()
+        while not self._ended:
+            due += self._backend.period
+            self._answer(due)
+            if os.getppid() != self._parent:
+                self._end()
+            if self._ended:
+                break
+            if not lockstep:
+                self._accept()
+                self._tick()
+            due = max(due, time.perf_counter() - self._backend.period)  # ticks that were missed are not made up for
+        self._come_to_rest()
+
+    def _end(self) -> None:
+        self._ended = True
+
+    # One tick --------------------------------------------------------------------------------------------------------
+
+    def _answer(self, due: float) -> None:
+        """Answers requests until the next tick is due."""
+        try:
+            while self._connection.poll(max(0.0, due - time.perf_counter())) and not self._ended:
+                request = unpack_request(self._connection.recv_bytes())
+                if request.ask == "shutdown":
+                    self._end()
+                reply = self._answered(request)
+                if request.number:
+                    self._connection.send_bytes(pack_reply(reply))
+        except (EOFError, OSError):
+            self._end()
+        except ValueError as error:
+            self._fail(f"The recorder sent what is no request: {error}")
+
+    def _answered(self, request: Request) -> Reply:
+        if request.ask == "shutdown":
+            return Reply(request.number)
+        handler = self._handlers.get(request.ask)
+        if handler is None:
+            return Reply(request.number, f"unknown request {request.ask!r}; known are {', '.join(self._handlers)}")
+        try:
+            return Reply(request.number, None, handler(request.values))
+        except (AdaManipError, ValueError) as error:
+            return Reply(request.number, str(error) or type(error).__name__)
+
+    def _accept(self) -> None:
+        """Passes a new target on, to an arm that is well at this moment."""
+        found = self._command.read()
+        if found is None or found[0] == self._accepted:
+            self._hold_if_forgotten()
+            return
+        if self._fault is not None or not self._try(self._read) or self._fault is not None:
+            return
+        target = unpack_target(found[1])
+        if problem := malformed(target, self._options):
+            self._fail(problem)
+            return
+        self._arrival, self._holding = time.perf_counter(), False
+        begin = self._backend.begin_keyframe if target.execution is Execution.KEYFRAME else self._backend.stream
+        if self._try(lambda: begin(target)):
+            self._accepted, self._target = found[0], target
+
+    def _hold_if_forgotten(self) -> None:
+        streamed = self._target is not None and self._target.execution is Execution.STREAM
+        if streamed and not self._holding and time.perf_counter() - self._arrival > self._options.command_age:
+            self._hold({})
+
+    def _tick(self) -> None:
+        """Advances and reads the backend, looks for trouble, publishes."""
+        self._try(self._backend.tick)
+        self._try(self._read)
+        self._publish()
+
+    def _read(self) -> None:
+        before, reading = self._reading, self._backend.read()
+        if before is None or reading.robot_time != before.robot_time:
+            self._advanced = time.perf_counter()
+        self._reading = reading
+        lockstep = self._options.lockstep_fps is not None
+        stood_still = 0.0 if lockstep else time.perf_counter() - self._advanced
+        if self._fault is None and (problem := trouble(reading, stood_still, self._options.state_age)):
+            self._fail(problem)
+
+    def _publish(self) -> None:
+        sent = None if self._target is None else self._target.pose
+        status = ArmStatus(
+            time.perf_counter(),
+            self._reading,
+            self._accepted,
+            sent,
+            self._holding,
+            self._fault,
+            self._lost,
+            self._faults,
+        )
+        self._status.write(pack_status(status))
+
+    # Faults ----------------------------------------------------------------------------------------------------------
+
+    def _try(self, call: Callable[[], None]) -> bool:
+        """Returns whether a call of the backend went well; what it raised becomes the fault."""
+        try:
+            call()
+        except RobotError as error:
+            self._fail(str(error), lost=call == self._read)
+            return False
+        return True
+
+    def _fail(self, what: str, *, lost: bool = False) -> None:
+        """Keeps the first fault, and stops the arm."""
+        self._lost = self._lost or lost
+        if self._fault is None:
+            self._fault = what
+            self._faults += 1
+            with contextlib.suppress(RobotError):
+                self._backend.stop()
+
+    # Requests --------------------------------------------------------------------------------------------------------
+
+    def _hold(self, _: dict[str, Any]) -> dict[str, Any]:
+        self._holding = True
+        self._try(self._backend.stop)
+        return {}
+
+    def _recover(self, _: dict[str, Any]) -> dict[str, Any]:
+        """Clears a fault. Targets that were sent before it are not taken up again."""
+        if self._lost:
+            raise RobotError("The connection to the arm is lost, which recovering does not mend: connect anew.")
+        self._backend.recover()
+        self._fault, self._holding, self._target = None, True, None
+        self._accepted = self._command.number
+        self._advanced = time.perf_counter()
+        self._tick()
+        if self._fault is not None:
+            raise RobotError(self._fault)
+        return {}
+
+    def _step(self, _: dict[str, Any]) -> dict[str, Any]:
+        """Takes the newest target, and lets its share of time pass."""
+        fps = self._options.lockstep_fps
+        if fps is None:
+            raise RobotError("Time passes by itself here; steps are for lockstep.")
+        self._accept()
+        period = self._backend.period
+        if self._target is not None and self._target.execution is Execution.KEYFRAME:
+            self._owed = KEYFRAME_LIMIT
+        else:
+            self._owed += 1.0 / fps
+        while self._owed >= period * (1 - 1e-9) and self._fault is None:
+            self._owed -= period
+            self._tick()
+            if self._ended_keyframe():
+                self._owed = 0.0
+        self._publish()
+        return {}
+
+    def _ended_keyframe(self) -> bool:
+        moving = self._target is not None and self._target.execution is Execution.KEYFRAME
+        return moving and self._reading is not None and self._reading.outcome is not None
+
+    def _come_to_rest(self) -> None:
+        """Stops the arm and keeps ticking until it rests: nobody is left who could."""
+        with contextlib.suppress(RobotError):
+            self._backend.stop()
+            until = time.perf_counter() + REST_WAIT
+            while time.perf_counter() < until:
+                self._backend.tick()
+                reading = self._backend.read()
+                if reading.mode is not ArmMode.MOVING and abs(reading.qvel).max() < REST_SPEED:
+                    return
+                if self._options.lockstep_fps is None:
+                    time.sleep(self._backend.period)
+
+
+def run_server(backends: Mapping[str, BackendFactory], argument: str) -> int:
+    """Runs an arm's process to its end and returns its exit status.
+
+    Args:
+        backends: name -> factory: the closed table of this program.
+        argument: `Start` as JSON, from the client.
+    """
+    start = parse_start(argument)
+    connection = Connection(start.socket)
+    try:
+        boxes = SharedMailboxes(start.mailboxes(), start.memory)
+        if start.backend not in backends:
+            raise ValueError(f"unknown backend {start.backend!r}; known are {', '.join(backends)}")
+        served = backends[start.backend](start.options, {name: boxes[name] for name in start.frames})
+        with killed_with_parent():
+            served.backend.connect()
+    except (AdaManipError, ValueError) as error:
+        with contextlib.suppress(OSError):
+            connection.send_bytes(pack_reply(Reply(0, str(error) or type(error).__name__)))
+        return 1
+    try:
+        with contextlib.suppress(OSError):
+            connection.send_bytes(pack_reply(Reply(0, None, served.describe())))
+        ArmServer(served, connection, boxes, start).run()
+    except Exception as error:
+        with contextlib.suppress(OSError):
+            connection.send_bytes(pack_reply(Reply(0, f"the arm's process failed: {ended_with(error)}")))
+        raise
+    finally:
+        served.backend.close()
+    sys.stdout.flush()
+    return 0

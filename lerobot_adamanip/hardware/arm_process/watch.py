@@ -1,0 +1,50 @@
+"""When the arm's process stops the arm: what is wrong with a target, and with a reading."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.schema import ACTION_DIM, POSITION_DIMS, ROTATION_DIMS
+
+ROTATION_ERROR = 1e-3
+"""Rows of a target's rotation are orthonormal within this: the safety filter makes them so."""
+BOX_ROUNDING = 1e-6
+"""[m]: float32 against the box's doubles."""
+STOPPED_MODES = {
+    ArmMode.REFLEX: "The arm stopped itself (reflex)",
+    ArmMode.USER_STOPPED: "The arm's user stop is pressed",
+    ArmMode.GUIDING: "The arm is being guided by hand",
+}
+
+
+def malformed(target: ArmTarget, options: ServerOptions) -> str | None:
+    """Returns what is wrong with a target that came through the recorder's filter; None if nothing is."""
+    pose = target.pose.astype(np.float64)
+    if pose.shape != (ACTION_DIM,) or not np.isfinite(pose).all():
+        return f"A target that is no pose reached the arm's process: {pose.tolist()}"
+    rows = pose[ROTATION_DIMS].reshape(2, 3)
+    if np.abs(rows @ rows.T - np.eye(2)).max() > ROTATION_ERROR:
+        return f"A target whose rotation is none reached the arm's process: {rows.ravel().tolist()}"
+    if options.box_lower is not None and options.box_upper is not None:
+        position, lower, upper = pose[POSITION_DIMS], np.array(options.box_lower), np.array(options.box_upper)
+        if (position < lower - BOX_ROUNDING).any() or (position > upper + BOX_ROUNDING).any():
+            return f"A target outside the box reached the arm's process: {position.tolist()}"
+    return None
+
+
+def trouble(reading: ArmReading, stood_still: float, state_age: float) -> str | None:
+    """Returns why an arm must not be moved; None if it may.
+
+    Args:
+        reading: the latest.
+        stood_still: for how long the arm's own clock did [s].
+        state_age: how long it may.
+    """
+    if reading.mode in STOPPED_MODES or reading.errors:
+        what = STOPPED_MODES.get(reading.mode, "The arm reports errors")
+        return f"{what}: {', '.join(reading.errors) or 'no flag is set'}."
+    if stood_still > state_age:
+        return f"The arm's state is {stood_still:.2f} s old, more than {state_age:g} s: its connection stands still."
+    return None

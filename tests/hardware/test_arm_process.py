@@ -1,0 +1,286 @@
+"""The arm's process with the fake in it: targets, stalls, watchdogs, faults, deaths. Every test has a real process."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from arm_helpers import LOCKSTEP, PATIENT, eventually, fake_arm, pose_ahead
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmMode, Execution
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.keyframes import Outcome
+
+
+@pytest.fixture
+def arm() -> Iterator[ArmClient]:
+    with fake_arm() as client:
+        yield client
+
+
+def position(client: ArmClient) -> float:
+    reading = client.status().reading
+    assert reading is not None
+    return float(reading.tcp_in_base[0, 3])
+
+
+def test_a_key_frame_is_reached_and_its_status_tells_what_was_sent(arm: ArmClient) -> None:
+    pose = pose_ahead(arm, 0.05, gripper=0.0)
+    ended = arm.wait(arm.send(pose, Execution.KEYFRAME), 20)
+    assert ended.reading is not None
+    assert ended.sent is not None
+    assert ended.reading.outcome is Outcome.REACHED
+    assert (ended.sent == pose).all()
+    assert ended.reading.tcp_in_base[0, 3] == pytest.approx(pose[0], abs=1e-6)
+    assert ended.reading.gripper == 0.0
+
+
+def test_the_newest_of_a_stream_wins_and_a_stream_that_ends_is_held() -> None:
+    with fake_arm(speed=0.05) as arm:
+        for x in (0.3, -0.3, 1.0):
+            arm.send(pose_ahead(arm, x), Execution.STREAM)
+        held = eventually(arm, lambda status: status.holding)
+        assert held.sent is not None
+        assert held.sent[0] > 1.0
+        stands = position(arm)
+        assert 0.5 < stands < 0.6  # on its way, 1 m ahead, when commands stopped
+        time.sleep(0.2)
+        assert position(arm) == stands
+        arm.send(pose_ahead(arm, 0.5), Execution.STREAM)
+        eventually(arm, lambda status: not status.holding)
+        eventually(arm, lambda status: position(arm) > stands)
+
+
+def test_a_wall_ends_a_key_frame_in_a_stall() -> None:
+    with fake_arm(wall=0.55) as arm:
+        ended = arm.wait(arm.send(pose_ahead(arm, 0.2), Execution.KEYFRAME), 20)
+        assert ended.reading is not None
+        assert ended.reading.outcome is Outcome.STALLED
+        assert ended.reading.tcp_in_base[0, 3] == pytest.approx(0.55)
+        assert ended.reading.effort[0] > 20  # it leans
+        back = arm.wait(arm.send(pose_ahead(arm, -0.05), Execution.KEYFRAME), 20)
+        assert back.reading is not None
+        assert back.reading.outcome is Outcome.REACHED
+
+
+def test_a_reflex_names_its_flags_and_nothing_is_accepted_until_recovery(arm: ArmClient) -> None:
+    arm.send(pose_ahead(arm, 1.0), Execution.STREAM)
+    eventually(arm, lambda status: status.accepted == 1)
+    arm.request("inject", {"kind": "reflex", "flags": ["cartesian_reflex", "joint_reflex"]})
+    eventually(arm, lambda status: status.fault is not None)
+    with pytest.raises(RobotError, match=r"(?s)reflex\): cartesian_reflex, joint_reflex.*recover"):
+        arm.send(pose_ahead(arm, 0.1), Execution.STREAM)
+    assert len(arm.request("targets")["targets"]) == 1
+    stood = position(arm)
+    arm.request("recover")
+    time.sleep(0.1)
+    status = arm.healthy()
+    assert status.faults == 1
+    assert position(arm) == stood  # the target of before is not taken up again
+    arm.wait(arm.send(pose_ahead(arm, 0.01), Execution.KEYFRAME), 20)
+    assert len(arm.request("targets")["targets"]) == 2
+
+
+def test_a_target_sent_during_a_fault_is_not_executed_after_it(arm: ArmClient) -> None:
+    """Written by a recorder that has not seen the fault yet."""
+    arm.request("inject", {"kind": "reflex", "flags": ["joint_reflex"]})
+    pose = pose_ahead(arm, 0.1)
+    with contextlib.suppress(RobotError):
+        arm.send(pose, Execution.STREAM)
+    eventually(arm, lambda status: status.fault is not None)
+    arm.request("recover")
+    time.sleep(0.1)
+    assert arm.request("targets") == {"targets": []}
+
+
+def test_a_recovery_that_fails_says_so(arm: ArmClient) -> None:
+    arm.request("inject", {"kind": "reflex", "flags": ["joint_reflex"], "refuses": 1})
+    eventually(arm, lambda status: status.fault is not None)
+    with pytest.raises(RobotError, match="does not recover"):
+        arm.request("recover")
+    with pytest.raises(RobotError, match="joint_reflex"):
+        arm.healthy()
+    arm.request("recover")
+    arm.healthy()
+
+
+def test_a_clock_that_stands_still_is_a_fault() -> None:
+    with fake_arm(ServerOptions(state_age=1.0)) as arm:
+        arm.request("inject", {"kind": "freeze"})
+        began = time.perf_counter()
+        fault = eventually(arm, lambda status: status.fault is not None).fault
+        assert fault is not None
+        assert "s old, more than 1 s" in fault
+        assert time.perf_counter() - began > 0.9
+        arm.request("inject", {"kind": "thaw"})
+        arm.request("recover")
+        arm.healthy()
+
+
+def test_a_lost_connection_is_mended_by_connecting_only(arm: ArmClient) -> None:
+    arm.request("inject", {"kind": "lost"})
+    eventually(arm, lambda status: status.lost)
+    with pytest.raises(RobotError, match=r"(?s)lost.*connect anew"):
+        arm.healthy()
+    with pytest.raises(RobotError, match="connect anew"):
+        arm.request("recover")
+    arm.close()
+    arm.connect()
+    arm.healthy()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({2: np.nan}, "no pose"),
+        ({3: 0.5}, "rotation is none"),
+        ({0: 0.71}, "outside the box"),
+    ],
+)
+def test_a_target_that_no_filter_lets_through_is_a_fault(values: dict[int, float], message: str) -> None:
+    box = ServerOptions(state_age=5.0, box_lower=(0.3, -0.3, 0.2), box_upper=(0.7, 0.3, 0.6))
+    with fake_arm(box) as arm:
+        pose = pose_ahead(arm, 0.1)
+        pose[list(values)] = list(values.values())
+        arm.send(pose, Execution.STREAM)
+        eventually(arm, lambda status: status.fault is not None)
+        with pytest.raises(RobotError, match=message):
+            arm.healthy()
+        assert arm.request("targets") == {"targets": []}
+
+
+def test_a_process_that_dies_is_noticed_named_and_replaced(arm: ArmClient) -> None:
+    arm.tell("inject", {"kind": "die"})
+    with pytest.raises(RobotError, match="exit status -9"):
+        eventually(arm, lambda _: False)
+    with pytest.raises(RobotError, match="exit status -9"):
+        arm.send(np.zeros(10, np.float32), Execution.STREAM)
+    arm.close()
+    arm.connect()
+    assert arm.healthy().accepted == 0
+
+
+def test_a_process_that_hangs_is_noticed_and_killed_within_two_seconds() -> None:
+    arm = fake_arm(ServerOptions(state_age=0.5))
+    arm.connect()
+    arm.tell("inject", {"kind": "hang", "seconds": 60.0})
+    began = time.perf_counter()
+    with pytest.raises(RobotError, match="tells no state"):
+        eventually(arm, lambda _: False)
+    assert time.perf_counter() - began < 1.5
+    began = time.perf_counter()
+    arm.close()
+    assert time.perf_counter() - began < 2.0
+    arm.close()
+
+
+def test_wrong_options_and_unknown_backends_are_told_by_name() -> None:
+    with pytest.raises(RobotError, match="unknown field 'velocity'"):
+        fake_arm(velocity=3.0).connect()
+    with pytest.raises(RobotError, match=r"unknown backend 'os'; known are fake, franky"):
+        ArmClient("os", connect_time=60).connect()
+
+
+def test_a_program_that_is_none_is_no_hang() -> None:
+    with pytest.raises(RobotError, match="exit status 1"):
+        ArmClient("fake", program="lerobot_adamanip.hardware.no_such_program", connect_time=60).connect()
+
+
+def test_unknown_requests_are_refused(arm: ArmClient) -> None:
+    with pytest.raises(RobotError, match="unknown request 'dance'; known are inject, reset"):
+        arm.request("dance")
+    with pytest.raises(RobotError, match="lockstep"):
+        arm.request("step")
+    assert arm.request("reset", {"seed": 7}) == {"seed": 7}
+
+
+def test_in_lockstep_each_target_takes_its_share_of_time_and_nothing_else_does() -> None:
+    with fake_arm(LOCKSTEP) as arm:
+        goal = pose_ahead(arm, 1.0)
+        for count in range(1, 31):
+            arm.send(goal, Execution.STREAM)
+            reading = arm.status().reading
+            assert reading is not None
+            assert abs(reading.robot_time - count / 30) < 0.02  # less than a tick, and never growing
+        assert reading.robot_time == pytest.approx(1.0)
+        time.sleep(0.1)
+        assert arm.status().reading.robot_time == reading.robot_time  # type: ignore[union-attr]
+        ended = arm.wait(arm.send(pose_ahead(arm, -0.1), Execution.KEYFRAME), 1.0)
+        assert ended.reading is not None
+        assert ended.reading.outcome is Outcome.REACHED
+
+
+RECORDER = """
+import sys, time
+sys.path.insert(0, {helpers!r})
+from arm_helpers import fake_arm, pose_ahead
+from lerobot_adamanip.hardware.arm import Execution
+arm = fake_arm(speed=0.05, log={log!r})
+arm.connect()
+print(arm._process.pid, flush=True)
+goal = pose_ahead(arm, 1.0)
+while True:
+    arm.send(goal, Execution.STREAM)
+    time.sleep(0.02)
+"""
+
+
+def rows_of(log: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in log.read_text().splitlines()]
+
+
+def test_a_recorder_that_is_killed_leaves_an_arm_at_rest_and_no_process(tmp_path: Path) -> None:
+    """Measured by the arm: it rests at once, and its process ends."""
+    log = tmp_path / "log"
+    code = RECORDER.format(helpers=str(Path(__file__).parent), log=str(log))
+    recorder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert recorder.stdout is not None
+    arm_process = int(recorder.stdout.readline())
+    until = time.perf_counter() + 20
+    while not (log.exists() and any(row.get("moving") for row in rows_of(log))) and time.perf_counter() < until:
+        time.sleep(0.05)
+    recorder.kill()
+    killed = time.perf_counter()
+    recorder.wait()
+    recorder.stdout.close()
+    while Path(f"/proc/{arm_process}").exists() and time.perf_counter() < killed + 10:
+        time.sleep(0.02)
+    assert not Path(f"/proc/{arm_process}").exists()
+    rows = rows_of(log)
+    target = [row for row in rows if "target" in row][-1]["target"]
+    ticks = [row for row in rows if "tcp" in row]
+    assert not ticks[-1]["moving"]
+    moved_after = [row for row in ticks if row["moving"] and row["time"] > killed + 0.5]
+    assert moved_after == []
+    assert ticks[-1]["tcp"][0] < target[0] - 0.5
+
+
+def test_terminal_signals_do_not_reach_the_arm_before_its_recorder(arm: ArmClient) -> None:
+    """A process group of its own; and by itself it ignores Ctrl-C, but ends in order when asked to terminate."""
+    assert arm._process is not None
+    pid = arm._process.pid
+    assert os.getsid(pid) != os.getsid(0)
+    os.kill(pid, signal.SIGINT)
+    time.sleep(0.2)
+    arm.healthy()
+    os.kill(pid, signal.SIGTERM)
+    assert arm._process.wait(10) == 0
+
+
+def test_a_mode_in_which_people_hold_the_arm_is_no_moving_one() -> None:
+    from lerobot_adamanip.hardware.arm_process.watch import STOPPED_MODES
+
+    assert set(STOPPED_MODES) == {ArmMode.REFLEX, ArmMode.USER_STOPPED, ArmMode.GUIDING}
+    assert PATIENT.lockstep_fps is None
