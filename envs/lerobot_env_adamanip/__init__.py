@@ -9,6 +9,7 @@ import sys
 from lerobot_adamanip import NO_PLUGIN
 
 if not os.environ.get(NO_PLUGIN):
+    from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
     from lerobot_env_adamanip.config import (
         AdaManipBottleEnvConfig,
         AdaManipCoffeeMakerEnvConfig,
@@ -47,6 +48,7 @@ __all__ = [
     "AdaManipSafeEnvConfig",
     "AdaManipSuiteEnvConfig",
     "AdaManipWindowEnvConfig",
+    "AdamanipReplayConfig",
     "DP3AdaptiveConfig",
     "SamplingConfig",
     "VatMartConfig",

@@ -1,0 +1,1 @@
+"""Depth cameras that tell when a picture was taken; each class stands beside its light configuration."""

@@ -1,0 +1,215 @@
+"""What all cameras here share: frames with stamps, waiting for one, and an error instead of a stale one."""
+
+from __future__ import annotations
+
+import abc
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from lerobot.cameras.camera import Camera
+from lerobot.cameras.configs import CameraConfig
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.cameras.latest import LatestFrame
+from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+
+MAX_AGE = 0.5
+"""A camera whose latest frame is older than this is frozen [s]: no camera here is slower than 4 Hz."""
+STOPPED_WITHIN = 2.0
+"""A thread that reads frames has ended within this [s] of being asked to, or is left behind."""
+
+
+class FrameReader:
+    """Mixed into a LeRobot camera whose thread puts frames into ``frames``: all ways to read one.
+
+    A frame that is too old is never given: `RobotError`, with the camera's name, is raised instead.
+
+    Attributes:
+        name: of the camera in errors; who has a better one than its serial number sets it.
+        frames: where the thread puts them.
+        use_rgb: whether frames have colour.
+        use_depth: whether frames have depth.
+    """
+
+    name: str
+    frames: LatestFrame
+    use_rgb: bool
+    use_depth: bool
+
+    def wake(self) -> None:
+        """Called whenever somebody wants a frame: a camera that takes one only when asked begins to."""
+
+    def depth_intrinsics(self) -> Intrinsics:
+        """Returns how the imager projects whose frame depth is told in; raises `RobotError` where that is not known."""
+        raise self._error("No intrinsics of its depth.", "a camera that does not tell", "a calibration file")
+
+    def color_intrinsics(self) -> Intrinsics:
+        """Likewise of the colour imager."""
+        raise self._error("No intrinsics of its colour.", "a camera that does not tell", "a calibration file")
+
+    def depth_in_color(self) -> NDArray[np.float64] | None:
+        """Returns the (4, 4) pose [m] of the depth imager in the colour imager's frame; None where it is not known."""
+        return None
+
+    def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
+        """Returns the frame that arrived last; never waits.
+
+        Raises:
+            RobotError: there is none yet, its exposure is more than ``max_age`` [s] ago, or the camera has failed.
+        """
+        self.wake()
+        frame = self.frames.latest()
+        if self.frames.failure is not None:
+            raise self._failed()
+        age = float("inf") if frame is None else time.perf_counter() - frame.stamp
+        if frame is None or age > max_age:
+            got = "no frame yet" if frame is None else f"a latest frame that is {age:.2f} s old"
+            raise self._error("It is frozen.", got, f"frames not older than {max_age:.2f} s")
+        return frame
+
+    def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
+        """Returns a frame exposed after ``stamp`` (`time.perf_counter()`, [s]): what is seen since the arm rests.
+
+        Raises:
+            RobotError: none came within ``timeout`` [s], or the camera has failed.
+        """
+        self.wake()
+        return self._given(self.frames.after(stamp, timeout), timeout)
+
+    def read(self) -> NDArray[np.uint8]:
+        """Returns the colour (H, W, 3) of a frame exposed from now on; raises `RobotError`."""
+        return self._color(self.frame_after(time.perf_counter(), timeout=2 * MAX_AGE))
+
+    def read_latest(self, max_age_ms: float = 1e3 * MAX_AGE) -> NDArray[np.uint8]:
+        """Returns the colour (H, W, 3) of `latest_frame`."""
+        return self._color(self.latest_frame(max_age_ms / 1e3))
+
+    def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
+        """Returns the colour (H, W, 3) of a frame that was not read this way before; raises `RobotError`."""
+        self.wake()
+        return self._color(self._given(self.frames.next(timeout_ms / 1e3), timeout_ms / 1e3))
+
+    def read_depth(self, timeout_ms: float = 2e3 * MAX_AGE) -> NDArray[np.uint16]:
+        """Returns the depth (H, W, 1) [mm] of a frame exposed from now on; raises `RobotError`."""
+        return self._depth(self.frame_after(time.perf_counter(), timeout_ms / 1e3))
+
+    def read_latest_depth(self, max_age_ms: float = 1e3 * MAX_AGE) -> NDArray[np.uint16]:
+        """Returns the depth (H, W, 1) [mm] of `latest_frame`."""
+        return self._depth(self.latest_frame(max_age_ms / 1e3))
+
+    def async_read_depth(self, timeout_ms: float = 200) -> NDArray[np.uint16]:
+        """Returns the depth (H, W, 1) [mm] of a frame that was not read this way before; raises `RobotError`."""
+        self.wake()
+        return self._depth(self._given(self.frames.next(timeout_ms / 1e3), timeout_ms / 1e3))
+
+    def _given(self, frame: Frame | None, timeout: float) -> Frame:
+        if frame is not None:
+            return frame
+        if self.frames.failure is not None:
+            raise self._failed()
+        raise self._error("It is frozen.", f"no new frame for {timeout:.2f} s", "frames at its rate")
+
+    def _color(self, frame: Frame) -> NDArray[np.uint8]:
+        if frame.color is None:
+            raise self._error("It takes no colour.", "use_rgb=false", "use_rgb=true")
+        return frame.color
+
+    def _depth(self, frame: Frame) -> NDArray[np.uint16]:
+        if frame.depth is None:
+            raise self._error("It takes no depth.", "use_depth=false", "use_depth=true")
+        return frame.depth[..., None]
+
+    def _failed(self) -> RobotError:
+        error = self._error("It has failed.", self.frames.failure, "a camera that stays connected")
+        error.__cause__ = self.frames.failure
+        return error
+
+    def _error(self, what: str, got: object, allowed: str) -> RobotError:
+        return RobotError(
+            f"Camera {self.name}: {what}",
+            got=got,
+            allowed=allowed,
+            hint="its cable and port, then connect again; `lerobot-find-cameras` lists what is connected",
+        )
+
+
+class ThreadedCamera(FrameReader, Camera):
+    """A LeRobot camera of which one thread takes frames, from `connect` to `disconnect`.
+
+    Args:
+        config: LeRobot's.
+        name: of the camera in errors.
+        use_rgb: whether its frames have colour.
+        use_depth: whether its frames have depth.
+    """
+
+    def __init__(self, config: CameraConfig, name: str, *, use_rgb: bool = True, use_depth: bool = True) -> None:
+        super().__init__(config)
+        self.config = config
+        self.name, self.use_rgb, self.use_depth = name, use_rgb, use_depth
+        self.frames = LatestFrame()
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+
+    @abc.abstractmethod
+    def _open(self) -> None:
+        """Opens the device; sets ``width``, ``height`` and ``fps`` where they were left to it. Raises `RobotError`."""
+
+    @abc.abstractmethod
+    def _take(self, stop: threading.Event) -> Frame | None:
+        """Waits for the next frame, some tenths of a second at most; None if there is none yet. May raise anything."""
+
+    @abc.abstractmethod
+    def _close(self) -> None:
+        """Closes the device; idempotent."""
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """Returns no camera: this kind cannot be listed."""
+        return []
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it is open; one that has failed stays so until `disconnect`."""
+        return self._thread is not None
+
+    def connect(self, warmup: bool = True) -> None:
+        """Opens the device and starts the thread; with ``warmup``, waits for the first frame. Raises `RobotError`."""
+        if self.is_connected:
+            raise self._error("It is connected already.", "a second connect()", "one, or disconnect() before")
+        self._open()
+        self.frames.clear()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(self._stop,), name=f"camera {self.name}", daemon=True)
+        self._thread.start()
+        if warmup:
+            try:
+                self.frame_after(float("-inf"), timeout=self.warmup_seconds)
+            except BaseException:
+                self.disconnect()
+                raise
+
+    warmup_seconds = 5.0
+    """How long the first frame may take [s]."""
+
+    def disconnect(self) -> None:
+        """Stops the thread and closes the device; idempotent."""
+        thread, self._thread = self._thread, None
+        self._stop.set()
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(STOPPED_WITHIN)
+        self._close()
+        self.frames.clear()
+
+    def _run(self, stop: threading.Event) -> None:
+        try:
+            while not stop.is_set():
+                frame = self._take(stop)
+                if frame is not None and not stop.is_set():
+                    self.frames.put(frame)
+        except Exception as error:  # whoever reads next is told, whatever it was
+            if not stop.is_set():
+                self.frames.fail(error)
