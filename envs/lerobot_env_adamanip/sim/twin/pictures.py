@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import SimulatorError
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.pointcloud import Workspace
 from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
 from lerobot_env_adamanip.sim.pictures import PictureScene
@@ -46,39 +45,24 @@ class TwinEye:
         robot: SAPIEN's articulation of the arm.
         urdf: its description.
         size: of the pictures [px].
-        source: ``render``, or ``raycast`` where pictures show shapes without colours.
+        source: ``render``, or ``raycast``, where pictures show shapes without colours. It becomes the latter where
+            nothing renders.
         render_backend: see `lerobot_adamanip.options.RENDER_BACKENDS`.
     """
 
     def __init__(
         self, views: Views, robot: Any, urdf: Path, *, size: int, source: str = "render", render_backend: str = "auto"
     ) -> None:
-        self._views, self._size = views, size
+        self._views, self._robot, self._urdf = views, robot, urdf
+        self._size, self.source, self._render_backend = size, source, render_backend
         self._config = views.camera(size)
         self._scene: _DepthScene | None = None
         self._rays: RaycastSensor | None = None
-        if source == "render":
-            try:
-                self._scene = _DepthScene(
-                    views.objects.visible,
-                    robot,
-                    urdf,
-                    ground_z=views.objects.ground_z,
-                    camera=self._config,
-                    render_backend=render_backend,
-                )
-            except SimulatorError as error:
-                _logger.warning("The twin's camera sees by rays, without colours: %s", str(error).split("\n")[0])
-
-    @property
-    def source(self) -> str:
-        """What it sees by: ``render`` or ``raycast``."""
-        return "raycast" if self._scene is None else "render"
 
     def take(self) -> Pair:
         """Returns colour and depth of this moment."""
-        if self._scene is not None:
-            return self._scene.take_pair()
+        if self.source == "render" and (rendered := self._rendered()) is not None:
+            return rendered.take_pair()
         if self._rays is None:
             self._rays = RaycastSensor(self._config, self._views.bodies(), _ROUND)
         pixels, millimetres = self._rays.pixels()
@@ -86,8 +70,24 @@ class TwinEye:
         depth[pixels] = -millimetres[:, 2]
         return shaded_picture(self._config, self._views.bodies()), depth.reshape(self._size, self._size)
 
-    def calibration(self, name: str) -> CameraCalibration:
-        """Returns how it sees and where it is: colour and depth have one imager."""
-        told = camera_parameters(pinhole(self._config), self._size)
-        imager = Intrinsics(told.intrinsics, np.zeros(0), told.width, told.height)
-        return CameraCalibration(name, imager, told.camera_in_base, color=imager, depth_in_color=np.eye(4))
+    def parameters(self) -> dict[str, Any]:
+        """Returns intrinsics and pose in the base frame, see `CameraParameters.to_json`; nothing is rendered."""
+        return camera_parameters(pinhole(self._config), self._size).to_json()
+
+    def _rendered(self) -> _DepthScene | None:
+        """The scene to render, made when the first picture is asked for; None from then on where nothing renders."""
+        if self._scene is None:
+            visible, ground_z = self._views.objects.visible, self._views.objects.ground_z
+            try:
+                self._scene = _DepthScene(
+                    visible,
+                    self._robot,
+                    self._urdf,
+                    ground_z=ground_z,
+                    camera=self._config,
+                    render_backend=self._render_backend,
+                )
+            except SimulatorError as error:
+                self.source = "raycast"
+                _logger.warning("The twin's camera sees by rays, without colours: %s", str(error).split("\n")[0])
+        return self._scene

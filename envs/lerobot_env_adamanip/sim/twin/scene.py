@@ -35,17 +35,16 @@ class TwinScene(KeyframeEnv):
         """The running task."""
         return self._running()
 
-    def eye(self, *, size: int, source: str) -> TwinEye:
+    @property
+    def episode_success(self) -> bool:
+        """Whether a key frame of this episode has ended with the task done."""
+        return self._episode().success
+
+    def eye(self, size: int, source: str) -> TwinEye:
         """Returns the episode's front camera; see `TwinEye`."""
         task = self._running()
         robot, urdf = task.agent.robot._objs[0], Path(task.agent.urdf_path)
-        return TwinEye(
-            task.views, robot, urdf, size=size, source=source, render_backend=self.options.render_backend
-        )
-
-    def given_seed_drawn(self) -> int:
-        """Returns the seed of the scene that was drawn for the episode."""
-        return self._episode().seed
+        return TwinEye(task.views, robot, urdf, size=size, source=source, render_backend=self.options.render_backend)
 
     def _placed(self, sim: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
         drawn = super()._placed(sim, seed, chosen)

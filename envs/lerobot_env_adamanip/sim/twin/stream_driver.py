@@ -94,6 +94,15 @@ class StreamDriver(KeyframeDriver):
         self._velocity, self.stalled, self.unreachable = np.zeros(6), False, False
         self.closing = self.moving_closed = False
 
+    def break_off(self) -> None:
+        """After a key frame that was given up on its way: the arm decelerates from the speed it has."""
+        state = self._read()
+        self.end_stream()
+        self._leans = False
+        turn = self.kinematics.tcp_in_base(state.qpos)[:3, :3]
+        twist = self.kinematics.body_jacobian(state.qpos) @ state.qvel
+        self._velocity = np.concatenate([turn @ twist[:3], twist[3:]])
+
     @property
     def stream_outcome(self) -> Outcome | None:
         """How it stands with the target: stalled, out of reach, or neither."""
@@ -107,7 +116,6 @@ class StreamDriver(KeyframeDriver):
         if self._leans:  # a key frame that has stalled ends under strain
             self._target, self._leans = self._read().qpos.copy(), False
         self._strained = 0
-        self._velocity = np.zeros(6)
         if self._finger_target < FINGER_HALF:
             self._gripped_at = self.kinematics.tcp_in_base(self._target)
 
@@ -182,5 +190,3 @@ def _bounded_change(velocity: Array, wanted: Array, most: float) -> Array:
     change = wanted - velocity
     size = math.sqrt(float(change @ change))
     return wanted if size <= most else velocity + change * (most / size)
-
-
