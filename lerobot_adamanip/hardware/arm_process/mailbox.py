@@ -1,8 +1,8 @@
 """The newest of something, in memory that two processes share: one writes, any number read, nobody waits.
 
 Each mailbox has two slots. A writer fills the one that was not published last, then publishes it: a reader finds a
-whole value at any time, also after the writer was killed in the middle of the next one. Every value carries its number and a
-checksum, so that a slot which was overwritten while it was read is noticed, whatever order the memory is seen in.
+whole value at any time, also after the writer was killed in the middle of the next one. Every value carries its number
+and a checksum, so that a slot which was overwritten while it was read is noticed, in whatever order memory is seen.
 """
 
 from __future__ import annotations

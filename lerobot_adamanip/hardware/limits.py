@@ -1,0 +1,85 @@
+"""What a Franka may do, by model: the manufacturer's tables, kept here because libraries in between mix them up.
+
+Sources: Franka Robotics' "Robot and interface specifications" and libfranka's ``rate_limiting.h`` of the releases for
+each model. `franky-control` 2.0.0 has the two the wrong way round (it picks Panda's for libfranka >= 0.10).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lerobot_adamanip.errors import require_choice
+
+Seven = tuple[float, float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Largest velocity, acceleration and jerk of something: [m] or [rad], per s, s^2 and s^3."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+
+    def scaled(self, factor: float) -> Bounds:
+        """Returns all three times ``factor``."""
+        return Bounds(self.velocity * factor, self.acceleration * factor, self.jerk * factor)
+
+
+@dataclass(frozen=True)
+class FrankaLimits:
+    """Of one model.
+
+    Attributes:
+        translation: of the tool [m].
+        rotation: of the tool [rad].
+        elbow: of the third joint, as the elbow is commanded [rad].
+        joint_velocity, joint_acceleration, joint_jerk: of each joint [rad/s, rad/s^2, rad/s^3].
+        joint_lower, joint_upper: ends of each joint [rad].
+    """
+
+    translation: Bounds
+    rotation: Bounds
+    elbow: Bounds
+    joint_velocity: Seven
+    joint_acceleration: Seven
+    joint_jerk: Seven
+    joint_lower: Seven
+    joint_upper: Seven
+
+    def joint_bounds(self, joint: int) -> Bounds:
+        """Returns those of joint ``joint``, 0 ... 6."""
+        return Bounds(self.joint_velocity[joint], self.joint_acceleration[joint], self.joint_jerk[joint])
+
+
+PANDA = FrankaLimits(
+    translation=Bounds(1.7, 13.0, 6500.0),
+    rotation=Bounds(2.5, 25.0, 12500.0),
+    elbow=Bounds(2.175, 10.0, 5000.0),
+    joint_velocity=(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
+    joint_acceleration=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+    joint_jerk=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+    joint_lower=(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
+    joint_upper=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
+)
+FR3 = FrankaLimits(
+    translation=Bounds(3.0, 9.0, 4500.0),
+    rotation=Bounds(2.5, 17.0, 8500.0),
+    elbow=Bounds(2.62, 10.0, 5000.0),
+    joint_velocity=(2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
+    joint_acceleration=(10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0),
+    joint_jerk=(5000.0, 5000.0, 5000.0, 5000.0, 5000.0, 5000.0, 5000.0),
+    joint_lower=(-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159),
+    joint_upper=(2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159),
+)
+MODELS = {"panda": PANDA, "fr3": FR3}
+
+
+def limits_of(model: str) -> FrankaLimits:
+    """Returns the limits of ``panda`` or ``fr3``. Raises `ConfigurationError` for any other."""
+    return MODELS[require_choice("model of arm", model, MODELS)]
+
+
+def planned_velocity(model: str, dynamics: float) -> float:
+    """Returns the speed at which the tool crosses free space [m/s], given the share ``dynamics`` of the limits."""
+    return limits_of(model).translation.velocity * dynamics

@@ -1,0 +1,130 @@
+"""Targets as the safety filter sees them: float32 for what is sent, doubles for what is computed. Fast, one at a time.
+
+`lerobot_adamanip.rotations` is for many poses and for rows that are nearly parallel; here rows are nearly orthonormal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.rotations import (
+    Array,
+    matrix_from_rotation_vector,
+    pose_vector,
+    rotation_vector_from_matrix,
+    transform,
+)
+from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+
+Target = NDArray[np.float32]
+
+ROUGH = 0.2
+"""Rows of a rotation that are off by more than this are none: a policy's are off by a hundredth, noise by ones."""
+EXACT = 2e-6
+"""Rows that are orthonormal within this stay as they are: float32 gets no nearer."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A target with its pose as doubles.
+
+    Attributes:
+        target: (10,) float32.
+        position: (3,) [m].
+        rotation: (3, 3).
+    """
+
+    target: Target
+    position: Array
+    rotation: Array
+
+
+def placed(target: Target) -> Placed:
+    """Returns a well-formed target with its pose."""
+    values = target.tolist()
+    return Placed(target, np.array(values[:3]), _rotation(*values[3:9]))
+
+
+def placed_at(tcp_in_base: Array, gripper: float) -> Placed:
+    """Returns a (4, 4) pose, rounded to float32 as every target is."""
+    return placed(pose_vector(tcp_in_base, gripper))
+
+
+def _rotation(a: float, b: float, c: float, d: float, e: float, f: float) -> Array:
+    """Gram-Schmidt on two rows that are nearly orthonormal."""
+    size = math.sqrt(a * a + b * b + c * c)
+    a, b, c = a / size, b / size, c / size
+    along = a * d + b * e + c * f
+    d, e, f = d - along * a, e - along * b, f - along * c
+    size = math.sqrt(d * d + e * e + f * f)
+    d, e, f = d / size, e / size, f / size
+    return np.array(((a, b, c), (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d)))
+
+
+def canonical(target: NDArray[np.generic]) -> Target | None:
+    """Returns a target as float32 with an orthonormal rotation and a gripper in [0, 1]; None if it is malformed.
+
+    One that is so already stays as it is, bit for bit.
+    """
+    try:
+        with np.errstate(over="ignore"):
+            wanted = np.array(target, dtype=np.float32)
+    except (TypeError, ValueError):
+        return None
+    if wanted.shape != (ACTION_DIM,) or not np.isfinite(wanted).all():
+        return None
+    error = rotation_error(wanted)
+    if error > ROUGH:
+        return None
+    if error > EXACT:
+        wanted[ROTATION_DIMS] = placed(wanted).rotation[:2].ravel()
+    wanted[GRIPPER_DIM] = min(max(float(wanted[GRIPPER_DIM]), 0.0), 1.0)
+    return wanted
+
+
+def rotation_error(target: Target) -> float:
+    """Returns by how much the rows of a finite target's rotation are not orthonormal."""
+    a, b, c, d, e, f = target[ROTATION_DIMS].tolist()
+    return max(abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1), abs(a * d + b * e + c * f))
+
+
+def distance(first: Placed, second: Placed) -> float:
+    """Returns how far two targets are apart [m]."""
+    return math.dist(first.position.tolist(), second.position.tolist())
+
+
+def angle(first: Placed, second: Placed) -> float:
+    """Returns the angle between two targets' rotations [rad]; exact for small ones, and 0 for equal ones."""
+    chord = (first.rotation - second.rotation).ravel()
+    return 2.0 * math.asin(min(1.0, math.sqrt(float(chord @ chord) / 8.0)))
+
+
+def turn_vector(start: Placed, goal: Placed) -> tuple[Array, float]:
+    """Returns the rotation vector (3,) [rad] from one to the other, in the first one's frame, and its length."""
+    vector = rotation_vector_from_matrix(start.rotation.T @ goal.rotation)
+    return vector, math.sqrt(float(vector @ vector))
+
+
+def turned_by(start: Placed, vector: Array) -> Placed:
+    """Returns the target turned by a rotation vector (3,) [rad] in its own frame."""
+    rotation = start.rotation @ matrix_from_rotation_vector(vector)
+    return placed_at(transform(start.position, rotation), float(start.target[GRIPPER_DIM]))
+
+
+def moved_to(start: Placed, position: Array, gripper: float) -> Placed:
+    """Returns the target at another position [m] and opening; its rotation keeps its bits."""
+    target = start.target.copy()
+    target[POSITION_DIMS], target[GRIPPER_DIM] = position, gripper
+    return Placed(target, target[POSITION_DIMS].astype(np.float64), start.rotation)
+
+
+def between(start: Placed, goal: Placed, share: float) -> Placed:
+    """Returns what lies at ``share`` of the way, with the gripper of ``goal``."""
+    position = start.position + share * (goal.position - start.position)
+    same = (start.target[ROTATION_DIMS] == goal.target[ROTATION_DIMS]).all()
+    turned = start if same else turned_by(start, share * turn_vector(start, goal)[0])
+    return moved_to(turned, position, float(goal.target[GRIPPER_DIM]))

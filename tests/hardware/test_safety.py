@@ -1,0 +1,197 @@
+"""The safety filter's laws: box, step, speed, lead, refusal, and that applying it twice is applying it once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from filter_fuzz import LIMITS, START, broken_laws, fuzz
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware.safety import MAX_REFUSED, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.target_geometry import canonical
+from lerobot_adamanip.rotations import pose_from_vector, pose_vector, rotation_about, transform
+
+DT = 1 / 30
+STEP = LIMITS.speed * DT
+
+
+@pytest.fixture
+def anchored() -> SafetyFilter:
+    safety = SafetyFilter(LIMITS)
+    safety.anchor(START, 1.0)
+    return safety
+
+
+def ahead(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    return pose_vector(transform(START[:3, 3] + (x, y, z), START[:3, :3]), 1.0)
+
+
+def test_the_first_target_is_the_measured_pose(anchored: SafetyFilter) -> None:
+    assert (anchored.stream(ahead(), START, DT) == pose_vector(START, 1.0)).all()
+    with pytest.raises(RobotError, match="not anchored"):
+        SafetyFilter(LIMITS).stream(ahead(), START, DT)
+
+
+def test_a_small_step_passes_bit_for_bit(anchored: SafetyFilter) -> None:
+    wanted = ahead(0.003)
+    wanted[9] = 0.3
+    assert anchored.stream(wanted, START, DT).tobytes() == wanted.tobytes()
+
+
+def test_a_large_step_is_shortened_on_its_way(anchored: SafetyFilter) -> None:
+    out = anchored.stream(ahead(0.3, 0.4), START, DT)
+    moved = out[:3] - START[:3, 3]
+    assert np.linalg.norm(moved) == pytest.approx(STEP, rel=1e-3)
+    assert moved[1] / moved[0] == pytest.approx(4 / 3, rel=1e-3)
+
+
+def test_a_goal_is_approached_at_the_speed_and_not_past_the_lead(anchored: SafetyFilter) -> None:
+    """The arm stands still, as if it were held: the target runs to the lead and waits there."""
+    for _ in range(100):
+        out = anchored.stream(ahead(0.2), START, DT)
+    assert out[0] - START[0, 3] == pytest.approx(LIMITS.lead, abs=1e-5)
+    arrived = transform(pose_from_vector(out)[0][:3, 3], START[:3, :3])
+    out = anchored.stream(ahead(0.2), arrived, DT)
+    assert out[0] - arrived[0, 3] == pytest.approx(STEP, rel=1e-3)
+
+
+def test_rotation_is_limited_as_well(anchored: SafetyFilter) -> None:
+    wanted = pose_vector(transform(START[:3, 3], START[:3, :3] @ rotation_about((0, 0, 1), 1.0)), 1.0)
+    for count in range(1, 60):
+        out = pose_from_vector(anchored.stream(wanted, START, DT))[0]
+        turned = math.acos((np.trace(START[:3, :3].T @ out[:3, :3]) - 1) / 2)
+        assert turned == pytest.approx(min(count * LIMITS.angular_speed * DT, LIMITS.angular_lead), abs=2e-3)
+
+
+def test_a_wall_of_the_box_is_slid_along(anchored: SafetyFilter) -> None:
+    """Pressing at the floor does not stop the motion beside it."""
+    here = START
+    for _ in range(200):
+        out = anchored.stream(ahead(0.0, 0.2, -1.0), here, DT)
+        here = pose_from_vector(out)[0]
+    lower, _ = LIMITS.reduced_box(here[:3, :3])
+    assert here[2, 3] == pytest.approx(lower[2], abs=1e-5)
+    assert here[1, 3] == pytest.approx(0.2, abs=1e-5)
+    assert lower[2] == pytest.approx(0.016)  # half as high as the hand, which lies on its side
+
+
+def test_corners_stay_inside_while_the_hand_turns(anchored: SafetyFilter) -> None:
+    """At the floor, level; turning about the approach brings the hand's broad side down: it rises or does not turn."""
+    here = START
+    rolled = START[:3, :3] @ rotation_about((0, 0, 1), math.pi / 2)
+    low = pose_vector(transform((0.5, 0.0, 0.0), START[:3, :3]), 1.0)
+    for wanted in (low, pose_vector(transform((0.5, 0.0, 0.0), rolled), 1.0), low):
+        for _ in range(300):
+            here = pose_from_vector(anchored.stream(wanted, here, DT))[0]
+            assert LIMITS.contains(here, 1e-9)
+
+
+def test_an_arm_that_was_pushed_away_drags_its_target_along(anchored: SafetyFilter) -> None:
+    pushed = transform(START[:3, 3] + (0.0, 0.3, 0.0), START[:3, :3])
+    out = anchored.stream(ahead(), pushed, DT)
+    assert np.linalg.norm(out[:3] - pushed[:3, 3]) <= LIMITS.lead
+    assert np.linalg.norm(out[:3] - START[:3, 3]) > 0.25
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.full(10, np.nan),
+        np.zeros(10),
+        np.zeros(3),
+        np.zeros((10, 1)),
+        np.r_[ahead()[:3], np.inf, ahead()[4:]],
+        np.r_[ahead()[:3], ahead()[3:6], ahead()[3:6], 1.0],
+        np.array(["a"] * 10),
+    ],
+)
+def test_a_malformed_target_keeps_the_last_and_ten_are_an_error(anchored: SafetyFilter, wrong: np.ndarray) -> None:
+    last = anchored.stream(ahead(0.003), START, DT)
+    for _ in range(MAX_REFUSED - 1):
+        assert (anchored.stream(wrong, START, DT) == last).all()
+    with pytest.raises(RobotError, match="10 malformed targets in a row"):
+        anchored.stream(wrong, START, DT)
+
+
+def test_a_good_target_forgives_the_malformed_ones_before_it(anchored: SafetyFilter) -> None:
+    for _ in range(3):
+        for _ in range(MAX_REFUSED - 1):
+            anchored.keyframe(np.full(10, np.nan), START)
+        anchored.keyframe(ahead(0.1), START)
+
+
+def test_a_policys_rough_rotation_is_made_exact_once() -> None:
+    rough = ahead()
+    rough[3:9] += np.array((0.01, -0.02, 0.01, 0.02, 0.01, -0.01), np.float32)
+    once = canonical(rough)
+    assert once is not None
+    twice = canonical(once)
+    assert twice is not None
+    assert once.tobytes() == twice.tobytes() != rough.tobytes()
+
+
+def test_a_key_frame_goes_as_far_as_the_box(anchored: SafetyFilter) -> None:
+    assert (anchored.keyframe(ahead(0.15, 0.2), START) == ahead(0.15, 0.2)).all()
+    out = anchored.keyframe(ahead(5.0, 0.2), START)
+    _, upper = LIMITS.reduced_box(START[:3, :3])
+    assert upper[0] - 1e-6 < out[0] <= upper[0]
+    assert out[1:].tobytes() == ahead(5.0, 0.2)[1:].tobytes()
+
+
+def test_a_hand_outside_the_box_is_no_place_to_begin() -> None:
+    safety = SafetyFilter(LIMITS)
+    with pytest.raises(RobotError, match="outside the box"):
+        safety.anchor(transform((0.5, 0.0, -0.05), START[:3, :3]), 1.0)
+    lower, _ = LIMITS.reduced_box(START[:3, :3])
+    barely = transform((0.5, 0.0, lower[2] - 0.005), START[:3, :3])
+    assert safety.anchor(barely, 1.0)[2] >= lower[2]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"box_upper": (0.3, 0.5, 0.7)}, {"box_lower": (0.2, 0.6, 0.0)}, {"speed": 0.0}, {"lead": math.nan}]
+)
+def test_limits_that_cannot_work_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ConfigurationError):
+        SafetyLimits(**{"box_lower": LIMITS.box_lower, "box_upper": LIMITS.box_upper, **wrong})  # type: ignore[arg-type]
+
+
+finite = st.floats(-3, 3, width=32)
+
+
+@given(arrays(np.float32, 10, elements=st.floats(width=32)), arrays(np.float64, 3, elements=finite), finite)
+def test_the_laws_hold_for_any_ten_numbers(target: np.ndarray, away: np.ndarray, dt: float) -> None:
+    safety = SafetyFilter(LIMITS)
+    safety.anchor(START, 1.0)
+    measured = transform(START[:3, 3] + away * 0.1, START[:3, :3])
+    assert broken_laws(safety, target, measured, dt) == []
+
+
+@given(arrays(np.float64, 3, elements=finite), arrays(np.float64, 3, elements=finite), finite, finite)
+def test_the_laws_hold_for_any_pose(position: np.ndarray, axis: np.ndarray, turn: float, dt: float) -> None:
+    safety = SafetyFilter(LIMITS)
+    safety.anchor(START, 1.0)
+    rotation = (
+        START[:3, :3] @ rotation_about(axis + (1e-3, 0, 0), turn) if np.linalg.norm(axis) > 0.1 else START[:3, :3]
+    )
+    target = pose_vector(transform(position, rotation), 0.5)
+    assert broken_laws(safety, target, START, dt) == []
+
+
+def test_the_laws_hold_along_a_random_session() -> None:
+    found = fuzz(1500, seed=0)
+    assert {name for name in found if name.startswith("broken")} == set()
+    assert min(found.values()) > 100
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(7200)
+def test_the_laws_hold_for_a_million_targets() -> None:
+    """Two hundred sessions of five thousand, from fresh seeds."""
+    for seed in range(200):
+        found = fuzz(5000, seed=1000 + seed)
+        assert {name for name in found if name.startswith("broken")} == set(), seed
