@@ -19,7 +19,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from lerobot_adamanip.hardware.session import BOARD
 
-TESTED = {"0.6.1": "unknown"}
+TESTED = {"0.6.1": "95cc7a877af8ca53"}
 """LeRobot version -> hash of the source of its recorder's loop, for which the wrapper was written and tested."""
 RECORDER = "lerobot.scripts.lerobot_record"
 LOOP = "record_loop"
@@ -55,7 +55,7 @@ def loop_hash(loop: Callable[..., Any]) -> str:
 
 
 def apply() -> bool:
-    """Wraps the loop of a recorder that is loaded. Idempotent; False where there is none, or not one that was tested."""
+    """Wraps the loop of a recorder that is loaded. Idempotent; False where there is none, or none that was tested."""
     module = _recorder()
     if module is None:
         return False

@@ -1,4 +1,4 @@
-"""A teleoperator of the tool: integrates one absolute goal, anchored where the arm is, through the robot's own filter."""
+"""A teleoperator of the tool: integrates one absolute goal, anchored where the arm is, through the robot's filter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.session import BOARD, RobotSession
 from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
-from lerobot_adamanip.hardware.teleoperators.jog import Jog, JogDevice
+from lerobot_adamanip.hardware.teleoperators.jog import JogDevice
 from lerobot_adamanip.rotations import matrix_from_rotation_vector, pose_from_vector, pose_vector
 from lerobot_adamanip.schema import GRIPPER_DIM, POSE_NAMES
 
@@ -232,7 +232,7 @@ class JogTeleop(TcpTeleop):
         if jog.gripper is not None:
             gripper = jog.gripper
         elif jog.toggle:
-            gripper = 0.0 if gripper > 0.5 else 1.0  # noqa: PLR2004
+            gripper = 0.0 if gripper > 0.5 else 1.0
         still = not jog.clutch or not (jog.shift.any() or jog.turn.any())
         wanted = last.copy() if still else pose_vector(pose, gripper)
         wanted[GRIPPER_DIM] = gripper
