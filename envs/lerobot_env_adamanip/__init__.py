@@ -9,6 +9,8 @@ import sys
 from lerobot_adamanip import NO_PLUGIN
 
 if not os.environ.get(NO_PLUGIN):
+    from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+    from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
     from lerobot_env_adamanip.config import (
         AdaManipBottleEnvConfig,
@@ -48,6 +50,8 @@ __all__ = [
     "AdaManipSafeEnvConfig",
     "AdaManipSuiteEnvConfig",
     "AdaManipWindowEnvConfig",
+    "AdamanipFrankaConfig",
+    "AdamanipRealsenseConfig",
     "AdamanipReplayConfig",
     "DP3AdaptiveConfig",
     "SamplingConfig",

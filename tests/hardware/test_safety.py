@@ -44,7 +44,7 @@ def test_a_small_step_passes_bit_for_bit(anchored: SafetyFilter) -> None:
 
 
 def test_a_large_step_is_shortened_on_its_way(anchored: SafetyFilter) -> None:
-    out = anchored.stream(ahead(0.3, 0.4), START, DT)
+    out = anchored.stream(ahead(0.15, 0.2), START, DT)
     moved = out[:3] - START[:3, 3]
     assert np.linalg.norm(moved) == pytest.approx(STEP, rel=1e-3)
     assert moved[1] / moved[0] == pytest.approx(4 / 3, rel=1e-3)

@@ -19,6 +19,7 @@ from torch import Tensor
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.contract import Pipelines
+from lerobot_policy_adamanip.depth_step import DepthToCloudStep
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, instruction_vector
 from lerobot_policy_adamanip.rotations import orthonormal_6d
@@ -148,12 +149,13 @@ def make_dp3_adaptive_pre_post_processors(
 ) -> Pipelines:
     """Returns the pipelines around the policy. Their steps' names are part of the checkpoint.
 
-    Two steps of this project join LeRobot's defaults where state and action are the contract's poses, and one where
-    the policy is told what to do.
+    Clouds are made from depth where a robot delivers pictures. Two more steps join LeRobot's defaults where state and
+    action are the contract's poses, and one where the policy is told what to do.
     """
     steps = make_default_policy_processor_steps(config, dataset_stats)
     told: list[ProcessorStep] = [InstructionStep()] if config.use_instruction else []
-    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, *told, steps.to_device]
+    depth = DepthToCloudStep(config.num_points)
+    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, depth, *told, steps.to_device]
     outputs: list[ProcessorStep] = [steps.unnormalize]
     if config.has_pose_layout:
         augmentation = (config.augmentation_translation, config.augmentation_yaw, config.augmentation_center)

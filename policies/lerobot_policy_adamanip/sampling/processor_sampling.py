@@ -1,11 +1,11 @@
-"""Pre- and post-processing of ``sampling``: LeRobot's own steps; nothing is normalised."""
+"""Pre- and post-processing of ``sampling``: LeRobot's own steps, and clouds from depth; nothing is normalised."""
 
 from __future__ import annotations
 
-from lerobot.processor import make_default_pre_post_processors
 from torch import Tensor
 
 from lerobot_policy_adamanip.contract import Pipelines
+from lerobot_policy_adamanip.depth_step import make_pipelines_with_depth
 from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
 
 
@@ -13,5 +13,4 @@ def make_sampling_pre_post_processors(
     config: SamplingConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
 ) -> Pipelines:
     """Returns the pipelines around the policy. LeRobot finds this by its name."""
-    pipelines: Pipelines = make_default_pre_post_processors(config, dataset_stats)
-    return pipelines
+    return make_pipelines_with_depth(config, config.num_points, dataset_stats)

@@ -1,0 +1,238 @@
+"""The robot `adamanip_franka`: the contract's action and state, on an arm that lives in a process of its own."""
+
+from __future__ import annotations
+
+import logging
+import time
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.robots.robot import Robot
+
+from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.adamanip_franka.motion import LOCKSTEP_DT, MotionDriver, MotionRules, action_vector
+from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
+from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.calibration.file import read_calibrations
+from lerobot_adamanip.hardware.cameras.skew import SkewWatch
+from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.session import BOARD, RobotSession
+from lerobot_adamanip.schema import POSE_NAMES
+
+OPERATOR_SUCCESS, SUCCESS = "operator_success", "success"
+"""Details of the session: the operator's key; what a twin knows."""
+
+_logger = logging.getLogger(__name__)
+
+
+class AdamanipFranka(Robot):  # type: ignore[misc]
+    """A Franka with its hand, as LeRobot sees it. Subclasses change which process is started (`_make_client`).
+
+    Args:
+        config: see `AdamanipFrankaConfig`.
+    """
+
+    config_class = AdamanipFrankaConfig
+    name = "adamanip_franka"
+
+    def __init__(self, config: AdamanipFrankaConfig) -> None:
+        super().__init__(config)
+        self.config = config
+        self.cameras = make_cameras_from_configs(config.cameras)
+        self._client: ArmClient | None = None
+        self._driver: MotionDriver | None = None
+        self._session = RobotSession()
+        self._skews = {key: SkewWatch() for key in self.cameras}
+        self._connected_at = 0.0
+
+    # What it is -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def observation_features(self) -> dict[str, Any]:
+        """Scalars (`features.SCALAR_NAMES`) and the cameras' pictures."""
+        return {**dict.fromkeys(SCALAR_NAMES, float), **camera_features(self.cameras)}
+
+    @cached_property
+    def action_features(self) -> dict[str, type]:
+        """The contract's action: tool pose and gripper."""
+        return dict.fromkeys(POSE_NAMES, float)
+
+    @property
+    def calibration_file(self) -> Path:
+        """Of the cameras. Not ``<id>.json``: LeRobot would read that as calibrations of motors, and fail."""
+        return Path(self.calibration_dir) / f"{self.id}.cameras.json"
+
+    @property
+    def session(self) -> RobotSession:
+        """What this robot tells teleoperators and policies of this process."""
+        return self._session
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether every camera with depth has its place in the calibration file."""
+        deep = {key for key, camera in self.cameras.items() if getattr(camera, "use_depth", False)}
+        return not deep or (self.calibration_file.is_file() and deep <= set(read_calibrations(self.calibration_file)))
+
+    def calibrate(self) -> None:
+        """Nothing of the arm is calibrated; reads the cameras' file again. Raises `RobotError` where it is missing."""
+        if not self.is_calibrated:
+            raise RobotError(
+                "The cameras of this robot are not calibrated.",
+                got=f"no complete {self.calibration_file}",
+                allowed="a place for every camera with depth",
+                hint="adamanip calibrate",
+            )
+        self._read_calibrations()
+
+    def configure(self) -> None:
+        """The arm's process configures it when it connects."""
+
+    # Life -------------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the arm's process runs; it may have a fault."""
+        return self._client is not None and self._client.is_connected
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Starts the arm's process, then the cameras. The arm stays where it is.
+
+        Raises:
+            RobotError: it is connected already, the arm or a camera does not answer, or the hand is outside the box.
+            ConfigurationError: an option that has no default was not given.
+        """
+        if self._client is not None:
+            raise RobotError(f"{self} is connected already.")
+        limits = self._safety_limits()
+        self._client = self._make_client()
+        try:
+            details = self._client.connect()
+            self._open_session(limits, details)
+            for camera in self.cameras.values():
+                camera.connect()
+        except BaseException:
+            self.disconnect()
+            raise
+
+    def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
+        self._connected_at = time.perf_counter()
+        self._session = BOARD.open(self._board_id)
+        self._session.safety, self._session.details = limits, dict(details)
+        assert self._client is not None
+        if (fps := self._client.server.lockstep_fps) is not None:
+            self._session.details[LOCKSTEP_DT] = 1 / fps
+        rules = MotionRules(self.config.execution, self.config.auto_recover, self.config.motion_time)
+        self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), rules)
+        self._driver.anchor()
+        self._read_calibrations()
+
+    def _safety_limits(self) -> SafetyLimits:
+        config = self.config
+        if config.box_lower is None or config.box_upper is None:
+            raise ConfigurationError(
+                "The box that the hand may be in is not given.",
+                got=f"box_lower={config.box_lower}, box_upper={config.box_upper}",
+                allowed="two corners [m, base frame]; no default is safe on every table",
+                hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
+            )
+        return SafetyLimits(
+            tuple(config.box_lower),
+            tuple(config.box_upper),
+            speed=config.speed,
+            angular_speed=config.angular_speed,
+            lead=config.lead,
+            angular_lead=config.angular_lead,
+        )
+
+    def _make_client(self) -> ArmClient:
+        """Returns the arm's process, not yet started. Raises `ConfigurationError`. What a twin overrides."""
+        config = self.config
+        if not config.address or not config.model:
+            raise ConfigurationError(
+                "It is not said which arm this is.",
+                got=f"address={config.address!r}, model={config.model!r}",
+                allowed="the address of its controller; fr3 or panda",
+                hint="--robot.address=172.16.0.2 --robot.model=fr3",
+            )
+        shared = (
+            "address", "model", "dynamics", "stiffness", "rotational_stiffness", "stall_force", "stall_torque",
+            "collision_force", "collision_torque", "effort_sign", "realtime", "gripper", "gripper_speed", "grasp_force",
+        )  # fmt: skip
+        return ArmClient("franky", {name: getattr(config, name) for name in shared}, server=self._server_options())
+
+    def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:
+        """What the arm's process watches."""
+        config, limits = self.config, self._safety_limits()
+        return ServerOptions(config.state_age, config.command_age, lockstep_fps, limits.box_lower, limits.box_upper)
+
+    def disconnect(self) -> None:
+        """Stops the arm and ends its process, then the cameras: within 2 s for the arm. Idempotent."""
+        client, self._client, self._driver = self._client, None, None
+        if client is None:
+            return
+        client.close()
+        BOARD.close(self._board_id)
+        for key, camera in self.cameras.items():
+            if self._skews[key].skewed:
+                _logger.warning("camera %s: %s", key, self._skews[key].told())
+            if camera.is_connected:
+                camera.disconnect()
+
+    @property
+    def _board_id(self) -> str:
+        return self.id or self.name
+
+    @property
+    def _motion(self) -> MotionDriver:
+        if self._driver is None:
+            raise RobotError(f"{self} is not connected.")
+        return self._driver
+
+    def _read_calibrations(self) -> None:
+        if self.calibration_file.is_file():
+            self._session.calibrations.update(read_calibrations(self.calibration_file))
+
+    # Observation ------------------------------------------------------------------------------------------------------
+
+    def get_observation(self) -> dict[str, Any]:
+        """Returns state and pictures of this moment; after a key frame, pictures exposed since the arm rests.
+
+        Raises:
+            RobotError: the arm has a fault (see ``auto_recover``), its process or a camera does not answer.
+        """
+        reading = self._motion.well()
+        seen: dict[str, Any] = dict(self._scalars(reading))
+        for key, camera in self.cameras.items():
+            age, rested = self.config.camera_age, self._motion.rested_at
+            seen |= pictures(key, camera, reading, self._skews[key], max_age=age, after=rested)
+        return seen
+
+    def _scalars(self, reading: ArmReading) -> dict[str, float]:
+        details = self._session.details
+        success = bool(details.get(OPERATOR_SUCCESS) or details.get(SUCCESS))
+        assert self._session.sent is not None
+        return scalars(reading, self._session.sent, self._connected_at, success)
+
+    # Action -----------------------------------------------------------------------------------------------------------
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Sends an action as far as the safety filter lets it, and returns what was sent.
+
+        Raises:
+            RobotError: the arm has a fault, ten malformed actions came in a row, a key frame does not end.
+            ConfigurationError: a name of the action is missing.
+        """
+        wanted = action_vector(action)
+        reading = self._motion.well()
+        sent = self._motion.send(wanted, reading)
+        return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
+
+    def recover(self) -> None:
+        """Clears a fault; nothing moves, and the next actions begin at the present pose. Raises `RobotError`."""
+        self._motion.recover()

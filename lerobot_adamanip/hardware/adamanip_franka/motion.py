@@ -1,0 +1,176 @@
+"""From an action to a motion: filtered, sent as a key frame or into a stream, recovered from a reflex where allowed."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware.arm import ArmReading, Execution
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.session import RobotSession
+from lerobot_adamanip.hardware.target_geometry import Target
+from lerobot_adamanip.schema import POSE_NAMES, POSITION_DIMS
+
+NOMINAL_DT = 1 / 30
+"""Of LeRobot's loop [s]; only a measure of what is a step."""
+FAR_STEPS = 1.5
+"""Under execution=auto an action that is farther than this many steps is a key frame."""
+CALM = 5.0
+"""A stream that has gone on for this long since a fault [s] ends its count."""
+LOCKSTEP_DT = "lockstep_dt"
+"""Detail of a session: seconds of one step, where time passes by steps."""
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class MotionRules:
+    """How actions are executed: see `AdamanipFrankaConfig`.
+
+    Attributes:
+        execution: stream, keyframe or auto.
+        auto_recover: reflexes in a row that are recovered from.
+        motion_time: of a key frame at most [s].
+    """
+
+    execution: str
+    auto_recover: int
+    motion_time: float
+
+
+def action_vector(action: Mapping[str, Any]) -> Target:
+    """Returns LeRobot's action as (10,) float32. Raises `ConfigurationError` for one that lacks a name."""
+    if missing := [name for name in POSE_NAMES if name not in action]:
+        raise ConfigurationError(
+            "An action lacks names.", got=f"no {', '.join(missing)}", allowed=", ".join(POSE_NAMES)
+        )
+    with np.errstate(over="ignore"):
+        return np.array([float(action[name]) for name in POSE_NAMES], dtype=np.float32)
+
+
+class MotionDriver:
+    """Sends actions of one connected arm, and keeps its session up to date.
+
+    Args:
+        arm: connected.
+        session: gets every reading, and what was sent.
+        safety: of this arm alone.
+        rules: how actions are executed.
+
+    Attributes:
+        rested_at: when the latest key frame ended, `time.perf_counter()` [s]; None while the arm is streamed to.
+    """
+
+    def __init__(self, arm: ArmClient, session: RobotSession, safety: SafetyFilter, rules: MotionRules) -> None:
+        self._arm, self._session, self._filter, self._rules = arm, session, safety, rules
+        self.rested_at: float | None = None
+        self._sent_at: float | None = None
+        self._goal: bytes | None = None
+        self._faults, self._fault_at = 0, 0.0
+
+    def anchor(self) -> None:
+        """Begins at the measured pose: it counts as what was sent last, and is the next target of a stream.
+
+        Raises:
+            RobotError: the arm has a fault, or the hand is outside the box.
+        """
+        reading = self._arm.healthy().reading
+        assert reading is not None
+        self._session.reading = reading
+        self._session.sent = self._filter.anchor(reading.tcp_in_base, reading.gripper)
+        self._sent_at = self.rested_at = self._goal = None
+
+    # Faults -----------------------------------------------------------------------------------------------------------
+
+    def well(self) -> ArmReading:
+        """Returns the reading of an arm that can be moved, recovered if that is allowed. Raises `RobotError`."""
+        status = self._arm.status()
+        if status.fault is not None and not status.lost and self._rules.auto_recover:
+            status = self._recovered(status)
+        status = self._arm.healthy() if status.fault is not None else status
+        assert status.reading is not None
+        self._session.reading = status.reading
+        return status.reading
+
+    def recover(self) -> None:
+        """Clears a fault; nothing moves, and the next actions begin at the present pose. Raises `RobotError`."""
+        self._arm.request("recover")
+        self.anchor()
+
+    def _recovered(self, status: ArmStatus) -> ArmStatus:
+        self._faults, self._fault_at = self._faults + 1, time.perf_counter()
+        if self._faults > self._rules.auto_recover:
+            raise RobotError(
+                f"{self._faults} faults in a row; the last: {status.fault}",
+                got=f"{self._faults} faults",
+                allowed=f"auto_recover={self._rules.auto_recover}",
+                hint="see to the arm and to what it touches",
+            )
+        _logger.warning("recovering: %s", status.fault)
+        self.recover()
+        return self._arm.healthy()
+
+    # Motions ----------------------------------------------------------------------------------------------------------
+
+    def send(self, wanted: Target, reading: ArmReading) -> Target:
+        """Sends a target as far as the filter lets it; a key frame is waited for.
+
+        Args:
+            wanted: (10,) target.
+            reading: of this moment, from `well`.
+
+        Returns:
+            (10,) float32, what was sent: the session's ``sent``.
+
+        Raises:
+            RobotError: the arm has a fault, ten malformed targets came in a row, a key frame does not end.
+        """
+        whole = self._execution(wanted) is Execution.KEYFRAME
+        sent = self._send_keyframe(wanted, reading) if whole else self._send_stream(wanted, reading)
+        self._session.sent = sent
+        return sent
+
+    def _execution(self, wanted: Target) -> Execution:
+        if self._rules.execution != "auto":
+            return Execution(self._rules.execution)
+        last = self._filter.last
+        if last is None or not np.isfinite(wanted).all():
+            return Execution.STREAM
+        way = float(np.linalg.norm(wanted[POSITION_DIMS].astype(float) - last[POSITION_DIMS].astype(float)))
+        return Execution.KEYFRAME if way > FAR_STEPS * self._filter.limits.speed * NOMINAL_DT else Execution.STREAM
+
+    def _send_keyframe(self, wanted: Target, reading: ArmReading) -> Target:
+        """One motion to its end; the same goal again is no motion: a paused roll-out resends its last action."""
+        last = self._filter.last
+        if self._goal == wanted.tobytes() and last is not None:
+            return last
+        sent = self._filter.keyframe(wanted, reading.tcp_in_base)
+        self._session.sent = sent
+        try:
+            ended = self._arm.wait(self._arm.send(sent, Execution.KEYFRAME), self._rules.motion_time)
+        except RobotError:
+            if not self._arm.is_connected or self._arm.status().fault is None:
+                raise
+            self.well()  # recovers and goes on, or raises what is wrong
+            return sent
+        self._session.reading, self._goal = ended.reading, wanted.tobytes()
+        self.rested_at, self._faults = time.perf_counter(), 0
+        return sent
+
+    def _send_stream(self, wanted: Target, reading: ArmReading) -> Target:
+        now = time.perf_counter()
+        passed = 0.0 if self._sent_at is None else self._session.details.get(LOCKSTEP_DT, now - self._sent_at)
+        sent = self._filter.stream(wanted, reading.tcp_in_base, passed)
+        self._arm.send(sent, Execution.STREAM)
+        self._sent_at, self.rested_at, self._goal = now, None, None
+        if now - self._fault_at > CALM:
+            self._faults = 0
+        return sent

@@ -1,0 +1,79 @@
+"""What the robot tells LeRobot of one moment: scalars by name, and a camera's pictures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from lerobot.cameras.camera import Camera
+from numpy.typing import NDArray
+
+from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.cameras.base import FrameReader
+from lerobot_adamanip.hardware.cameras.skew import SkewWatch
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
+from lerobot_adamanip.rotations import pose_vector
+
+NO_OUTCOME = -1.0
+
+
+def camera_features(cameras: dict[str, Camera]) -> dict[str, tuple[int, int, int]]:
+    """Returns the pictures' shapes by name: colour under a camera's key, depth under that and a suffix."""
+    features: dict[str, tuple[int, int, int]] = {}
+    for key, camera in cameras.items():
+        if getattr(camera, "use_rgb", True):
+            features[key] = (camera.height, camera.width, 3)
+        if getattr(camera, "use_depth", False):
+            features[f"{key}{DEPTH_SUFFIX}"] = (camera.height, camera.width, 1)
+    return features
+
+
+def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, success: bool) -> dict[str, float]:
+    """Returns all scalars by name, in the order of `features.SCALAR_NAMES`.
+
+    Args:
+        reading: of the arm.
+        sent: (10,) last accepted target.
+        connected: when the robot did, `time.perf_counter()` [s].
+        success: whether the operator, or the twin, says that the task is done.
+    """
+    pose = pose_vector(reading.tcp_in_base, reading.gripper)
+    outcome = NO_OUTCOME if reading.outcome is None else float(reading.outcome)
+    parts = (pose, reading.qpos, reading.qvel, reading.effort, sent, (outcome, reading.stamp - connected, success))
+    values = np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
+    return dict(zip(SCALAR_NAMES, values.tolist(), strict=True))
+
+
+def pictures(
+    key: str, camera: Camera, reading: ArmReading, skew: SkewWatch, *, max_age: float, after: float | None
+) -> dict[str, NDArray[Any]]:
+    """Returns a camera's pictures by name: of one exposure where the camera can tell, of the latest where not.
+
+    Args:
+        key: of the camera.
+        camera: connected.
+        reading: of the same observation; counted against it.
+        skew: counts.
+        max_age: of a frame [s].
+        after: the arm has rested since then (`time.perf_counter()`, [s]): the frame is exposed after it. None takes
+            the latest.
+
+    Raises:
+        RobotError: the camera is frozen or has failed; LeRobot's own cameras raise TimeoutError.
+    """
+    found: dict[str, NDArray[Any]] = {}
+    if isinstance(camera, FrameReader):
+        frame = camera.latest_frame(max_age)
+        if after is not None and frame.stamp < after:
+            frame = camera.frame_after(after)
+        skew.count(frame.stamp, reading.stamp)
+        if camera.use_rgb and frame.color is not None:
+            found[key] = frame.color
+        if camera.use_depth and frame.depth is not None:
+            found[f"{key}{DEPTH_SUFFIX}"] = frame.depth[..., None]
+        return found
+    if getattr(camera, "use_rgb", True):
+        found[key] = camera.async_read() if after is not None else camera.read_latest(int(max_age * 1000))
+    if getattr(camera, "use_depth", False):
+        found[f"{key}{DEPTH_SUFFIX}"] = camera.read_latest_depth(int(max_age * 1000))
+    return found

@@ -1,0 +1,234 @@
+"""The real arm, by `franky-control` 2: compliant in its firmware, within limits of our own table.
+
+The control loop (1 kHz) is a thread of franky's, in C++; this backend gives it motions and looks at its states.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array
+from lerobot_adamanip.hardware.arm_process.served import Served
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
+from lerobot_adamanip.hardware.backends.franky_sdk import (
+    FrankyHand,
+    check_joints,
+    connect_robot,
+    flags_of,
+    import_franky,
+    reading_of,
+    set_limits,
+)
+from lerobot_adamanip.hardware.gripper import GripperThread
+from lerobot_adamanip.hardware.outcome import OutcomeWatch, pose_error
+from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_adamanip.schema import GRIPPER_DIM
+
+GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
+"""After a recovery: dynamics relative to the usual, for this long [s of the arm's clock]."""
+LEANS = 0.01
+"""An arm that lags its target by more than this at rest leans on something [m]; the next key frame gives that up."""
+STOP_TIME = 1.0
+"""At most waited for a stop when closing [s]."""
+
+
+class FrankyBackend:
+    """An `ArmBackend` on one `franky.Robot`. After a lost connection it is of no use: make a new one."""
+
+    def __init__(self, options: FrankyOptions) -> None:
+        self._options = options
+        self._robot: Any = None
+        self._franky: Any = None
+        self._hand: GripperThread | None = None
+        self._state: Any = None
+        self._lost = ""
+        self._watch: OutcomeWatch | None = None
+        self._outcome: Outcome | None = None
+        self._ending: Outcome | None = None
+        self._goal_opening = 1.0
+        self._gentle_until = -1.0
+        self.limits_read: dict[str, list[float]] = {}
+
+    @property
+    def period(self) -> float:
+        """Seconds between two ticks."""
+        return self._options.period
+
+    # Life ------------------------------------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Connects, sets limits, impedance and thresholds; the arm stays where it is. Raises `RobotError`."""
+        self._franky = import_franky()
+        self._robot = connect_robot(self._franky, self._options)
+        try:
+            self.limits_read = set_limits(self._robot, self._options)
+            stiff, turn = self._options.stiffness, self._options.rotational_stiffness
+            self._robot.set_cartesian_impedance([stiff, stiff, stiff, turn, turn, turn])
+            self._state = self._robot.state
+            if self._options.gripper:
+                speed, force = self._options.gripper_speed, self._options.grasp_force
+                self._hand = GripperThread(lambda: FrankyHand(self._options.address, speed, force))
+                self._hand.start()
+        except RobotError:
+            raise
+        except Exception as error:
+            raise RobotError(f"The arm was connected, and could not be set up: {error}") from None
+        check_joints(self._state.q, self._options)
+
+    def close(self) -> None:
+        """Stops the arm, ends the gripper's thread, disconnects. Idempotent; never raises."""
+        robot, self._robot = self._robot, None
+        if robot is not None and not self._lost:
+            with contextlib.suppress(Exception):
+                if robot.is_in_control:
+                    robot.move(self._franky.CartesianStopMotion(), asynchronous=True)
+                    robot.join_motion(STOP_TIME)
+        if self._hand is not None:
+            self._hand.close()
+
+    # States ----------------------------------------------------------------------------------------------------------
+
+    def read(self) -> ArmReading:
+        """Returns the state. Raises `RobotError` where the connection is lost."""
+        self._state = self._ask(lambda: self._robot.state)
+        opening = 1.0 if self._hand is None else self._hand.opening
+        return reading_of(self._state, opening, self._options.effort_sign, self._outcome)
+
+    def tick(self) -> None:
+        """Looks how the key frame goes. Raises `RobotError` for a motion that broke off, or a gripper that failed."""
+        if self._hand is not None:
+            self._hand.check()
+        running = bool(self._ask(self._robot.poll_motion))
+        if self._watch is not None:
+            self._state = self._ask(lambda: self._robot.state)
+            self._look(running)
+        elif self._ending is not None and not running and not (self._hand is not None and self._hand.busy):
+            self._outcome, self._ending = self._ending, None
+
+    def _look(self, running: bool) -> None:
+        assert self._watch is not None
+        state = self._state
+        ended = self._watch.look(
+            np.array(state.O_T_EE.matrix),
+            np.array(state.O_T_EE_d.matrix),
+            running,
+            float(np.abs(state.dq).max()),
+            state.time.to_msec() / 1000.0,
+        )
+        if ended is None:
+            return
+        self._watch = None
+        if running:
+            self._move(self._franky.CartesianStopMotion())
+        self._ending = ended
+        self._grip()
+
+    # Motions ---------------------------------------------------------------------------------------------------------
+
+    def stream(self, target: ArmTarget) -> None:
+        """Replaces the target of a motion that holds its end; returns at once. Raises `RobotError`."""
+        goal, self._goal_opening = pose_from_vector(target.pose)
+        self._forget()
+        self._move(
+            self._franky.CartesianMotion(
+                self._franky.Affine(goal), relative_dynamics_factor=self._pace, return_when_finished=False
+            )
+        )
+        self._grip()
+
+    def begin_keyframe(self, target: ArmTarget) -> None:
+        """Begins a motion that ends at its target, then the gripper's. Raises `RobotError`."""
+        goal, _ = pose_from_vector(target.pose)
+        self._forget()
+        self._goal_opening = float(target.pose[GRIPPER_DIM])
+        state = self._state
+        here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
+        leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANS
+        ways = [here, goal] if leaning else [goal]
+        points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
+        self._watch = OutcomeWatch(goal, self._options.stall_rule, now, self._time_limit(here, goal))
+        self._move(self._franky.CartesianWaypointMotion(points, relative_dynamics_factor=self._pace))
+
+    def _time_limit(self, here: Array, goal: Array) -> float:
+        """Of a motion [s]: twice what its length takes and some for starting and stopping."""
+        limits, share = self._options.limits, self._options.dynamics * self._pace
+        way, turn = pose_error(here, goal)
+        needed = way / (limits.translation.velocity * share) + turn / (limits.rotation.velocity * share)
+        return min(self._options.time_limit, 3.0 + 2.0 * needed)
+
+    @property
+    def _pace(self) -> float:
+        gentle = self._state.time.to_msec() / 1000.0 < self._gentle_until
+        return GENTLE_FACTOR if gentle else 1.0
+
+    def _forget(self) -> None:
+        self._watch = self._outcome = self._ending = None
+
+    def _grip(self) -> None:
+        if self._hand is not None:
+            self._hand.want(self._goal_opening)
+
+    def stop(self) -> None:
+        """Decelerates within the limits and holds. Raises `RobotError` if the arm does not take it."""
+        self._watch = self._ending = None
+        if self._robot is not None and not self._lost and self._ask(lambda: self._robot.is_in_control):
+            self._move(self._franky.CartesianStopMotion())
+
+    def recover(self) -> None:
+        """Clears a reflex; motions begin gently after it. Raises `RobotError` if the arm does not recover."""
+        self._forget()
+        if self._hand is not None:
+            self._hand.forgive()
+        with contextlib.suppress(Exception):  # the exception of the motion that broke off, told once
+            self._robot.poll_motion()
+        if not self._ask(self._robot.recover_from_errors):
+            raise RobotError("The arm did not recover from its errors: see to it in Desk.")
+        self._state = self._ask(lambda: self._robot.state)
+        self._gentle_until = self._state.time.to_msec() / 1000.0 + GENTLE_TIME
+
+    # Franky's errors -------------------------------------------------------------------------------------------------
+
+    def _move(self, motion: Any) -> None:
+        self._ask(lambda: self._robot.move(motion, asynchronous=True))
+
+    def _ask(self, call: Callable[[], Any]) -> Any:
+        """Calls franky and puts what it raises into our words; a lost connection is remembered."""
+        if self._lost:
+            raise RobotError(self._lost)
+        try:
+            return call()
+        except self._franky.ControlException as error:
+            raise RobotError(f"The arm broke the motion off: {self._flags() or error}") from None
+        except (self._franky.NetworkException, RuntimeError) as error:
+            self._lost = f"The connection to the arm at {self._options.address} is lost: {error}"
+            raise RobotError(self._lost) from None
+        except Exception as error:
+            raise RobotError(f"The arm refused a motion: {type(error).__name__}: {error}") from None
+
+    def _flags(self) -> str:
+        """The flags that are set, as far as the arm still tells them."""
+        with contextlib.suppress(Exception):
+            state = self._robot.state
+            if state.robot_mode.name == MODE_OF_ERRORS or flags_of(state.current_errors):
+                return ", ".join(flags_of(state.current_errors) or flags_of(state.last_motion_errors))
+        return ""
+
+
+MODE_OF_ERRORS = "Reflex"
+
+
+def serve_franky(options: dict[str, Any]) -> Served:
+    """Returns the real arm's backend. Raises ValueError for a wrong option."""
+    backend = FrankyBackend(franky_options(options))
+
+    def gripper(_: dict[str, Any]) -> dict[str, Any]:
+        hand = backend._hand
+        return {} if hand is None else {"opening": hand.opening, "commands": hand.commands}
+
+    return Served(backend, {"gripper": gripper}, lambda: {"limits": backend.limits_read})

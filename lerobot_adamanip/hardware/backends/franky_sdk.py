@@ -1,0 +1,161 @@
+"""What stands between `franky` and the words used here: errors, states, limits, the hand. Imports it on first use."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.keyframes import Outcome
+
+INSTALL = "pip install 'lerobot_env_adamanip[franka]'; older arms need a wheel built for their firmware: docs/robot.md"
+MODES = {
+    "Idle": ArmMode.IDLE, "Move": ArmMode.MOVING, "Guiding": ArmMode.GUIDING, "Reflex": ArmMode.REFLEX,
+    "UserStopped": ArmMode.USER_STOPPED, "AutomaticErrorRecovery": ArmMode.RECOVERING, "Other": ArmMode.OTHER,
+}  # fmt: skip
+RANGE_MARGIN = 0.02
+"""Outside of a joint's range by more than this: another model of arm [rad]."""
+
+
+def import_franky() -> Any:
+    """Returns the module. Raises `RobotError` where it is not installed."""
+    try:
+        import franky
+    except ImportError as error:
+        raise RobotError(
+            "The package that drives a Franka is not installed.", got=error, allowed="franky-control 2", hint=INSTALL
+        ) from None
+    return franky
+
+
+def connect_robot(franky: Any, options: FrankyOptions) -> Any:
+    """Returns a connected `franky.Robot`. Raises `RobotError` with what to try."""
+    realtime = franky.RealtimeConfig.Enforce if options.realtime else franky.RealtimeConfig.Ignore
+    try:
+        return franky.Robot(
+            options.address,
+            relative_dynamics_factor=1.0,
+            default_torque_threshold=options.collision_torque,
+            default_force_threshold=options.collision_force,
+            controller_mode=franky.ControllerMode.CartesianImpedance,
+            realtime_config=realtime,
+        )
+    except franky.NetworkException:
+        hint = "is the address right, the arm unlocked, FCI activated in Desk, no other program connected?"
+    except franky.RealtimeException as error_:
+        error, hint = error_, "a real-time kernel (docs/robot.md); realtime=false for a simulated arm only"
+    except franky.IncompatibleVersionException as error_:
+        error, hint = error_, INSTALL
+    except Exception as error_:
+        error, hint = error_, "adamanip doctor"
+    raise RobotError(f"No connection to the arm at {options.address}: {error}", allowed="a reachable arm", hint=hint)
+
+
+def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
+    """Writes our table's limits, times ``dynamics``, and returns what is read back: name -> values.
+
+    `franky` allows no more than the limits that it believes in; where those are lower, they stay.
+
+    Raises:
+        RobotError: what is read back is not what was written.
+    """
+    read: dict[str, list[float]] = {}
+    for name, wanted in wanted_limits(options):
+        limit = getattr(robot, name)
+        value = np.minimum(np.array(wanted), np.atleast_1d(np.asarray(limit.max, float)))
+        limit.set(value if len(wanted) > 1 else float(value[0]))
+        read[name] = np.atleast_1d(np.asarray(limit.get(), float)).tolist()
+        if read[name] != value.tolist():
+            raise RobotError(f"The arm's {name} was set to {value.tolist()} and reads {read[name]}.")
+    return read
+
+
+def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
+    """Yields franky's name of a limit and its values in our table, times ``dynamics``."""
+    limits, share = options.limits, options.dynamics
+    for name, bounds in (
+        ("translation", limits.translation), ("rotation", limits.rotation), ("elbow", limits.elbow),
+    ):  # fmt: skip
+        for what in ("velocity", "acceleration", "jerk"):
+            yield f"{name}_{what}_limit", [getattr(bounds, what) * share]
+    for what in ("velocity", "acceleration", "jerk"):
+        yield f"joint_{what}_limit", [value * share for value in getattr(limits, f"joint_{what}")]
+
+
+def check_joints(qpos: Any, options: FrankyOptions) -> None:
+    """Raises `RobotError` for joints that the model does not have: the arm is another one."""
+    lower, upper = np.array(options.limits.joint_lower), np.array(options.limits.joint_upper)
+    outside = (np.asarray(qpos) < lower - RANGE_MARGIN) | (np.asarray(qpos) > upper + RANGE_MARGIN)
+    if outside.any():
+        raise RobotError(
+            f"The arm's joints are not within the range of a {options.model}.",
+            got=f"joint {int(np.flatnonzero(outside)[0]) + 1} of {np.round(qpos, 3).tolist()} rad",
+            allowed=f"{lower.tolist()} ... {upper.tolist()}",
+            hint="is the model right? If it is, guide the arm away from the end of its range",
+        )
+
+
+def reading_of(state: Any, gripper: float, effort_sign: float, outcome: Outcome | None) -> ArmReading:
+    """Returns a `franky.RobotState` in our words."""
+    return ArmReading(
+        stamp=time.perf_counter(),
+        robot_time=float(state.time.to_msec()) / 1000.0,
+        tcp_in_base=np.array(state.O_T_EE.matrix, dtype=np.float64),
+        gripper=gripper,
+        qpos=np.array(state.q, dtype=np.float64).ravel(),
+        qvel=np.array(state.dq, dtype=np.float64).ravel(),
+        effort=effort_sign * np.array(state.tau_ext_hat_filtered, dtype=np.float64).ravel(),
+        mode=MODES.get(state.robot_mode.name, ArmMode.OTHER),
+        errors=flags_of(state.current_errors),
+        outcome=outcome,
+    )
+
+
+def flags_of(errors: Any) -> tuple[str, ...]:
+    """Returns the names of the flags that are set, of 41."""
+    return tuple(name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True)
+
+
+class FrankyHand:
+    """A `lerobot_adamanip.hardware.gripper.Hand` on `franky.Gripper`.
+
+    Args:
+        address: of the arm.
+        speed: of the fingers [m/s].
+        force: of a grasp [N].
+    """
+
+    def __init__(self, address: str, speed: float, force: float) -> None:
+        self._hand = import_franky().Gripper(address)
+        self._speed, self._force = speed, force
+        self._max_width = float(self._hand.max_width)
+        if self._max_width <= 0:
+            raise RobotError("The gripper's width is not known: home it once, in Desk or by franky's Gripper.homing().")
+
+    def open(self) -> None:
+        """Opens as far as it goes."""
+        self._command(lambda: self._hand.move(self._max_width, self._speed))
+
+    def close(self) -> None:
+        """Closes on anything of any width, and holds it."""
+        self._command(lambda: self._hand.grasp(0.0, self._speed, self._force, epsilon_outer=1.0))
+
+    def _command(self, call: Callable[[], bool]) -> None:
+        """A grasp of nothing, and a move that something stops, are answers, not failures: the width tells."""
+        try:
+            call()
+        except import_franky().CommandException:
+            return
+
+    def opening(self) -> float:
+        """Returns width / largest width."""
+        return min(1.0, max(0.0, float(self._hand.width) / self._max_width))
+
+    def stop(self) -> None:
+        """Ends a command under way."""
+        self._hand.stop()

@@ -1,0 +1,173 @@
+"""RealSense cameras: LeRobot's, with the depth scale applied, colour and depth of one exposure, and stamps.
+
+LeRobot's class (0.6.1) hands on what the sensor counts as if it were millimetres, which a D405's are not (0.1 mm),
+stamps pictures with their arrival, and gives colour and depth by two calls between which the next may have come.
+"""
+
+from __future__ import annotations
+
+import time
+from threading import Event
+from typing import Any
+
+import numpy as np
+from lerobot.cameras.realsense import camera_realsense as stock
+from lerobot.cameras.realsense.configuration_realsense import RealSenseCameraConfig
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import AdaManipError, RobotError
+from lerobot_adamanip.hardware.cameras.base import FrameReader
+from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
+from lerobot_adamanip.hardware.cameras.latest import DeviceClock, LatestFrame
+from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+
+WAIT_MS = 200
+"""The thread looks this often whether it should end."""
+MAX_LATENCY = 1.0
+"""A frame that says it is older than this at arrival [s] has a clock that was set, and is stamped by its arrival."""
+PINHOLES = ("none", "brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
+"""Models whose five coefficients are OpenCV's, in its order. The latter two apply them one after the other instead of
+at once, which differs in second order; the driver for ROS hands them on alike."""
+
+
+class AdamanipRealsense(FrameReader, stock.RealSenseCamera):  # type: ignore[misc] # reading is ours, the rest LeRobot's
+    """A RealSense camera.
+
+    Args:
+        config: says which.
+    """
+
+    def __init__(self, config: AdamanipRealsenseConfig) -> None:
+        self.name = config.serial_number_or_name
+        self.frames = LatestFrame()
+        self._clock = DeviceClock()
+        self._last_number: int | None = None
+        self._scale = 1.0
+        self.dropped = 0
+        super().__init__(
+            RealSenseCameraConfig(
+                config.serial_number_or_name,
+                fps=config.fps,
+                width=config.width,
+                height=config.height,
+                use_rgb=config.use_rgb,
+                use_depth=config.use_depth,
+                warmup_s=config.warmup_s,
+                exposure=config.exposure,
+                gain=config.gain,
+                white_balance=config.white_balance,
+            )
+        )
+
+    def connect(self, warmup: bool = True) -> None:
+        """Opens it; with ``warmup``, waits for frames, and resets it where none come. Raises `RobotError`."""
+        try:
+            super().connect(warmup)
+        except AdaManipError:
+            raise
+        except Exception as error:  # SDK and LeRobot raise half a dozen kinds
+            raise self._error("It cannot be opened.", error, "a camera that is plugged in and free") from error
+
+    def depth_intrinsics(self) -> Intrinsics:
+        """Returns those the camera was calibrated with in the factory; raises `RobotError` while not connected."""
+        return self._intrinsics(stock.rs.stream.depth)
+
+    def color_intrinsics(self) -> Intrinsics:
+        """Likewise of the colour imager."""
+        return self._intrinsics(stock.rs.stream.color)
+
+    def depth_in_color(self) -> NDArray[np.float64] | None:
+        """Returns the (4, 4) pose [m] of the depth imager in the colour imager's frame; None without both."""
+        if not (self.use_rgb and self.use_depth):
+            return None
+        told = self._stream(stock.rs.stream.depth).get_extrinsics_to(self._stream(stock.rs.stream.color))
+        pose = np.eye(4)
+        pose[:3, :3] = np.reshape(told.rotation, (3, 3)).T  # librealsense tells it by columns
+        pose[:3, 3] = told.translation
+        return pose
+
+    def _stream(self, kind: Any) -> Any:
+        if self.rs_profile is None:
+            raise self._error("It is not connected.", "connect() not called", "connect() first")
+        return self.rs_profile.get_stream(kind)
+
+    def _intrinsics(self, kind: Any) -> Intrinsics:
+        told = self._stream(kind).as_video_stream_profile().get_intrinsics()
+        if told.model.name not in PINHOLES:
+            raise self._error("Its lens is no pinhole's.", told.model.name, ", ".join(PINHOLES))
+        matrix = np.array([[told.fx, 0.0, told.ppx], [0.0, told.fy, told.ppy], [0.0, 0.0, 1.0]])
+        return Intrinsics(matrix, np.array(told.coeffs, np.float64), told.width, told.height)
+
+    # What LeRobot's class calls -------------------------------------------------------------------------------------
+
+    def _start_read_thread(self) -> None:
+        if self.use_depth:
+            assert self.rs_profile is not None
+            self._scale = 1e3 * self.rs_profile.get_device().first_depth_sensor().get_depth_scale()
+        self._clock, self._last_number, self.dropped = DeviceClock(), None, 0
+        super()._start_read_thread()
+
+    def _stop_read_thread(self) -> None:
+        super()._stop_read_thread()
+        self.frames.clear()
+
+    def _run_warmup(self) -> None:
+        """Raises ConnectionError, after which LeRobot's `connect` tries again, and resets the camera at last."""
+        end = time.perf_counter() + max(self.warmup_s, 1)
+        try:
+            self.frame_after(float("-inf"), timeout=end - time.perf_counter())
+        except RobotError as error:
+            raise ConnectionError(str(error)) from error
+        if self.stop_event is not None:
+            self.stop_event.wait(end - time.perf_counter())
+
+    def _read_loop(self) -> None:
+        stop: Event = self.stop_event
+        try:
+            while not stop.is_set():
+                frame = self._take()
+                if frame is not None and not stop.is_set():
+                    self.frames.put(frame)
+        except Exception as error:  # whoever reads next is told
+            if not stop.is_set():
+                self.frames.fail(error)
+
+    def _take(self) -> Frame | None:
+        """Returns the next exposure; None where it is not whole, not new, or there is none yet."""
+        assert self.rs_pipeline is not None
+        came, pair = self.rs_pipeline.try_wait_for_frames(timeout_ms=WAIT_MS)
+        arrival = time.perf_counter()
+        if not came or not pair:
+            return None
+        color = pair.get_color_frame() if self.use_rgb else None
+        depth = pair.get_depth_frame() if self.use_depth else None
+        if (self.use_rgb and not color) or (self.use_depth and not depth):
+            self.dropped += 1  # half a pair
+            return None
+        first = depth if self.use_depth else color
+        number = int(first.get_frame_number())
+        if number == self._last_number:
+            self.dropped += 1  # the pipeline repeats a frame to pair it with a new one of the other imager
+            return None
+        self._last_number = number
+        return Frame(
+            self._stamp(first, arrival),
+            arrival,
+            None if color is None else np.array(color.get_data(), np.uint8),  # copies: the SDK reuses its own
+            None if depth is None else self._millimetres(np.asanyarray(depth.get_data())),
+            number,
+        )
+
+    def _millimetres(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        if abs(self._scale - 1) < 1e-6:
+            return counts.copy()
+        depth = np.rint(counts * np.float32(self._scale))
+        return np.where(depth <= np.iinfo(np.uint16).max, depth, 0).astype(np.uint16)
+
+    def _stamp(self, frame: Any, arrival: float) -> float:
+        """Returns when a frame was exposed, as well as its clock tells."""
+        told = frame.get_timestamp() / 1e3
+        if frame.get_frame_timestamp_domain() == stock.rs.timestamp_domain.hardware_clock:
+            return self._clock.stamp(told, arrival)
+        latency = time.time() - (time.perf_counter() - arrival) - told  # the others are the host's calendar clock
+        return arrival - latency if 0 <= latency <= MAX_LATENCY else arrival

@@ -1,0 +1,137 @@
+"""From a depth picture to the cloud of the contract: the same points in the same order as the simulator's camera.
+
+One pixel, one point. Pictures of more rows than the simulator's are thinned to about as many, so that real clouds are
+sampled from as many points as simulated ones.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hardware.frames import CameraCalibration
+from lerobot_adamanip.observation import workspace_cloud
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Cloud, Workspace, depth_size
+
+NOTHING_SEEN = 15.0
+"""Depth up to this is none [mm]: LeRobot's default depth video turns 0 into 10."""
+JUMP = 20.0
+"""Neighbours that differ by more than this are not of one surface [mm]."""
+
+Depth = NDArray[np.uint16] | NDArray[np.float32]
+
+
+def depth_cloud(
+    depth: Depth,
+    calibration: CameraCalibration,
+    num_points: int,
+    workspace: Workspace = DEFAULT_WORKSPACE,
+    tcp_in_base: NDArray[np.float64] | None = None,
+) -> Cloud:
+    """Returns the cloud (num_points, 3) [m], robot base frame, farthest point first; see `workspace_cloud`.
+
+    Args:
+        depth: (H, W) [mm], 0 where nothing was seen.
+        calibration: of the imager that took it.
+        num_points: of the cloud.
+        workspace: of which points are wanted.
+        tcp_in_base: (4, 4) where the tool was when it was taken, for a camera on the hand.
+
+    Raises:
+        ConfigurationError: the picture has another size than was calibrated, or the tool's pose is not given.
+    """
+    stride = max(1, round(depth.shape[0] / depth_size(num_points)))
+    return workspace_cloud(points_in_base(depth, calibration, stride, tcp_in_base), workspace, num_points)
+
+
+def points_in_base(
+    depth: Depth,
+    calibration: CameraCalibration,
+    stride: int = 1,
+    tcp_in_base: NDArray[np.float64] | None = None,
+) -> Cloud:
+    """Returns the points (M, 3) [m], base frame, in scan order, of every ``stride``-th pixel; else as `depth_cloud`."""
+    intrinsics = calibration.depth
+    if depth.shape != (intrinsics.height, intrinsics.width):
+        raise ConfigurationError(
+            f"The depth of camera {calibration.camera} has another size than was calibrated.",
+            got=f"{depth.shape[1]} x {depth.shape[0]}",
+            allowed=f"{intrinsics.width} x {intrinsics.height}",
+            hint="the width and height that the camera had when it was calibrated",
+        )
+    camera_in_base = _pose(calibration, tcp_in_base)
+    start = _first(stride)
+    chosen = np.asarray(depth[start::stride, start::stride], np.float32)
+    kept = np.flatnonzero(_on_a_surface(depth, stride))
+    matrix, lens = (np.asarray(part, np.float64).tobytes() for part in (intrinsics.matrix, intrinsics.distortion))
+    rays = _rays(matrix, lens, depth.shape, stride)
+    points = rays.take(kept, axis=0) * (chosen.ravel().take(kept) * np.float32(1e-3))[:, None]
+    rotation, position = camera_in_base[:3, :3].astype(np.float32), camera_in_base[:3, 3].astype(np.float32)
+    return np.asarray(points @ rotation.T + position, np.float32)
+
+
+def _first(stride: int) -> int:
+    """The first row and column of those that are kept: the middle of the first ``stride``."""
+    return (stride - 1) // 2
+
+
+def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """(4, 4) of the depth imager in the base frame."""
+    if calibration.depth_in_base is not None:
+        return calibration.depth_in_base
+    if calibration.depth_in_tcp is None or tcp_in_base is None:
+        raise ConfigurationError(
+            f"Nobody knows where camera {calibration.camera} is.",
+            got="a camera on the hand, and no pose of the tool" if calibration.depth_in_tcp is not None else "no pose",
+            allowed="its pose in the robot's base, or on the tool with the tool's pose",
+            hint="adamanip calibrate",
+        )
+    return np.asarray(tcp_in_base @ calibration.depth_in_tcp)
+
+
+def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
+    """(h, w): which of every ``stride``-th pixel saw something that is no fleck between two surfaces.
+
+    A flying pixel lies between the surfaces of an edge: nearer than one neighbour and farther than the one opposite,
+    by more than `JUMP` each. One that differs from all its neighbours is a fleck. What is nearer than both sides is a
+    thin thing, a handle seen from afar, and stays.
+    """
+    start, (height, width) = _first(stride), depth.shape
+    padded = np.zeros((height + 2, width + 2), np.float32)
+    padded[1:-1, 1:-1] = depth
+
+    def beside(down: int, right: int) -> NDArray[np.float32]:
+        return padded[1 + start + down : height + 1 + down : stride, 1 + start + right : width + 1 + right : stride]
+
+    middle = beside(0, 0)
+    seen = np.asarray(middle > NOTHING_SEEN)
+    flying, alone = np.zeros_like(seen), np.ones_like(seen)
+    for down, right in ((0, 1), (1, 0)):
+        before, after = beside(-down, -right), beside(down, right)
+        nearer = [side - middle > JUMP for side in (before, after)]
+        farther = [middle - side > JUMP for side in (before, after)]
+        between = (nearer[0] & farther[1]) | (farther[0] & nearer[1])
+        flying |= between & (before > NOTHING_SEEN) & (after > NOTHING_SEEN)
+        alone &= (nearer[0] | farther[0]) & (nearer[1] | farther[1])
+    return np.asarray(seen & ~flying & ~alone)
+
+
+@functools.lru_cache(maxsize=8)
+def _rays(matrix: bytes, distortion: bytes, shape: tuple[int, int], stride: int) -> NDArray[np.float32]:
+    """(h * w, 3) through the middles of pixels, in scan order, of depth one; lenses are undone once a camera."""
+    camera, lens = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
+    rows, columns = (axis.ravel() for axis in np.mgrid[tuple(slice(_first(stride), size, stride) for size in shape)])
+    pixels = np.stack([columns, rows], axis=1).astype(np.float64)
+    if lens.any():
+        import cv2
+
+        ends = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-9)
+        plane = cv2.undistortPointsIter(pixels[:, None], camera, lens, np.eye(3), np.eye(3), ends)[:, 0]
+    else:
+        plane = (pixels - camera[:2, 2]) / camera[[0, 1], [0, 1]]
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1).astype(np.float32)
+    rays.setflags(write=False)
+    return rays

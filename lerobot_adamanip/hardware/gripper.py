@@ -1,0 +1,126 @@
+"""A gripper that knows two commands, open and close, in a thread of its own: neither takes a tick of the arm's.
+
+Franka's hand takes 0.5-0.9 s for a command and does not take a second one before: streaming openings to it stops the
+arm's loop. So a command is given only when what is wanted crosses the middle, and only the newest is.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from typing import Protocol
+
+from lerobot_adamanip.errors import RobotError
+
+OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
+"""Opening that is wanted [0 closed, 1 open]: between the two nothing changes."""
+READ_PERIOD = 0.05
+"""Between two looks at the fingers [s]."""
+
+
+class Hand(Protocol):
+    """What opens and closes; calls may take a second. `FrankyHand` is the real one."""
+
+    def open(self) -> None:
+        """Opens as far as it goes."""
+
+    def close(self) -> None:
+        """Closes on what is between the fingers, and holds it."""
+
+    def opening(self) -> float:
+        """Returns the present opening, 0 closed ... 1 open."""
+
+    def stop(self) -> None:
+        """Ends a command under way."""
+
+
+class GripperThread:
+    """Carries out what is wanted, and remembers how far the fingers are open.
+
+    Args:
+        connect: makes the hand, in the thread that will call it.
+    """
+
+    def __init__(self, connect: Callable[[], Hand]) -> None:
+        self._connect = connect
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._ready = threading.Event()
+        self._wanted: bool | None = None
+        self._done: bool | None = None
+        self._opening, self._error = 1.0, ""
+        self.commands = 0
+        self._hand: Hand | None = None
+        self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
+
+    def start(self, time_limit: float = 10.0) -> None:
+        """Connects. Raises `RobotError` if that fails or takes longer than ``time_limit`` [s]."""
+        self._thread.start()
+        if not self._ready.wait(time_limit):
+            raise RobotError(f"The gripper did not connect within {time_limit:g} s.")
+        self.check()
+
+    def want(self, opening: float) -> None:
+        """Takes note of the wanted opening, 0 closed ... 1 open; returns at once."""
+        is_open = self._wanted if self._wanted is not None else self._opening > 0.5
+        if opening > OPEN_ABOVE or opening < CLOSE_BELOW:
+            is_open = opening > OPEN_ABOVE
+        if self._wanted is None and is_open == (self._opening > 0.5):
+            self._done = is_open
+        self._wanted = is_open
+        if self._wanted != self._done:
+            self._wake.set()
+
+    @property
+    def opening(self) -> float:
+        """As it was seen last, 0 closed ... 1 open."""
+        return self._opening
+
+    @property
+    def busy(self) -> bool:
+        """Whether what is wanted is not yet carried out."""
+        return self._wanted is not None and self._wanted != self._done and not self._error
+
+    def check(self) -> None:
+        """Raises `RobotError` if the gripper has failed."""
+        if self._error:
+            raise RobotError(f"The gripper failed: {self._error}")
+
+    def forgive(self) -> None:
+        """Forgets a failure, and what was wanted: the next wish is carried out."""
+        self._error, self._wanted, self._done = "", None, None
+
+    def close(self, time_limit: float = 0.5) -> None:
+        """Ends the thread, waiting at most ``time_limit`` [s]; a command under way is stopped."""
+        self._stopping.set()
+        self._wake.set()
+        if self.busy and self._hand is not None:
+            with contextlib.suppress(Exception):
+                self._hand.stop()
+        if self._thread.is_alive():
+            self._thread.join(time_limit)
+
+    def _run(self) -> None:
+        try:
+            self._hand = self._connect()
+            self._opening = self._hand.opening()
+        except Exception as error:  # of whatever library: told by `check`
+            self._error = f"{type(error).__name__}: {error}"
+        self._ready.set()
+        while not self._stopping.is_set():
+            self._wake.wait(READ_PERIOD)
+            self._wake.clear()
+            if self._hand is None or self._error or self._stopping.is_set():
+                continue
+            try:
+                self._serve(self._hand)
+            except Exception as error:
+                self._error = f"{type(error).__name__}: {error}"
+
+    def _serve(self, hand: Hand) -> None:
+        wanted = self._wanted
+        if wanted is not None and wanted != self._done:
+            self.commands += 1
+            hand.open() if wanted else hand.close()
+            self._done = wanted
+        self._opening = hand.opening()

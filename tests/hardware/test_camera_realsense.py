@@ -1,0 +1,295 @@
+"""The RealSense camera on a stand-in for its SDK, of which the names were checked against pyrealsense2 2.56."""
+
+from __future__ import annotations
+
+import queue
+import time
+from enum import Enum
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot.cameras.realsense import camera_realsense as stock
+from lerobot.cameras.utils import make_cameras_from_configs
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.cameras.adamanip_realsense import AdamanipRealsense
+from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
+
+H, W = 12, 16
+Domain = Enum("Domain", ["hardware_clock", "system_time", "global_time"])
+Model = Enum("Model", ["none", "brown_conrady", "inverse_brown_conrady", "ftheta"])
+
+
+class FakeFrame:
+    def __init__(self, data: Any, number: int, stamp_ms: float, domain: Domain) -> None:
+        self.data, self.number, self.stamp, self.domain = data, number, stamp_ms, domain
+
+    def get_data(self) -> Any:
+        return self.data
+
+    def get_frame_number(self) -> int:
+        return self.number
+
+    def get_timestamp(self) -> float:
+        return self.stamp
+
+    def get_frame_timestamp_domain(self) -> Domain:
+        return self.domain
+
+
+class FakePair:
+    def __init__(self, color: FakeFrame | None, depth: FakeFrame | None) -> None:
+        self.color, self.depth = color, depth
+
+    def get_color_frame(self) -> FakeFrame | None:
+        return self.color
+
+    def get_depth_frame(self) -> FakeFrame | None:
+        return self.depth
+
+
+class FakeProfile:
+    def __init__(self, device: FakeDevice, kind: str) -> None:
+        self.device, self.kind = device, kind
+
+    def as_video_stream_profile(self) -> FakeProfile:
+        return self
+
+    def fps(self) -> int:
+        return 30
+
+    def width(self) -> int:
+        return W
+
+    def height(self) -> int:
+        return H
+
+    def get_intrinsics(self) -> Any:
+        focal = 100.0 if self.kind == "depth" else 200.0
+        return SimpleNamespace(
+            fx=focal,
+            fy=focal + 1,
+            ppx=8.0,
+            ppy=6.0,
+            width=W,
+            height=H,
+            coeffs=[0.1, 0, 0, 0, 0],
+            model=self.device.model,
+        )
+
+    def get_extrinsics_to(self, other: FakeProfile) -> Any:
+        assert (self.kind, other.kind) == ("depth", "color")
+        columns = [0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0]  # a quarter turn about z, by columns
+        return SimpleNamespace(rotation=columns, translation=[0.015, 0.0, 0.001])
+
+
+class FakeDevice:
+    """What is plugged in: frames are put into `pairs`."""
+
+    def __init__(self, scale: float) -> None:
+        self.scale, self.model = scale, Model.brown_conrady
+        self.pairs: queue.Queue[FakePair | Exception] = queue.Queue()
+        self.stopped = 0
+        self.number = 0
+
+    def push(
+        self, counts: int, *, color: bool = True, depth: bool = True, same: bool = False, age: float = 0.0
+    ) -> None:
+        self.number += not same
+        stamp = 1e3 * (time.time() - age)
+        tint = np.full((H, W, 3), self.number % 256, np.uint8)
+        self.pairs.put(
+            FakePair(
+                FakeFrame(tint, self.number, stamp, Domain.global_time) if color else None,
+                FakeFrame(np.full((H, W), counts, np.uint16), self.number, stamp, Domain.global_time)
+                if depth
+                else None,
+            )
+        )
+
+    # the pipeline and its profile
+    def start(self, config: Any) -> FakeDevice:
+        return self
+
+    def stop(self) -> None:
+        self.stopped += 1
+
+    def try_wait_for_frames(self, timeout_ms: int) -> tuple[bool, FakePair | None]:
+        try:
+            found = self.pairs.get(timeout=timeout_ms / 1e3)
+        except queue.Empty:
+            return False, None
+        if isinstance(found, Exception):
+            raise found
+        return True, found
+
+    def get_stream(self, kind: str) -> FakeProfile:
+        return FakeProfile(self, kind)
+
+    def get_device(self) -> FakeDevice:
+        return self
+
+    def first_depth_sensor(self) -> FakeDevice:
+        return self
+
+    def get_depth_scale(self) -> float:
+        return self.scale
+
+
+class FakeConfig:
+    def enable_device(self, serial: str) -> None:
+        assert serial == "123"
+
+    def enable_stream(self, *options: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> FakeDevice:
+    """A D405, which counts depth in 0.1 mm."""
+    device = FakeDevice(0.0001)
+    sdk = SimpleNamespace(
+        pipeline=lambda: device,
+        config=FakeConfig,
+        stream=SimpleNamespace(color="color", depth="depth"),
+        format=SimpleNamespace(rgb8="rgb8", z16="z16"),
+        timestamp_domain=Domain,
+        context=lambda: SimpleNamespace(query_devices=list),
+    )
+    monkeypatch.setattr(stock, "rs", sdk)
+    monkeypatch.setattr(stock, "require_package", lambda *args, **kwargs: None)
+    return device
+
+
+@pytest.fixture
+def camera(device: FakeDevice) -> AdamanipRealsense:
+    made = make_cameras_from_configs({"front": AdamanipRealsenseConfig(serial_number_or_name="123")})["front"]
+    assert isinstance(made, AdamanipRealsense)
+    made.connect(warmup=False)
+    return made
+
+
+def test_depth_is_in_millimetres_whatever_the_camera_counts_in(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    device.push(4567)
+    frame = camera.frame_after(0.0, 5.0)
+    assert frame.depth is not None
+    assert frame.depth.dtype == np.uint16
+    assert (frame.depth == 457).all()
+    assert camera.read_latest_depth(max_age_ms=60_000).shape == (H, W, 1)
+    camera.disconnect()
+    device.scale = 0.001
+    camera.connect(warmup=False)
+    device.push(4567)
+    depth = camera.frame_after(0.0, 5.0).depth
+    assert depth is not None
+    assert (depth == 4567).all()
+    device.scale = 0.1  # what cannot be told in millimetres of 16 bits is not seen
+    camera.disconnect()
+    camera.connect(warmup=False)
+    device.push(4567)
+    depth = camera.frame_after(0.0, 5.0).depth
+    assert depth is not None
+    assert (depth == 0).all()
+    camera.disconnect()
+
+
+def test_the_stamp_is_the_exposure_not_the_arrival(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    before = time.perf_counter()
+    device.push(1000, age=0.2)
+    frame = camera.frame_after(0.0, 5.0)
+    assert frame.arrival >= before
+    assert before - 0.2 - 0.02 <= frame.stamp <= before - 0.2 + 0.02
+    camera.disconnect()
+
+
+def test_a_clock_that_was_set_stamps_by_arrival(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    for age in (3600.0, -3600.0):
+        device.push(1000, age=age)
+        frame = camera.frame_after(time.perf_counter() - 0.001, 5.0)
+        assert frame.stamp == frame.arrival
+    camera.disconnect()
+
+
+def test_half_a_pair_and_a_repeated_exposure_are_dropped(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    device.push(1000)
+    first = camera.frame_after(0.0, 5.0)
+    device.push(2000, depth=False)
+    device.push(3000, color=False)
+    device.push(4000, same=True)  # still number 3, the one that lost its colour
+    device.push(9990)
+    frame = camera.frame_after(first.stamp, 5.0)
+    while frame.depth is not None and frame.depth[0, 0] != 999:
+        frame = camera.frame_after(frame.stamp, 5.0)
+    assert frame.color is not None
+    assert frame.color[0, 0, 0] == frame.number == 4
+    assert camera.dropped == 2
+    device.push(5000, same=True)
+    with pytest.raises(RobotError, match="Camera 123: It is frozen"):
+        camera.frame_after(frame.stamp, 0.5)
+    assert camera.dropped == 3
+    camera.disconnect()
+
+
+def test_a_camera_that_is_pulled_out_is_named(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    device.push(1000)
+    frame = camera.frame_after(0.0, 5.0)
+    device.pairs.put(RuntimeError("Device disconnected"))
+    with pytest.raises(RobotError, match=r"Camera 123: It has failed[\s\S]*Device disconnected"):
+        camera.frame_after(frame.stamp, 10.0)
+    camera.disconnect()
+    assert device.stopped == 1
+    assert not camera.is_connected
+
+
+def test_frames_are_copies_of_what_the_sdk_reuses(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    device.scale = 0.001
+    camera.disconnect()
+    camera.connect(warmup=False)
+    shared = np.full((H, W), 700, np.uint16)
+    stamp = 1e3 * time.time()
+    device.pairs.put(
+        FakePair(
+            FakeFrame(np.zeros((H, W, 3), np.uint8), 1, stamp, Domain.global_time),
+            FakeFrame(shared, 1, stamp, Domain.global_time),
+        )
+    )
+    frame = camera.frame_after(0.0, 5.0)
+    shared[:] = 0
+    assert frame.depth is not None
+    assert (frame.depth == 700).all()
+    camera.disconnect()
+
+
+def test_intrinsics_and_extrinsics_are_opencvs(camera: AdamanipRealsense, device: FakeDevice) -> None:
+    depth, color = camera.depth_intrinsics(), camera.color_intrinsics()
+    assert (depth.matrix[0, 0], depth.matrix[1, 1], color.matrix[0, 0]) == (100, 101, 200)
+    assert (depth.matrix[0, 2], depth.matrix[1, 2], depth.width, depth.height) == (8, 6, W, H)
+    assert depth.distortion[0] == pytest.approx(0.1)
+    pose = camera.depth_in_color()
+    assert pose is not None
+    assert pose @ [1.0, 0.0, 0.0, 1.0] == pytest.approx([0.015, 1.0, 0.001, 1.0])
+    device.model = Model.ftheta
+    with pytest.raises(RobotError, match="no pinhole"):
+        camera.depth_intrinsics()
+    camera.disconnect()
+    with pytest.raises(RobotError, match="not connected"):
+        camera.depth_intrinsics()
+
+
+def test_connecting_tries_again_and_says_which_camera_gave_nothing(
+    device: FakeDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resets: list[int] = []
+    monkeypatch.setattr(AdamanipRealsense, "_hardware_reset", lambda self: resets.append(1))
+    monkeypatch.setattr(AdamanipRealsense, "frame_after", _nothing)
+    camera = AdamanipRealsense(AdamanipRealsenseConfig(serial_number_or_name="123"))
+    with pytest.raises(RobotError, match="Camera 123: It cannot be opened"):
+        camera.connect()
+    assert (device.stopped, len(resets)) == (3, 1)
+    assert not camera.is_connected
+
+
+def _nothing(self: AdamanipRealsense, stamp: float, timeout: float) -> None:
+    raise self._error("It is frozen.", "no new frame", "frames")
