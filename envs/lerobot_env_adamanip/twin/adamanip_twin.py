@@ -67,6 +67,10 @@ class AdamanipTwin(ThreadedCamera):
         if self._lockstep and self.is_connected:
             self._look_anew(force=False)
 
+    def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
+        """As of every camera; in lockstep, of this step, however long ago that was."""
+        return super().latest_frame(float("inf") if self._lockstep and self.is_connected else max_age)
+
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
         """As of every camera; in lockstep it is taken now."""
         if self._lockstep and self.is_connected:
@@ -119,11 +123,13 @@ class AdamanipTwin(ThreadedCamera):
             raise RobotError("The twin has taken no picture.")
         frame = unpack_frame(found[1])
         arrival = time.perf_counter()
-        # In lockstep nothing has happened since: what is seen is what is.
-        seen = frame.arrived(arrival)
-        stamp = arrival if self._lockstep else seen.stamp
-        color = seen.color if self.use_rgb else None
-        return Frame(stamp, arrival, color, seen.depth if self.use_depth else None, seen.number)
+        color, depth = frame.color if self.use_rgb else None, frame.depth if self.use_depth else None
+        return Frame(self._stamp(frame.stamp), arrival, color, depth, frame.number)
+
+    def _stamp(self, taken: float) -> float:
+        """In lockstep a picture shows the state that was told last, and is as old as that."""
+        reading = self._client.status().reading if self._lockstep and self._client is not None else None
+        return taken if reading is None else reading.stamp
 
     def _close(self) -> None:
         self._seen_at = None

@@ -16,6 +16,8 @@ PIXEL_BYTES = 5
 """Three of colour and two of depth."""
 FRONT_FRAMES = "front"
 """Mailbox of the front camera's frames."""
+SUCCESS_BOX = "success"
+"""Mailbox of one byte: whether the episode's task is done."""
 
 
 @dataclass(frozen=True)

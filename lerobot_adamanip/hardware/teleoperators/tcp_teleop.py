@@ -109,8 +109,10 @@ class TcpTeleop(Teleoperator):  # type: ignore[misc]
         now = self._clock()
         dt = self._passed(session, now)
         self._called = now
-        if not self._anchored(session, reading):
-            return _named(pose_vector(reading.tcp_in_base, reading.gripper))
+        if self._filter is None:
+            if not self._anchored(session, reading):
+                return _named(pose_vector(reading.tcp_in_base, reading.gripper))
+            dt = 0.0  # the robot, too, counts no time before its first target: both filters go on in step
         return _named(self._advance(session, reading, dt))
 
     # The goal --------------------------------------------------------------------------------------------------------
@@ -150,7 +152,7 @@ class TcpTeleop(Teleoperator):  # type: ignore[misc]
         return float(step) if step is not None else min(dt, FORGOTTEN)
 
     def _anchored(self, session: RobotSession, reading: ArmReading) -> bool:
-        if self._filter is None and reading.stamp > self._anchored_after:
+        if reading.stamp > self._anchored_after:
             self._anchor(session, reading)
         return self._filter is not None
 

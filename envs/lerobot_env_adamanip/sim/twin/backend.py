@@ -18,7 +18,7 @@ from lerobot_env_adamanip.sim.twin.pictures import TwinEye
 from lerobot_env_adamanip.sim.twin.scene import TwinScene
 from lerobot_env_adamanip.sim.twin.stepped import SteppedMotion
 from lerobot_env_adamanip.twin.annotations import annotations_json
-from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, TwinFrame, pack_frame
+from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, TwinFrame, pack_frame
 
 TICK = 0.02
 """One control tick of the simulation [s]."""
@@ -26,8 +26,6 @@ MOST_TICKS = 10
 """Ticks that are made up for at once after a picture, or where the machine is slow; beyond that, time is lost."""
 MOVING = 0.01
 """Joints slower than this rest [rad/s]."""
-SUCCESS_BOX = "success"
-"""Mailbox of one byte: whether the episode's task is done."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,8 +177,10 @@ class SapienBackend:
         self._eye, self._outcome, self._streaming = None, None, False
         self._success = False
         self._publish_success()
-        self._ticked = time.perf_counter()
         self._seed = seed
+        if self._frames:  # whoever looks will look again: the scene is made ready to be seen
+            self._camera().take()
+        self._ticked = time.perf_counter()
         return self.describe()
 
     def describe(self) -> dict[str, Any]:
