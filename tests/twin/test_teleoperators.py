@@ -1,4 +1,4 @@
-"""Teleoperators of one tool goal, through fake devices: integration, anchors, clutch, time, and what SDKs really say."""
+"""Teleoperators of one tool goal, through fake devices: integration, anchors, clutch, time, what SDKs really say."""
 
 from __future__ import annotations
 

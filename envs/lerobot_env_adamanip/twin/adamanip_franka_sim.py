@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import OPERATOR_SUCCESS, RESET_WANTED
+from lerobot_adamanip.schema import POSE_NAMES
 from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity
@@ -39,6 +41,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     def __init__(self, config: AdamanipFrankaSimConfig) -> None:
         super().__init__(config)
         self._seed, self._moved = config.seed, False
+        self._key_frames, self._over = 0, False
 
     # Life ------------------------------------------------------------------------------------------------------------
 
@@ -69,6 +72,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
         super()._open_session(limits, details)
         self._seed, self._moved = self.config.seed, False
+        self._key_frames, self._over = 0, False
         self._calibrated(details)
         assert self._client is not None
         for camera in self.cameras.values():
@@ -105,17 +109,30 @@ class AdamanipFrankaSim(AdamanipFranka):
         return super().get_observation()
 
     def _scalars(self, reading: ArmReading) -> dict[str, float]:
-        assert self._client is not None
-        found = self._client.frame(SUCCESS_BOX)
-        self._session.details[SUCCESS] = found is not None and found[1] == b"\x01"
+        self._session.details[SUCCESS] = self._succeeded()
         if self.config.clock == "lockstep":  # equal steps give equal data
             reading = replace(reading, stamp=self._connected_at + reading.robot_time)
         return super()._scalars(reading)
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """As of every robot."""
+        """As of every robot; an episode of key frames that is over executes nothing more, see ``max_key_frames``."""
+        if self._over:
+            sent = self._session.sent
+            assert sent is not None
+            return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
         self._moved = True
-        return super().send_action(action)
+        sent_by_name: dict[str, float] = super().send_action(action)
+        if self.config.execution == "keyframe":
+            self._key_frames += 1
+            self._over = self._succeeded() or self._key_frames >= self.config.max_key_frames
+            if self._over and self.config.end_when_done:
+                signal.raise_signal(signal.SIGINT)
+        return sent_by_name
+
+    def _succeeded(self) -> bool:
+        assert self._client is not None
+        found = self._client.frame(SUCCESS_BOX)
+        return found is not None and found[1] == b"\x01"
 
     # Episodes --------------------------------------------------------------------------------------------------------
 
@@ -134,6 +151,7 @@ class AdamanipFrankaSim(AdamanipFranka):
         self._calibrated(told)
         self._motion.anchor()
         self._seed, self._moved = seed, False
+        self._key_frames, self._over = 0, False
 
     def begin_episode(self, index: int) -> None:
         """Puts up the scene of episode ``index``, unless it stands there untouched."""

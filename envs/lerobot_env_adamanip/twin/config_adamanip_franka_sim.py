@@ -10,7 +10,7 @@ from lerobot.robots.config import RobotConfig
 from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.schema import IMAGE_SIZE
+from lerobot_adamanip.schema import IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
 
 CLOCKS = ("realtime", "lockstep")
@@ -75,6 +75,12 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
 
     episode_log: str | None = None
     """JSON lines, one per episode, with success and what was hidden; a recording writes one beside its dataset."""
+
+    max_key_frames: int = MAX_KEY_FRAMES
+    """Under execution=keyframe the episode is over after so many, or with success; what comes then is not executed."""
+
+    end_when_done: bool = False
+    """End the command, as Ctrl-C does, when such an episode is over: a roll-out would go on for ever."""
 
     box_lower: tuple[float, float, float] | None = (-0.3, -1.0, -0.2)
     """Nothing here breaks: the box holds all that the arm reaches."""
