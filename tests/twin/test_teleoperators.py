@@ -202,6 +202,8 @@ def test_in_lockstep_steps_are_the_time_and_not_the_clock(robot: Robot, clock: C
     call(teleop, robot)
     stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
     assert call(teleop, robot)[0] - 0.5 == pytest.approx(0.1 * 0.01, abs=1e-6)
+    clock.now += 60.0  # a slow machine
+    assert call(teleop, robot)[0] - 0.5 == pytest.approx(2 * 0.1 * 0.01, abs=1e-6)
 
 
 def test_the_gripper_toggles_and_keys_reach_the_robot(robot: Robot, clock: Clock) -> None:

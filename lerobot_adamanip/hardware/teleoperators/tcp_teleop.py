@@ -30,7 +30,7 @@ OPERATOR_SUCCESS, RESET_WANTED = "operator_success", "reset_wanted"
 """Details that a teleoperator sets for the robot: the task is done; a twin's scene is wanted anew."""
 
 
-class TcpTeleop(Teleoperator):  # type: ignore[misc]
+class TcpTeleop(Teleoperator):
     """Drives one absolute tool goal. What it returns has passed the robot's `SafetyFilter`, which changes it no more.
 
     The goal begins at the measured pose of the first reading that is newer than the latest reset, and does so again
@@ -141,15 +141,15 @@ class TcpTeleop(Teleoperator):  # type: ignore[misc]
 
     def _passed(self, session: RobotSession, now: float) -> float:
         """Returns the time since the last call [s]; anchors anew where it was long, or an episode has begun."""
-        dt = now - self._called
+        step = session.details.get(LOCKSTEP_DT)
+        dt = now - self._called if step is None else float(step)  # where time passes by steps, no call is late
         begun = session is not self._session or session.episodes != self._episode
         if begun or dt > FORGOTTEN:
             self._session, self._episode = session, session.episodes
             self._filter = None
             self._anchored_after = float("-inf") if begun else self._anchored_after
             self._begin(session, new_episode=begun)
-        step = session.details.get(LOCKSTEP_DT)
-        return float(step) if step is not None else min(dt, FORGOTTEN)
+        return min(dt, FORGOTTEN)
 
     def _anchored(self, session: RobotSession, reading: ArmReading) -> bool:
         if reading.stamp > self._anchored_after:
