@@ -50,8 +50,14 @@ def end_episode() -> bool:
 
 
 def loop_hash(loop: Callable[..., Any]) -> str:
-    """Returns a short hash of a function's source, that of the function which its decorators wrap."""
-    return hashlib.sha256(inspect.getsource(inspect.unwrap(loop)).encode()).hexdigest()[:16]
+    """Returns a short hash of the source of a loop, that of the function which its decorators wrap."""
+    return hashlib.sha256(inspect.getsource(undecorated(loop)).encode()).hexdigest()[:16]
+
+
+def undecorated(loop: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns the function that a decorator wraps; LeRobot's own does not say which, but holds it as ``func``."""
+    held = inspect.getclosurevars(loop).nonlocals.get("func") if inspect.isfunction(loop) else None
+    return undecorated(held) if callable(held) else inspect.unwrap(loop)
 
 
 def apply() -> bool:
@@ -71,7 +77,7 @@ def apply() -> bool:
 
 def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
     """Returns LeRobot's loop with events around it: see `EpisodicRobot` and `RobotSession.episodes`."""
-    signature = inspect.signature(stock)
+    signature = inspect.signature(undecorated(stock))
 
     @functools.wraps(stock)
     def record_loop(*args: Any, **kwargs: Any) -> Any:

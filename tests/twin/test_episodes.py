@@ -47,6 +47,21 @@ def session() -> Iterator[RobotSession]:
     BOARD.close("twin")
 
 
+def test_a_decorator_that_hides_its_function_hides_nothing(session: RobotSession) -> None:
+    """As LeRobot's does."""
+
+    def decorated(func: Any) -> Any:
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            return func(*args, **kwargs)
+
+        return wrapper
+
+    robot = Twin()
+    assert lerobot_episodes.undecorated(decorated(loop)) is loop
+    lerobot_episodes.telling(decorated(loop))(robot, {}, 30, dataset=Dataset())
+    assert robot.told[0] == ("begin", 7)
+
+
 def test_an_episode_is_begun_and_ended_around_the_loop(session: RobotSession) -> None:
     robot = Twin()
     told = lerobot_episodes.telling(loop)
@@ -96,7 +111,8 @@ def test_lerobots_recorder_is_the_one_that_was_tested() -> None:
     import lerobot
     from lerobot.scripts import lerobot_record
 
-    stock = inspect.unwrap(lerobot_record.record_loop)
+    stock = lerobot_episodes.undecorated(lerobot_record.record_loop)
+    assert stock.__name__ == lerobot_episodes.LOOP
     assert lerobot_episodes.loop_hash(stock) == lerobot_episodes.TESTED[lerobot.__version__]
     assert {"robot", "events", "dataset"} <= set(inspect.signature(stock).parameters)
 
