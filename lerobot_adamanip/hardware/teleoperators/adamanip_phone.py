@@ -61,7 +61,8 @@ class AdamanipPhone(TcpTeleop):
         make: Callable[[AdamanipPhoneConfig], Any] = lerobot_phone,
     ) -> None:
         super().__init__(config, clock)
-        self._make, self._phone = make, None
+        self._make = make
+        self._phone: Any = None
         self._last: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def _open(self) -> None:
@@ -77,7 +78,6 @@ class AdamanipPhone(TcpTeleop):
         self._last = None
 
     def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
-        assert self._phone is not None
         assert self._filter is not None
         told = self._phone.get_action()
         sent = self._filter.last
