@@ -13,6 +13,10 @@ if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import AdamanipK4aConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
+    from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
+    from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
+    from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
+    from lerobot_adamanip.hardware.teleoperators.config_adamanip_spacemouse import AdamanipSpacemouseConfig
     from lerobot_env_adamanip.config import (
         AdaManipBottleEnvConfig,
         AdaManipCoffeeMakerEnvConfig,
@@ -26,10 +30,20 @@ if not os.environ.get(NO_PLUGIN):
         AdaManipWindowEnvConfig,
     )
     from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
+    from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+    from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
+    from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
     from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
     from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
     from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
+
+    _recorder = "lerobot.scripts.lerobot_record"
+    if _recorder in sys.modules or getattr(sys.modules["__main__"].__spec__, "name", None) == _recorder:
+        # Its loop tells robots and teleoperators of episodes then, in LeRobots that this was tested with.
+        from lerobot_adamanip import lerobot_episodes
+
+        lerobot_episodes.apply()
 
     if "lerobot.datasets.lerobot_dataset" in sys.modules:
         # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
@@ -54,8 +68,15 @@ __all__ = [
     "AdaManipWindowEnvConfig",
     "AdamanipFrankaConfig",
     "AdamanipK4aConfig",
+    "AdamanipFrankaSimConfig",
+    "AdamanipGamepadConfig",
+    "AdamanipKeyboardConfig",
+    "AdamanipPhoneConfig",
     "AdamanipRealsenseConfig",
     "AdamanipReplayConfig",
+    "AdamanipScriptedConfig",
+    "AdamanipSpacemouseConfig",
+    "AdamanipTwinConfig",
     "DP3AdaptiveConfig",
     "SamplingConfig",
     "VatMartConfig",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, SharedMailboxes
@@ -114,6 +116,7 @@ class ArmClient:
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(), self._boxes.descriptor),
                 start_new_session=True,
+                env={**os.environ, NO_PLUGIN: "1"},  # it needs none of LeRobot, which takes seconds to import
             )
         self._connection = Connection(ours.detach())
 

@@ -1,0 +1,231 @@
+"""The simulated arm behind the protocol of a real one, in one of this project's scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
+from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_env_adamanip.sim.twin.pictures import TwinEye
+from lerobot_env_adamanip.sim.twin.scene import TwinScene
+from lerobot_env_adamanip.sim.twin.stepped import SteppedMotion
+from lerobot_env_adamanip.twin.annotations import annotations_json
+from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, TwinFrame, pack_frame
+
+TICK = 0.02
+"""One control tick of the simulation [s]."""
+MOST_TICKS = 10
+"""Ticks that are made up for at once after a picture, or where the machine is slow; beyond that, time is lost."""
+MOVING = 0.01
+"""Joints slower than this rest [rad/s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TwinOptions:
+    """What the twin's process is told.
+
+    Attributes:
+        environment: the scenes.
+        seed: of the first episode.
+        image_size: side of colour and depth [px].
+        depth_source: ``render``, or ``raycast``, where colours are missing.
+        lockstep: whether time passes by steps alone; else ticks follow the clock of the machine.
+    """
+
+    environment: EnvironmentOptions
+    seed: int = 0
+    image_size: int = 256
+    depth_source: str = "render"
+    lockstep: bool = False
+
+
+class SapienBackend:
+    """Drives the arm of a `TwinScene`; implements `lerobot_adamanip.hardware.arm.ArmBackend`.
+
+    Key frames are `KeyframeDriver.execute`, as `lerobot-eval` runs them, in slices of a tick. Nothing here ends an
+    episode: whoever drives asks for `reset`.
+
+    Args:
+        options: see `TwinOptions`.
+        boxes: mailboxes of frames and success; those that are missing are not filled.
+    """
+
+    def __init__(self, options: TwinOptions, boxes: Mapping[str, Mailbox] | None = None) -> None:
+        self._options, self._boxes = options, boxes or {}
+        self._scene = TwinScene(options=options.environment.changed(observe_images=False))
+        self._eye: TwinEye | None = None
+        self._motion: SteppedMotion | None = None
+        self._outcome: Outcome | None = None
+        self._time, self._ticked = 0.0, time.perf_counter()
+        self._success, self._frames, self._seed = False, 0, options.seed
+        self._connected = self._streaming = False
+
+    @property
+    def period(self) -> float:
+        """Seconds between two calls of `tick`."""
+        return TICK
+
+    # Life ------------------------------------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Starts the simulator with the scene of the first seed; raises what `KeyframeEnv.reset` does."""
+        self._connected = True
+        self.reset({"seed": self._options.seed})
+
+    def close(self) -> None:
+        """Ends the simulator; idempotent."""
+        if self._connected:
+            self._connected = False
+            self._abort()
+            self._scene.close()
+
+    # Time ------------------------------------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Advances by a tick; by real time, by as many as have passed since the last one."""
+        now = time.perf_counter()
+        due = 1 if self._options.lockstep else round((now - self._ticked) / TICK)
+        for _ in range(max(1, min(due, MOST_TICKS))):
+            self._tick()
+        self._ticked = now if due > MOST_TICKS else self._ticked + max(1, due) * TICK
+
+    def _tick(self) -> None:
+        scene = self._scene
+        before = scene.ticks
+        if self._motion is not None:
+            if self._motion.step():
+                self._motion, self._outcome = None, scene.feedback.outcome
+                self._succeed(scene.episode_success)
+        else:
+            scene.driver.stream_tick()
+            self._succeed(scene.task_simulation.succeeded())
+        # A motion ends in the slice after its last tick: time stands still for it, and the arm's clock must not.
+        self._time += max(1, scene.ticks - before) * TICK
+
+    def read(self) -> ArmReading:
+        """Returns the state at the end of the latest tick. The stamp is this machine's time, whatever the clock."""
+        scene = self._scene
+        felt, joints = scene.felt(), scene.task_simulation.arm_state()
+        moves = self._motion is not None or bool(np.abs(joints.qvel).max() > MOVING)
+        return ArmReading(
+            stamp=time.perf_counter() if self._options.lockstep else min(self._ticked, time.perf_counter()),
+            robot_time=self._time,
+            tcp_in_base=felt.tcp_in_base,
+            gripper=float(np.clip(felt.gripper, 0.0, 1.0)),
+            qpos=joints.qpos,
+            qvel=joints.qvel,
+            effort=scene.driver.effort.copy(),
+            mode=ArmMode.MOVING if moves else ArmMode.IDLE,
+            outcome=None if self._motion is not None else self._outcome,
+        )
+
+    # Motion ----------------------------------------------------------------------------------------------------------
+
+    def stream(self, target: ArmTarget) -> None:
+        """Replaces the target of the stream; a key frame under way is given up."""
+        self._abort()
+        self._outcome, self._streaming = None, True
+        self._scene.driver.follow_target(target.pose)
+
+    def begin_keyframe(self, target: ArmTarget) -> None:
+        """Begins a key frame from where the arm is."""
+        self._abort()
+        if self._streaming:
+            self._scene.driver.end_stream()
+        self._outcome, self._streaming = None, False
+        pose = target.pose
+        self._motion = SteppedMotion(lambda: self._scene.drive(pose))
+        self._scene.after_tick = self._motion.pause
+
+    def stop(self) -> None:
+        """Decelerates; the arm holds where it comes to rest."""
+        self._abort()
+        self._streaming = True
+        self._scene.driver.hold()
+
+    def recover(self) -> None:
+        """There is nothing to clear."""
+
+    def _abort(self) -> None:
+        motion, self._motion, self._scene.after_tick = self._motion, None, None
+        if motion is not None:
+            motion.abort()
+            self._scene.driver.break_off()
+
+    # What a twin answers beside that ---------------------------------------------------------------------------------
+
+    def reset(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Puts up the scene of ``seed``; returns what a robot may know of it: see `describe`.
+
+        Raises:
+            ValueError: there is no such seed.
+            AdaManipError: what `KeyframeEnv.reset` raises.
+        """
+        seed = values.get("seed")
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
+            raise ValueError(f"seed is {seed!r}, not a whole number, 0 ... 2147483647")
+        self._abort()
+        self._scene.reset(seed=seed)
+        self._eye, self._outcome, self._streaming = None, None, False
+        self._success = False
+        self._publish_success()
+        self._seed = seed
+        if self._frames:  # whoever looks will look again: the scene is made ready to be seen
+            self._camera().take()
+        self._ticked = time.perf_counter()
+        return self.describe()
+
+    def describe(self) -> dict[str, Any]:
+        """Returns seed, object, task, annotated parts and camera of the episode: nothing hidden."""
+        scene = self._scene
+        return {
+            "seed": self._seed,
+            "category": scene.category,
+            "object_id": scene.task_simulation.obj.object_id,
+            "task": scene.task_description,
+            "mechanism_preset": scene.options.mechanism_preset,
+            "annotations": annotations_json(scene.annotations),
+            "camera": self._camera().parameters(),
+        }
+
+    def look(self, _: dict[str, Any]) -> dict[str, Any]:
+        """Takes a picture of this moment into the mailbox of frames; returns its number."""
+        if FRONT_FRAMES not in self._boxes:
+            raise RobotError("The twin was started without a camera.")
+        taken = time.perf_counter()
+        color, depth = self._camera().take()
+        self._frames += 1
+        self._boxes[FRONT_FRAMES].write(pack_frame(TwinFrame(taken, self._frames, color, depth)))
+        return {"number": self._frames}
+
+    def _camera(self) -> TwinEye:
+        if self._eye is None:
+            self._eye = self._scene.eye(self._options.image_size, self._options.depth_source)
+        return self._eye
+
+    def episode(self, _: dict[str, Any]) -> dict[str, Any]:
+        """Returns how the episode stands, with what is hidden: for logs, never for features."""
+        scene = self._scene
+        return {
+            **scene.episode_record(),
+            "success": self._success,
+            "given_seed": self._seed,
+            "seconds": round(scene.ticks * TICK, 6),
+        }
+
+    def _succeed(self, done: bool) -> None:
+        if done and not self._success:
+            self._success = True
+            self._publish_success()
+
+    def _publish_success(self) -> None:
+        if SUCCESS_BOX in self._boxes:
+            self._boxes[SUCCESS_BOX].write(bytes([self._success]))

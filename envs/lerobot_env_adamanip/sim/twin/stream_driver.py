@@ -1,0 +1,192 @@
+"""Streaming: the newest target wins, tick by tick, and what blocks the hand stalls it. Key frames stay as they are."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.keyframes import Feedback, Outcome
+from lerobot_adamanip.rotations import matrix_from_rotation_vector
+from lerobot_env_adamanip.sim.keyframe_driver import (
+    FINGER_HALF,
+    LEANING_SPEED,
+    MOVED_POSITION,
+    MOVED_ROTATION,
+    PATH_TOLERANCE,
+    KeyframeDriver,
+)
+from lerobot_env_adamanip.sim.kinematics import pose_error
+
+Array = NDArray[np.float64]
+
+SETTLING = 0.06
+"""Time in which the commanded pose closes in on the target [s]: what lies between two of 30 a second is smoothed."""
+BRAKING = 0.8
+"""Share of the acceleration with which a target is run up to: ticks are not infinitely short."""
+FOLLOWS = 0.2
+"""A commanded pose that covers less of its way than this, for as long as a stall takes, has come to a joint's end."""
+CLOSES = 5e-3
+"""A finger target that falls by more than this closes the hand [m]."""
+
+
+class StreamDriver(KeyframeDriver):
+    """A `KeyframeDriver` that can also follow a stream of targets, one control tick at a time.
+
+    The commanded pose runs after the target within the speeds and accelerations of a key frame. The drives are springs:
+    where the tool lags as far behind as a stall is, for as long as a stall takes, the commanded pose only moves where
+    that lag does not grow, so that a blocked pull is held at some 30 N and given up by moving the target back.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._slot: tuple[Array, float] | None = None
+        self._velocity: Array = np.zeros(6)
+        self._holding = False
+        self._closing_left = self._stuck = 0
+        self._gripped_at: Array | None = None
+        self.stalled = False
+        """Whether the tool leans against something that the target lies behind."""
+        self.unreachable = False
+        """Whether the arm cannot follow the target any farther."""
+
+    def follow_target(self, action: NDArray[np.float32]) -> None:
+        """Makes a (10,) action of the contract the target; it is approached by `stream_tick`.
+
+        Raises:
+            ConfigurationError: the action has the wrong shape, or is not finite.
+        """
+        goal, gripper = self._checked(action)
+        if self._slot is None:
+            self._begin_stream()
+        finger_goal = self._finger_goal(gripper)
+        if finger_goal < self._finger_target - CLOSES:
+            self._closing_left, self._gripped_at = self.limits.grip_ticks, None
+        self._finger_target = finger_goal
+        self._slot = self.goal = (goal, gripper)
+        self._holding = False
+
+    def hold(self) -> None:
+        """Gives the target up: the arm decelerates and stays where it comes to rest; the fingers go on."""
+        self._holding = True
+
+    def stream_tick(self) -> None:
+        """One control tick towards the target; without one the arm holds where it is."""
+        before = self.kinematics.tcp_in_base(self._target)
+        goal = before if self._slot is None or self._holding else self._slot[0]
+        self._grip(goal, before)
+        lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), before)
+        waypoint, velocity = self._next(before, goal)
+        if self.stalled and self._farther(waypoint, lag):
+            waypoint, velocity = before, np.zeros(6)
+        self._velocity = velocity
+        self.stalled = self._advance(self._posture(waypoint, before) if velocity.any() else self._target)
+        self.effort = self._torque(self._read())
+        self.feedback = self._feedback(None)
+
+    def end_stream(self) -> None:
+        """Forgets the target: the next one, or a key frame, begins from where the arm is."""
+        self._leans = self.stalled and bool(np.abs(self._read().qvel).max() < LEANING_SPEED)
+        self._slot, self._gripped_at, self._closing_left, self._stuck = None, None, 0, 0
+        self._holding = False
+        self._velocity, self.stalled, self.unreachable = np.zeros(6), False, False
+        self.closing = self.moving_closed = False
+
+    def break_off(self) -> None:
+        """After a key frame that was given up on its way: the arm decelerates from the speed it has."""
+        state = self._read()
+        self.end_stream()
+        self._leans = False
+        turn = self.kinematics.tcp_in_base(state.qpos)[:3, :3]
+        twist = self.kinematics.body_jacobian(state.qpos) @ state.qvel
+        self._velocity = np.concatenate([turn @ twist[:3], twist[3:]])
+
+    @property
+    def stream_outcome(self) -> Outcome | None:
+        """How it stands with the target: stalled, out of reach, or neither."""
+        return Outcome.STALLED if self.stalled else Outcome.UNREACHABLE if self.unreachable else None
+
+    def measured(self) -> Feedback:
+        """Returns pose and gripper as they are measured now, without an outcome."""
+        return self._feedback(None)
+
+    def _begin_stream(self) -> None:
+        if self._leans:  # a key frame that has stalled ends under strain
+            self._target, self._leans = self._read().qpos.copy(), False
+        self._strained = 0
+        if self._finger_target < FINGER_HALF:
+            self._gripped_at = self.kinematics.tcp_in_base(self._target)
+
+    def _grip(self, goal: Array, commanded: Array) -> None:
+        """Tells the mechanism whether the hand only closes, or is closed and sent somewhere; see `MechanismDriver`."""
+        limits, closed = self.limits, self._finger_target < FINGER_HALF
+        if self._closing_left:
+            self.closing = _near(goal, commanded, limits.reached_position, limits.reached_rotation)
+            self._closing_left -= 1
+        else:
+            self.closing = False
+            if closed and self._gripped_at is None:
+                self._gripped_at = commanded
+            elif not closed:
+                self._gripped_at = None
+        gripped = self._gripped_at
+        self.moving_closed = gripped is not None and not _near(goal, gripped, MOVED_POSITION, MOVED_ROTATION)
+
+    def _next(self, commanded: Array, goal: Array) -> tuple[Array, Array]:
+        """Returns the commanded pose (4, 4) one tick on, and its velocity (6,): [m/s, base frame], [rad/s, tool's]."""
+        limits, left = self.limits, pose_error(commanded, goal)
+        left[:3] = goal[:3, 3] - commanded[:3, 3]
+        velocity = np.empty(6)
+        for part, speed, acceleration in (
+            (slice(0, 3), limits.linear_speed, limits.linear_acceleration),
+            (slice(3, 6), limits.angular_speed, limits.angular_acceleration),
+        ):
+            distance = math.sqrt(float(left[part] @ left[part]))
+            wanted = min(speed, _braking_speed(distance, BRAKING * acceleration))
+            aim = left[part] * (wanted / distance) if distance > 0 else np.zeros(3)
+            velocity[part] = _bounded_change(self._velocity[part], aim, acceleration * self._dt)
+        waypoint = commanded.copy()
+        waypoint[:3, 3] += velocity[:3] * self._dt
+        waypoint[:3, :3] = commanded[:3, :3] @ matrix_from_rotation_vector(velocity[3:] * self._dt)
+        return waypoint, velocity
+
+    def _farther(self, waypoint: Array, lag: Array) -> bool:
+        """Whether the tool would lag farther behind ``waypoint`` (4, 4) than by ``lag`` (6,), in what it strains at."""
+        ahead, limits = pose_error(self.kinematics.tcp_in_base(self._read().qpos), waypoint), self.limits
+        far = [np.linalg.norm(each[:3]) / limits.stall_position for each in (ahead, lag)]
+        turned = [np.linalg.norm(each[3:]) / limits.stall_rotation for each in (ahead, lag)]
+        return bool(max(far[0], turned[0]) > max(far[1], turned[1]))
+
+    def _posture(self, waypoint: Array, commanded: Array) -> Array:
+        """Returns the joint positions (7,) [rad] of a commanded pose; the present ones where there are none near it."""
+        solution = self.kinematics.solve(waypoint, self._target, iterations=15, tolerance=PATH_TOLERANCE)
+        if not solution.within(5e-3, 0.03):
+            solution = self.kinematics.solve(waypoint, self._target, iterations=80)
+        follows = solution.within(0.01, 0.06)
+        wanted, got = (pose_error(commanded, each) for each in (waypoint, self.kinematics.tcp_in_base(solution.qpos)))
+        self._stuck = self._stuck + 1 if not follows or got @ wanted < FOLLOWS * (wanted @ wanted) else 0
+        self.unreachable = self._stuck >= self.limits.stall_ticks
+        if not follows:
+            self._velocity = np.zeros(6)
+        return solution.qpos if follows else self._target
+
+
+def _near(goal: Array, other: Array, position: float, rotation: float) -> bool:
+    error = pose_error(other, goal)
+    return bool(np.linalg.norm(error[:3]) < position and np.linalg.norm(error[3:]) < rotation)
+
+
+def _braking_speed(distance: float, deceleration: float) -> float:
+    """Returns the speed from which one comes to rest ``distance`` on: constant deceleration, and gently at the end."""
+    gentle = deceleration * SETTLING**2
+    if distance < gentle:
+        return distance / SETTLING
+    return math.sqrt(2 * deceleration * (distance - gentle / 2))
+
+
+def _bounded_change(velocity: Array, wanted: Array, most: float) -> Array:
+    change = wanted - velocity
+    size = math.sqrt(float(change @ change))
+    return wanted if size <= most else velocity + change * (most / size)

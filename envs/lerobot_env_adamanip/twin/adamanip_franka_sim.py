@@ -1,0 +1,179 @@
+"""The robot `adamanip_franka_sim`: the class of the real one, with a simulator as the arm's process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import SUCCESS, AdamanipFranka
+from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.safety import SafetyLimits
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import OPERATOR_SUCCESS, RESET_WANTED
+from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin
+from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity
+
+TWIN_PROCESS = "lerobot_env_adamanip.sim.twin"
+START_TIME, RESET_TIME = 600.0, 300.0
+"""The simulator may take this long to start, and a scene to be put up [s]."""
+
+
+class AdamanipFrankaSim(AdamanipFranka):
+    """The twin. Implements `lerobot_adamanip.lerobot_episodes.EpisodicRobot`: episode k has the seed of its number.
+
+    Args:
+        config: see `AdamanipFrankaSimConfig`.
+    """
+
+    config_class = AdamanipFrankaSimConfig
+    name = "adamanip_franka_sim"
+    config: AdamanipFrankaSimConfig
+
+    def __init__(self, config: AdamanipFrankaSimConfig) -> None:
+        super().__init__(config)
+        self._seed, self._moved = config.seed, False
+        self._key_frames, self._over = 0, False
+
+    # Life ------------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_calibrated(self) -> bool:
+        """The twin tells where its camera is."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing to calibrate."""
+
+    def _make_client(self) -> ArmClient:
+        config = self.config
+        lockstep = config.clock == "lockstep"
+        options = {
+            "environment": config.environment().to_json(), "seed": config.seed, "image_size": config.image_size,
+            "depth_source": config.depth_source, "lockstep": lockstep,
+        }  # fmt: skip
+        return ArmClient(
+            "sapien",
+            options,
+            program=TWIN_PROCESS,
+            server=self._server_options(config.fps if lockstep else None),
+            frames={FRONT_FRAMES: frame_capacity(config.image_size), SUCCESS_BOX: 1},
+            connect_time=START_TIME,
+        )
+
+    def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
+        super()._open_session(limits, details)
+        self._seed, self._moved = self.config.seed, False
+        self._key_frames, self._over = 0, False
+        self._calibrated(details)
+        assert self._client is not None
+        for camera in self.cameras.values():
+            if isinstance(camera, AdamanipTwin):
+                camera.attach(self._client, size=self.config.image_size, lockstep=self.config.clock == "lockstep")
+
+    def _calibrated(self, details: dict[str, Any]) -> None:
+        told = details["camera"]
+        matrix, pose = np.array(told["intrinsics"], np.float64), np.array(told["extrinsics"], np.float64)
+        imager = Intrinsics(matrix, np.zeros(0), int(told["width"]), int(told["height"]))
+        for key, camera in self.cameras.items():
+            if isinstance(camera, AdamanipTwin):
+                self._session.calibrations[key] = CameraCalibration(
+                    "twin", imager, pose, color=imager, depth_in_color=np.eye(4)
+                )
+
+    def _read_calibrations(self) -> None:
+        """The twin's own are told by its process; a file could only contradict them."""
+
+    def disconnect(self) -> None:
+        """As of every robot; an episode outside a recording is logged before, if a log is asked for."""
+        if self.is_connected and self._moved and self.config.episode_log is not None:
+            self._log(Path(self.config.episode_log), None)
+            self._moved = False
+        super().disconnect()
+
+    # Observation and action ------------------------------------------------------------------------------------------
+
+    def get_observation(self) -> dict[str, Any]:
+        """As of every robot; where the operator wants the scene anew, it is put up before."""
+        if self._session.details.pop(RESET_WANTED, False):
+            self.put_up(self._seed)
+            self._session.episodes += 1
+        return super().get_observation()
+
+    def _scalars(self, reading: ArmReading) -> dict[str, float]:
+        self._session.details[SUCCESS] = self._succeeded()
+        if self.config.clock == "lockstep":  # equal steps give equal data
+            reading = replace(reading, stamp=self._connected_at + reading.robot_time)
+        return super()._scalars(reading)
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """As of every robot; an episode of key frames that is over executes nothing more, see ``max_key_frames``."""
+        if self._over:
+            sent = self._session.sent
+            assert sent is not None
+            return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
+        self._moved = True
+        sent_by_name: dict[str, float] = super().send_action(action)
+        if self.config.execution == "keyframe":
+            self._key_frames += 1
+            self._over = self._succeeded() or self._key_frames >= self.config.max_key_frames
+            if self._over and self.config.end_when_done:
+                signal.raise_signal(signal.SIGINT)
+        return sent_by_name
+
+    def _succeeded(self) -> bool:
+        assert self._client is not None
+        found = self._client.frame(SUCCESS_BOX)
+        return found is not None and found[1] == b"\x01"
+
+    # Episodes --------------------------------------------------------------------------------------------------------
+
+    @property
+    def resets_itself(self) -> bool:
+        """No person has to reset the scene."""
+        return True
+
+    def put_up(self, seed: int) -> None:
+        """Puts up the scene of a seed, with the arm at its start. Raises `RobotError`."""
+        assert self._client is not None
+        told = self._client.request("reset", {"seed": seed}, time_limit=RESET_TIME)
+        details = self._session.details
+        details.pop(OPERATOR_SUCCESS, None)
+        details.update(told)
+        self._calibrated(told)
+        self._motion.anchor()
+        self._seed, self._moved = seed, False
+        self._key_frames, self._over = 0, False
+
+    def begin_episode(self, index: int) -> None:
+        """Puts up the scene of episode ``index``, unless it stands there untouched."""
+        seed = self.config.seed + index
+        if self._moved or seed != self._seed:
+            self.put_up(seed)
+
+    def end_episode(self, index: int, root: Path) -> None:
+        """Logs the episode beside its dataset, or where ``episode_log`` says.
+
+        A number that occurs again was recorded again: the last line counts.
+        """
+        if self.is_connected:
+            log = self.config.episode_log
+            self._log(Path(log) if log is not None else root.with_name(f"{root.name}.episodes.jsonl"), index)
+
+    def _log(self, path: Path, index: int | None) -> None:
+        assert self._client is not None
+        line = json.dumps({"episode": index, **self._client.request("episode", time_limit=RESET_TIME)}) + "\n"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            os.write(descriptor, line.encode())
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,117 @@
+"""A teleoperator that needs no person: plays the adaptive expert by the twin's annotations and what the arm tells."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.session import RobotSession
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
+from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
+from lerobot_adamanip.lerobot_episodes import end_episode
+from lerobot_adamanip.schema import GRIPPER_DIM
+from lerobot_env_adamanip.twin.annotations import annotations_from_json
+from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
+from lerobot_env_adamanip.twin.played_motion import PlayedMotion
+
+Target = NDArray[np.float32]
+
+
+class AdamanipScripted(TcpTeleop):
+    """Streams the key frames of an expert to the robot, each judged by readings alone: nothing hidden reaches it.
+
+    Args:
+        config: see `AdamanipScriptedConfig`.
+        clock: returns seconds.
+    """
+
+    config_class = AdamanipScriptedConfig
+    name = "adamanip_scripted"
+    config: AdamanipScriptedConfig
+
+    def __init__(self, config: AdamanipScriptedConfig, clock: Callable[[], float] = time.perf_counter) -> None:
+        super().__init__(config, clock)
+        self._frames: KeyFrames | None = None
+        self._motion: PlayedMotion | None = None
+        self._idle = 0.0
+        self.key_frames = 0
+        """That were played in this episode."""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the expert has nothing more to do in this episode."""
+        return self._frames is not None and self._motion is None
+
+    def _open(self) -> None:
+        """There is no device."""
+
+    def _close(self) -> None:
+        """There is no device."""
+
+    def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
+        if new_episode:
+            self._frames = self._motion = None
+            self._idle, self.key_frames = 0.0, 0
+
+    def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
+        assert self._filter is not None
+        sent = self._filter.last
+        assert sent is not None
+        if self._frames is None:
+            self._frames = self._expert(session)
+            self._motion = self._next(reading, sent, None)
+        if self._motion is None:
+            self._stay(dt)
+            return self._to(sent, reading, dt)
+        wanted = self._motion.step(reading, sent, dt)
+        if self._motion.outcome is not None:
+            self._motion = self._next(reading, sent, self._motion.feedback(reading))
+        return self._to(wanted, reading, dt)
+
+    def _expert(self, session: RobotSession) -> KeyFrames:
+        told = session.details
+        try:
+            parts = annotations_from_json(told["annotations"])
+            return make_expert(
+                told["category"],
+                "adaptive",
+                parts,
+                generator=np.random.default_rng([self.config.seed, int(told["seed"])]),
+                trials=self.config.trials,
+                mechanism_preset=told["mechanism_preset"],
+            )
+        except KeyError as missing:
+            raise RobotError(
+                "The scripted teleoperator knows nothing of the scene.",
+                got=f"a robot that does not tell {missing}",
+                allowed="the twin, which tells its annotated parts",
+                hint="--robot.type=adamanip_franka_sim",
+            ) from None
+
+    def _next(self, reading: ArmReading, sent: Target, felt: Feedback | None) -> PlayedMotion | None:
+        assert self._frames is not None
+        try:
+            goal: Goal = next(self._frames) if felt is None else self._frames.send(felt)
+        except StopIteration:
+            return None
+        self.key_frames += 1
+        return PlayedMotion(
+            start=reading.tcp_in_base,
+            goal=goal.tcp_in_base,
+            held=float(sent[GRIPPER_DIM]),
+            gripper=goal.gripper,
+            speed=self.config.speed,
+            angular_speed=self.config.angular_speed,
+            pause=self.config.pause,
+        )
+
+    def _stay(self, dt: float) -> None:
+        before, self._idle = self._idle, self._idle + dt
+        if before < self.config.stay <= self._idle:
+            end_episode()

@@ -1,0 +1,135 @@
+"""The twin's camera: looks when somebody wants to see, into memory shared with the twin's process."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
+from lerobot_adamanip.hardware.frames import Frame
+from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
+from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, unpack_frame
+
+CAMERA_HZ = 10
+"""Default where time passes by itself."""
+WANTED_FOR = 1.0
+"""A camera that nobody has asked for so long looks no more [s]."""
+LOOK_TIME = 120.0
+"""A picture may take this long [s]: the first one compiles shaders."""
+
+
+class AdamanipTwin(ThreadedCamera):
+    """The front camera of the twin.
+
+    Where time passes by itself, its thread asks the twin for pictures at ``fps`` while somebody reads them. In lockstep
+    there is no thread's work: a picture is taken where it is read, once per step, so that equal steps give equal data.
+
+    Args:
+        config: see `AdamanipTwinConfig`.
+    """
+
+    config_class = AdamanipTwinConfig
+    config: AdamanipTwinConfig
+    warmup_seconds = LOOK_TIME
+
+    def __init__(self, config: AdamanipTwinConfig) -> None:
+        super().__init__(config, "twin", use_rgb=config.use_rgb, use_depth=config.use_depth)
+        self._client: ArmClient | None = None
+        self._size, self._lockstep = 0, False
+        self._wanted = self._due = 0.0
+        self._seen_at: float | None = None
+
+    def attach(self, client: ArmClient, *, size: int, lockstep: bool) -> None:
+        """Says whose twin it looks at, before `connect`: the robot that is connected does.
+
+        Raises:
+            ConfigurationError: another size is configured than the twin's.
+        """
+        if any(given not in (None, size) for given in (self.config.width, self.config.height)):
+            raise ConfigurationError(
+                "The twin's camera has another size than the twin.",
+                got=f"{self.config.width} x {self.config.height} px",
+                allowed=f"{size} x {size}, or none",
+                hint="--robot.image_size=256",
+            )
+        self._client, self._size, self._lockstep = client, size, lockstep
+        self.width = self.height = size
+        self.fps = self.config.fps or CAMERA_HZ
+
+    def wake(self) -> None:
+        """Somebody wants a frame."""
+        self._wanted = time.perf_counter()
+        if self._lockstep and self.is_connected:
+            self._look_anew(force=False)
+
+    def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
+        """As of every camera; in lockstep, of this step, however long ago that was."""
+        return super().latest_frame(float("inf") if self._lockstep and self.is_connected else max_age)
+
+    def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
+        """As of every camera; in lockstep it is taken now."""
+        if self._lockstep and self.is_connected:
+            self._look_anew(force=True)
+            stamp = float("-inf")
+        return super().frame_after(stamp, timeout)
+
+    def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
+        """As of every camera; in lockstep it is taken now."""
+        if self._lockstep and self.is_connected:
+            self._look_anew(force=True)
+        return super().async_read(timeout_ms)
+
+    def _look_anew(self, *, force: bool) -> None:
+        """Takes a picture of this step, if there is none yet."""
+        assert self._client is not None
+        reading = self._client.status().reading
+        now = None if reading is None else reading.robot_time
+        if force or self._seen_at is None or now != self._seen_at:
+            self.frames.put(self._look())
+            self._seen_at = now
+
+    def _open(self) -> None:
+        if self._client is None or not self._client.is_connected:
+            raise RobotError(
+                "The twin's camera has no twin to look at.",
+                got="a camera without its robot",
+                allowed="a camera of --robot.type=adamanip_franka_sim",
+                hint="lerobot-find-cameras does not show it",
+            )
+        self._seen_at = None
+        self._wanted = self._due = time.perf_counter()
+
+    def _take(self, stop: threading.Event) -> Frame | None:
+        if self._lockstep:
+            stop.wait(WANTED_FOR)
+            return None
+        now = time.perf_counter()
+        if now - self._wanted > WANTED_FOR or now < self._due:
+            stop.wait(0.005 if now < self._due else 0.02)
+            return None
+        self._due = max(self._due + 1.0 / (self.fps or CAMERA_HZ), now)
+        return self._look()
+
+    def _look(self) -> Frame:
+        assert self._client is not None
+        self._client.request("look", time_limit=LOOK_TIME)
+        found = self._client.frame(FRONT_FRAMES)
+        if found is None:
+            raise RobotError("The twin has taken no picture.")
+        frame = unpack_frame(found[1])
+        arrival = time.perf_counter()
+        color, depth = frame.color if self.use_rgb else None, frame.depth if self.use_depth else None
+        return Frame(self._stamp(frame.stamp), arrival, color, depth, frame.number)
+
+    def _stamp(self, taken: float) -> float:
+        """In lockstep a picture shows the state that was told last, and is as old as that."""
+        reading = self._client.status().reading if self._lockstep and self._client is not None else None
+        return taken if reading is None else reading.stamp
+
+    def _close(self) -> None:
+        self._seen_at = None

@@ -1,0 +1,137 @@
+"""One key frame as a person would drive it: streamed at human speed, and judged by what the arm tells."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, Outcome
+from lerobot_adamanip.rotations import angle_between, pose_from_vector, pose_vector, straight_path
+
+Array = NDArray[np.float64]
+Target = NDArray[np.float32]
+
+STILL_POSITION, STILL_ROTATION, STILL_GRIPPER = 0.001, 0.004, 0.01
+"""An arm that moves less than this within `STILL_TIME` rests [m, rad, share of the opening]."""
+STILL_TIME = 0.4
+"""[s]"""
+LAG_POSITION, LAG_ROTATION = 0.5, 0.5
+"""Share of a key frame's stall by which an arm at rest has to lag behind what it was sent, to be held back."""
+STRAINED = 2.0
+"""An arm that is held back feels this much in some joint; one that cannot reach farther feels nothing [N m]."""
+PATIENCE = 8.0
+"""A motion ends this long after it should have [s]."""
+
+
+class Stage(enum.Enum):
+    """Where in a key frame."""
+
+    MOVE = enum.auto()
+    GRIP = enum.auto()
+    PAUSE = enum.auto()
+
+
+@dataclass
+class PlayedMotion:
+    """Streams from where the tool is to a goal, then moves the fingers, then waits.
+
+    Args:
+        start: (4, 4) measured pose at the beginning, robot base frame.
+        goal: (4, 4) pose wanted.
+        held: gripper opening that is commanded now.
+        gripper: opening wanted at the goal.
+        speed, angular_speed: peak [m/s, rad/s].
+        pause: at the end [s].
+    """
+
+    start: Array
+    goal: Array
+    held: float
+    gripper: float
+    speed: float
+    angular_speed: float
+    pause: float
+
+    def __post_init__(self) -> None:
+        """Plans the way."""
+        way = float(np.linalg.norm(self.goal[:3, 3] - self.start[:3, 3]))
+        turn = angle_between(self.start[:3, :3], self.goal[:3, :3])
+        self._duration = 1.875 * max(way / self.speed, turn / self.angular_speed)
+        # As `KeyframeDriver`: a hand that is sent away closes or opens on its way; one that stays does nothing else.
+        self._elapsed, self._stage, self._stage_left = 0.0, Stage.MOVE, 0.0
+        self._seen: list[tuple[float, ArmReading]] = []
+        self.outcome: Outcome | None = None
+        """How it ended; None while it goes on."""
+
+    def step(self, reading: ArmReading, sent: Target, dt: float) -> Target:
+        """Returns what is wanted next (10,); ``sent`` is what was sent last. Sets `outcome` at the end."""
+        self._elapsed += dt
+        self._seen = [each for each in self._seen if self._elapsed - each[0] <= STILL_TIME + 1e-9]
+        self._seen.append((self._elapsed, reading))
+        if self._stage is Stage.MOVE:
+            self._judge_move(reading, sent)
+        elif self._stage is Stage.GRIP:
+            self._stage_left -= dt
+            if self._stage_left <= 0 and self._rests():
+                self._enter(Stage.PAUSE, self.pause)
+        else:
+            self._stage_left -= dt
+            if self._stage_left <= 0:
+                self.outcome = self._ended
+        return self._wanted(sent)
+
+    def feedback(self, reading: ArmReading) -> Feedback:
+        """Returns what an expert is told at the end."""
+        return Feedback(reading.tcp_in_base, reading.gripper, self.outcome)
+
+    def _wanted(self, sent: Target) -> Target:
+        gripper = self.gripper
+        if self._stage is Stage.MOVE:
+            share = 1.0 if self._duration <= 0 else min(1.0, self._elapsed / self._duration)
+            smooth = share**3 * (10 - 15 * share + 6 * share**2)
+            return pose_vector(straight_path(self.start, self.goal, np.array([smooth]))[0], gripper)
+        held = sent.copy()
+        held[9] = gripper
+        return held
+
+    def _judge_move(self, reading: ArmReading, sent: Target) -> None:
+        limits = DEFAULT_MOTION
+        far = float(np.linalg.norm(reading.tcp_in_base[:3, 3] - self.goal[:3, 3]))
+        turned = angle_between(reading.tcp_in_base[:3, :3], self.goal[:3, :3])
+        near = far < limits.reached_position and turned < limits.reached_rotation
+        late = self._elapsed > self._duration + PATIENCE
+        if near and self._elapsed >= self._duration and self._rests():
+            self._end(Outcome.REACHED)
+        elif late:
+            self._end(Outcome.TIMEOUT)
+        elif self._elapsed > STILL_TIME and self._rests() and self._lags(reading, sent):
+            strained = float(np.abs(reading.effort).max()) > STRAINED
+            self._end(Outcome.STALLED if strained else Outcome.UNREACHABLE)
+
+    def _end(self, outcome: Outcome) -> None:
+        self._ended = outcome
+        moves = abs(self.gripper - self.held) > 0.1 and outcome is Outcome.REACHED
+        self._enter(Stage.GRIP if moves else Stage.PAUSE, STILL_TIME if moves else self.pause)
+
+    def _enter(self, stage: Stage, seconds: float) -> None:
+        self._stage, self._stage_left = stage, seconds
+
+    def _rests(self) -> bool:
+        (first, before), (last, now) = self._seen[0], self._seen[-1]
+        if last - first < STILL_TIME * 0.9:
+            return False
+        moved = np.linalg.norm(now.tcp_in_base[:3, 3] - before.tcp_in_base[:3, 3])
+        turned = angle_between(now.tcp_in_base[:3, :3], before.tcp_in_base[:3, :3])
+        return bool(
+            moved < STILL_POSITION and turned < STILL_ROTATION and abs(now.gripper - before.gripper) < STILL_GRIPPER
+        )
+
+    def _lags(self, reading: ArmReading, sent: Target) -> bool:
+        wanted = pose_from_vector(sent)[0]
+        far = np.linalg.norm(wanted[:3, 3] - reading.tcp_in_base[:3, 3]) / DEFAULT_MOTION.stall_position
+        turned = angle_between(wanted[:3, :3], reading.tcp_in_base[:3, :3]) / DEFAULT_MOTION.stall_rotation
+        return bool(far > LAG_POSITION or turned > LAG_ROTATION)

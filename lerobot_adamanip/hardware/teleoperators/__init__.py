@@ -1,0 +1,1 @@
+"""Teleoperators that integrate one absolute tool goal; each device class stands beside its light configuration."""

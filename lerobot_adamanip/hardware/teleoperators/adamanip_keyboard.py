@@ -1,0 +1,111 @@
+"""A keyboard, with keys that LeRobot's commands leave free; the keys that are held drive."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
+from lerobot_adamanip.hardware.teleoperators.jog import Array, Jog
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
+
+SHIFTS = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "u": (2, 1.0), "j": (2, -1.0)}
+"""Key -> axis of the base frame (x forward, y left, z up) and direction."""
+TURNS = {"o": (0, 1.0), "l": (0, -1.0), "i": (1, 1.0), "k": (1, -1.0), "f": (2, 1.0), "h": (2, -1.0)}
+"""Key -> axis of the base frame to turn about, and direction."""
+GRIPPER, SUCCESS, RESET = "g", "y", "backspace"
+"""Keys that are told once each time they are pressed."""
+LEROBOT_KEYS = frozenset({"n", "r", "q", "left", "right", "up", "down", "esc", "space", "tab", "enter"})
+"""What lerobot-record and lerobot-rollout listen to."""
+
+
+class KeyboardDevice:
+    """Listens to keys with pynput, in its thread. Implements `JogDevice`."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._held: set[str] = set()
+        self._pressed: set[str] = set()
+        self._listener: Any = None
+
+    def open(self) -> None:
+        """Raises `RobotError` where no keys can be listened to."""
+        try:
+            from pynput import keyboard
+        except Exception as error:  # pynput fails in its own ways where there is no display
+            raise RobotError(
+                "The keyboard cannot be listened to.",
+                got=f"{type(error).__name__}: {error}",
+                allowed="pynput with an X11 display",
+                hint="a gamepad or a SpaceMouse works without a display",
+            ) from None
+        self._held, self._pressed = set(), set()
+        self._listener = keyboard.Listener(
+            on_press=lambda key: self.press(_name(key)), on_release=lambda key: self.release(_name(key))
+        )
+        self._listener.start()
+
+    def press(self, key: str) -> None:
+        """A key goes down, or repeats."""
+        with self._lock:
+            if key not in self._held:
+                self._pressed.add(key)
+            self._held.add(key)
+
+    def release(self, key: str) -> None:
+        """A key goes up."""
+        with self._lock:
+            self._held.discard(key)
+
+    def read(self) -> Jog:
+        """Returns what the keys say now."""
+        with self._lock:
+            held, pressed = set(self._held), self._pressed
+            self._pressed = set()
+        return Jog(
+            shift=_sum(SHIFTS, held),
+            turn=_sum(TURNS, held),
+            toggle=GRIPPER in pressed,
+            success=SUCCESS in pressed,
+            reset=RESET in pressed,
+        )
+
+    def close(self) -> None:
+        """Stops listening; idempotent."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.stop()
+
+
+def _sum(keys: dict[str, tuple[int, float]], held: set[str]) -> Array:
+    total = np.zeros(3)
+    for key in held & keys.keys():
+        axis, direction = keys[key]
+        total[axis] += direction
+    return total
+
+
+def _name(key: Any) -> str:
+    """Letter or name of a key, as pynput tells it."""
+    letter = getattr(key, "char", None)
+    return str(letter).lower() if letter else str(getattr(key, "name", key))
+
+
+class AdamanipKeyboard(JogTeleop):
+    """Drives the tool while keys are held."""
+
+    config_class = AdamanipKeyboardConfig
+    name = "adamanip_keyboard"
+
+    def __init__(
+        self,
+        config: AdamanipKeyboardConfig,
+        clock: Callable[[], float] = time.perf_counter,
+        device: KeyboardDevice | None = None,
+    ) -> None:
+        super().__init__(config, device or KeyboardDevice(), clock)

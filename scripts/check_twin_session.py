@@ -1,0 +1,205 @@
+"""A session on the simulated twin with LeRobot's own commands: record, teleoperate, replay, roll out.
+
+    python scripts/check_twin_session.py --out outputs/twin --episodes 10
+    python scripts/check_twin_session.py --out outputs/twin --policy CHECKPOINT/pretrained_model --seeds 20
+
+Records microwaves in lockstep through the scripted teleoperator (which of them are locked is drawn from their seeds),
+teleoperates in real time, and replays an episode that opened its door in a twin of the same seed. With ``--policy``,
+`lerobot-rollout` plays each seed in key frames, and `lerobot-eval` plays the same seeds. What came of each is read from
+the logs that the twin writes beside its datasets.
+
+Returns 1 unless 9 of 10 recorded doors opened, both kinds were recorded, the replay opened its door, and the roll-outs'
+success lies in the 95 % Wilson interval of the evaluation's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from check_common import ROOT, count, header
+
+from lerobot_adamanip.checked_json import parse
+from lerobot_adamanip.evaluation.rates import wilson_interval
+from lerobot_adamanip.files import write_atomically
+
+SHARE_OPENED = 0.9
+"""Of the recorded doors that have to be open."""
+ENDLESS = 24 * 3600
+"""The scripted teleoperator ends an episode; LeRobot's clock should not [s]."""
+TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave")
+QUIET = ("--play_sounds=false",)
+
+
+class Session:
+    """Runs LeRobot's commands of this environment, each with a log of its own.
+
+    Args:
+        out: folder for datasets and logs.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.commands: list[dict[str, Any]] = []
+
+    def run(self, name: str, *arguments: str) -> None:
+        """Runs ``lerobot-NAME``; raises RuntimeError with the end of its log where it fails."""
+        command = [str(Path(sys.executable).with_name(f"lerobot-{name}")), *arguments]
+        log = self.out / f"{len(self.commands):02d}-{name}.log"
+        sys.stderr.write(f"lerobot-{name} {' '.join(arguments)}\n")
+        started = time.monotonic()
+        with log.open("wb") as file:
+            done = subprocess.run(command, cwd=ROOT, stdout=file, stderr=subprocess.STDOUT, check=False)
+        seconds = round(time.monotonic() - started, 1)
+        self.commands.append({"command": [f"lerobot-{name}", *arguments], "seconds": seconds, "log": log.name})
+        if done.returncode:
+            raise RuntimeError(f"lerobot-{name} failed, see {log}:\n{log.read_text(errors='replace')[-2000:]}")
+
+
+def lines_of(log: Path) -> list[dict[str, Any]]:
+    """Returns the episodes of a twin's log, the last line of each number."""
+    found = [parse(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    return list({line["episode"]: line for line in found}.values())
+
+
+def record(session: Session, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Records episodes and returns what the twin says of them."""
+    root = session.out / "recorded"
+    session.run(
+        "record",
+        *TWIN,
+        "--robot.clock=lockstep",
+        f"--robot.seed={options.seed}",
+        f"--robot.image_size={options.image_size}",
+        "--teleop.type=adamanip_scripted",
+        "--dataset.repo_id=local/twin",
+        f"--dataset.root={root}",
+        f"--dataset.num_episodes={options.episodes}",
+        f"--dataset.episode_time_s={ENDLESS}",
+        "--dataset.reset_time_s=0",
+        "--dataset.single_task=Open the microwave.",
+        "--dataset.push_to_hub=false",
+        *QUIET,
+    )
+    return lines_of(root.with_name("recorded.episodes.jsonl"))
+
+
+def teleoperate(session: Session, options: argparse.Namespace) -> dict[str, Any]:
+    """Drives the twin in real time for a while."""
+    log = session.out / "teleoperated.jsonl"
+    session.run(
+        "teleoperate",
+        *TWIN,
+        f"--robot.seed={options.seed}",
+        f"--robot.episode_log={log}",
+        "--teleop.type=adamanip_scripted",
+        "--fps=30",
+        f"--teleop_time_s={options.teleoperate}",
+    )
+    return lines_of(log)[-1]
+
+
+def replay(session: Session, options: argparse.Namespace, episode: int) -> dict[str, Any]:
+    """Replays one recorded episode in the scene that it was recorded in."""
+    log = session.out / "replayed.jsonl"
+    session.run(
+        "replay",
+        *TWIN,
+        "--robot.clock=lockstep",
+        "--robot.camera=false",
+        f"--robot.seed={options.seed + episode}",
+        f"--robot.episode_log={log}",
+        "--dataset.repo_id=local/twin",
+        f"--dataset.root={session.out / 'recorded'}",
+        f"--dataset.episode={episode}",
+        *QUIET,
+    )
+    return lines_of(log)[-1]
+
+
+def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
+    """Plays each seed with a policy: by `lerobot-rollout` on the twin, and by `lerobot-eval`."""
+    won, log = 0, session.out / "rolled_out.jsonl"
+    for seed in range(options.seed, options.seed + options.seeds):
+        session.run(
+            "rollout",
+            *TWIN,
+            "--robot.clock=lockstep",
+            "--robot.execution=keyframe",
+            "--robot.end_when_done=true",
+            f"--robot.seed={seed}",
+            f"--robot.episode_log={log}",
+            f"--policy.path={options.policy}",
+            "--task=Open the microwave.",
+            f"--duration={ENDLESS}",
+            "--return_to_initial_position=false",
+            *QUIET,
+        )
+        won += bool(lines_of(log)[-1]["success"])
+    evaluated = session.out / "evaluated.jsonl"
+    session.run(
+        "eval",
+        f"--policy.path={options.policy}",
+        "--env.type=adamanip_microwave",
+        f"--env.episode_log={evaluated}",
+        f"--seed={options.seed}",
+        f"--eval.n_episodes={options.seeds}",
+        "--eval.batch_size=1",
+        f"--output_dir={session.out / 'evaluated'}",
+    )
+    expected = sum(bool(parse(line)["success"]) for line in evaluated.read_text(encoding="utf-8").splitlines())
+    low, high = wilson_interval(expected, options.seeds)
+    return {
+        "rolled_out": won, "evaluated": expected, "seeds": options.seeds, "interval": [low, high],
+        "agrees": low <= won / options.seeds <= high,
+    }  # fmt: skip
+
+
+def judged(episodes: list[dict[str, Any]], replayed: dict[str, Any] | None) -> dict[str, Any]:
+    """Returns what recording and replay have shown."""
+    locked = [bool(each["hidden_state"]["locked"]) for each in episodes]
+    opened = sum(bool(each["success"]) for each in episodes)
+    return {
+        "episodes": len(episodes), "locked": sum(locked), "opened": opened, "both_kinds": len(set(locked)) == 2,
+        "enough": opened >= SHARE_OPENED * len(episodes),
+        "replay_opened": None if replayed is None else bool(replayed["success"]),
+    }  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the session and writes ``result.json``."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for datasets, logs and result.json")
+    parser.add_argument("--episodes", type=count, default=10)
+    parser.add_argument("--seed", type=int, default=1000, help="of the first episode")
+    parser.add_argument("--image-size", type=count, default=256)
+    parser.add_argument("--teleoperate", type=float, default=10.0, metavar="SECONDS")
+    parser.add_argument("--policy", type=Path, help="checkpoint whose preprocessor makes clouds from depth")
+    parser.add_argument("--seeds", type=count, default=20, help="of roll-outs")
+    parser.add_argument("--json", action="store_true", help="print the result")
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    session = Session(options.out.resolve())
+    episodes = record(session, options)
+    driven = teleoperate(session, options)
+    opened = [each["episode"] for each in episodes if each["success"]]
+    replayed = replay(session, options, opened[0]) if opened else None
+    result = {**header(), **judged(episodes, replayed), "teleoperated_s": driven["seconds"]}
+    passed = result["enough"] and result["both_kinds"] and bool(result["replay_opened"])
+    if options.policy is not None:
+        result["roll_outs"] = roll_out(session, options)
+        passed = passed and result["roll_outs"]["agrees"]
+    text = json.dumps({**result, "commands": session.commands, "passed": passed}, indent=2)
+    write_atomically(options.out / "result.json", text.encode())
+    if options.json:
+        sys.stdout.write(text + "\n")
+    return 0 if passed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

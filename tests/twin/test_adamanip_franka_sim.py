@@ -1,0 +1,239 @@
+"""The twin as LeRobot's robot, without a simulator: its options, seeds of episodes, what it logs, when it is over."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
+from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
+from lerobot_adamanip.hardware.session import BOARD
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import OPERATOR_SUCCESS, RESET_WANTED
+from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.lerobot_episodes import EpisodicRobot
+from lerobot_adamanip.objects import PartAnnotation
+from lerobot_adamanip.objects.base import Motion
+from lerobot_adamanip.rotations import pose_from_vector, transform
+from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_env_adamanip.twin.adamanip_franka_sim import AdamanipFrankaSim
+from lerobot_env_adamanip.twin.annotations import annotations_from_json, annotations_json
+from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.frame_bytes import (
+    SUCCESS_BOX,
+    TwinFrame,
+    frame_capacity,
+    pack_frame,
+    unpack_frame,
+)
+
+PARTS = {
+    "handle": PartAnnotation(
+        "handle", transform((0.6, 0.1, 0.7)), (Motion("door", "revolute", np.zeros(3), np.array([0.0, 0.0, 1.0])),)
+    )
+}
+
+
+class FakeProcess:
+    """The client of a twin that is always where it was sent, one step of time on."""
+
+    server = ServerOptions(lockstep_fps=30.0)
+
+    def __init__(self) -> None:
+        seven = np.zeros(7)
+        pose = transform((0.5, 0.0, 0.7))
+        self.reading = ArmReading(0.0, 0.0, pose, 1.0, seven, seven, seven, ArmMode.IDLE, outcome=Outcome.REACHED)
+        self.asked: list[tuple[str, dict[str, Any]]] = []
+        self.is_connected, self.success, self.looks = False, False, 0
+
+    def connect(self) -> dict[str, Any]:
+        self.is_connected = True
+        return self.told(1000)
+
+    def close(self) -> None:
+        self.is_connected = False
+
+    def told(self, seed: int) -> dict[str, Any]:
+        camera = {"intrinsics": np.eye(3).tolist(), "extrinsics": np.eye(4).tolist(), "width": 16, "height": 16}
+        return {"seed": seed, "category": "microwave", "annotations": annotations_json(PARTS), "camera": camera}
+
+    def status(self) -> ArmStatus:
+        return ArmStatus(0.0, self.reading, accepted=1)
+
+    healthy = status
+
+    def send(self, pose: Any, execution: Execution) -> int:
+        self.asked.append(("send", {}))
+        goal = pose_from_vector(pose)[0]
+        self.reading = replace(self.reading, tcp_in_base=goal, robot_time=self.reading.robot_time + 1 / 30)
+        return 1
+
+    def wait(self, number: int, time_limit: float) -> ArmStatus:
+        return self.status()
+
+    def request(self, ask: str, values: dict[str, Any] | None = None, *, time_limit: float = 10.0) -> dict[str, Any]:
+        self.asked.append((ask, dict(values or {})))
+        if ask == "look":
+            self.looks += 1
+        if ask == "reset":
+            self.success = False
+        return self.told((values or {}).get("seed", 0)) if ask == "reset" else {"success": self.success}
+
+    def frame(self, name: str) -> tuple[int, bytes] | None:
+        if name == SUCCESS_BOX:
+            return 1, bytes([self.success])
+        color = np.full((16, 16, 3), self.looks, np.uint8)
+        return self.looks, pack_frame(TwinFrame(0.0, self.looks, color, color[..., 0].astype(np.uint16)))
+
+    @property
+    def resets(self) -> list[int]:
+        return [values["seed"] for ask, values in self.asked if ask == "reset"]
+
+
+@pytest.fixture
+def process() -> FakeProcess:
+    return FakeProcess()
+
+
+@pytest.fixture
+def make(process: FakeProcess, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    made: list[AdamanipFrankaSim] = []
+
+    def robot(**options: Any) -> AdamanipFrankaSim:
+        config = AdamanipFrankaSimConfig(id="twin", seed=1000, clock="lockstep", image_size=16, **options)
+        monkeypatch.setattr(AdamanipFrankaSim, "_make_client", lambda _: process)
+        made.append(AdamanipFrankaSim(config))
+        made[-1].connect()
+        return made[-1]
+
+    yield robot
+    for each in made:
+        each.disconnect()
+
+
+def action(robot: AdamanipFrankaSim, dx: float = 0.0) -> dict[str, float]:
+    seen = robot.get_observation()
+    return {name: seen[name] + (dx if name == "ee.x.pos" else 0.0) for name in POSE_NAMES}
+
+
+def test_it_brings_its_camera_and_tells_features_before_it_is_connected() -> None:
+    robot = AdamanipFrankaSim(AdamanipFrankaSimConfig(image_size=48))
+    assert robot.observation_features["front"] == (48, 48, 3)
+    assert robot.observation_features["front_depth"] == (48, 48, 1)
+    assert "front" not in AdamanipFrankaSim(AdamanipFrankaSimConfig(camera=False)).observation_features
+    assert isinstance(robot, EpisodicRobot)
+
+
+@pytest.mark.parametrize("wrong", [{"clock": "fast"}, {"category": "fridge"}, {"seed": -1}, {"objects": "none"}])
+def test_options_that_cannot_be_meant_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(AdaManipError, match="allowed:"):
+        AdamanipFrankaSimConfig(**wrong)
+
+
+def test_an_episode_has_the_seed_of_its_number_whatever_came_between(make: Any, process: FakeProcess) -> None:
+    robot = make()
+    robot.begin_episode(0)
+    assert process.resets == []  # the scene stands there untouched
+    robot.send_action(action(robot))
+    robot.begin_episode(0)
+    assert process.resets == [1000]  # recorded again
+    robot.begin_episode(7)  # a session that goes on
+    assert process.resets == [1000, 1007]
+    session = BOARD.find("twin")
+    assert session is not None
+    assert session.details["seed"] == 1007
+    assert session.calibrations["front"].depth.width == 16
+
+
+def test_lockstep_tells_time_by_steps_and_looks_once_a_step(make: Any, process: FakeProcess) -> None:
+    robot = make()
+    before = process.looks
+    stamps = []
+    for number in range(4):
+        seen = robot.get_observation()
+        robot.get_observation()  # nothing has moved
+        assert seen["front"][0, 0, 0] == seen["front_depth"][0, 0, 0] == process.looks
+        stamps.append(seen[STAMP_NAME])
+        robot.send_action(action(robot, 0.001 * number))
+    np.testing.assert_allclose(np.diff(stamps), 1 / 30, atol=1e-9)
+    assert process.looks - before <= 4
+
+
+def test_success_is_a_label_of_the_twin_or_the_operator(make: Any, process: FakeProcess) -> None:
+    robot = make()
+    assert robot.get_observation()[LABEL_NAME] == 0.0
+    process.success = True
+    assert robot.get_observation()[LABEL_NAME] == 1.0
+    process.success = False
+    robot.session.details[OPERATOR_SUCCESS] = True
+    assert robot.get_observation()[LABEL_NAME] == 1.0
+    robot.put_up(1001)
+    assert robot.get_observation()[LABEL_NAME] == 0.0
+
+
+def test_the_operators_key_puts_the_scene_up_anew(make: Any, process: FakeProcess) -> None:
+    robot = make()
+    robot.send_action(action(robot))
+    robot.session.details[RESET_WANTED] = True
+    robot.get_observation()
+    assert process.resets == [1000]
+    assert robot.session.episodes == 1
+    robot.get_observation()
+    assert process.resets == [1000]
+
+
+def test_an_episode_is_logged_beside_its_dataset_and_not_in_it(make: Any, process: FakeProcess, tmp_path: Path) -> None:
+    robot = make()
+    process.success = True
+    robot.end_episode(3, tmp_path / "recorded")
+    (line,) = (tmp_path / "recorded.episodes.jsonl").read_text().splitlines()
+    assert json.loads(line) == {"episode": 3, "success": True}
+
+
+def test_key_frames_end_with_the_episode_and_so_does_the_command(
+    make: Any, process: FakeProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raised: list[int] = []
+    monkeypatch.setattr(signal, "raise_signal", raised.append)
+    log = tmp_path / "rolled.jsonl"
+    robot = make(execution="keyframe", max_key_frames=3, end_when_done=True, episode_log=str(log))
+    for number in range(5):
+        robot.send_action(action(robot, 0.01 * (number + 1)))
+    assert sum(ask == "send" for ask, _ in process.asked) == 3
+    assert raised == [signal.SIGINT]
+    robot.disconnect()
+    robot.disconnect()
+    assert [json.loads(line)["episode"] for line in log.read_text().splitlines()] == [None]
+
+
+def test_annotations_travel_as_json() -> None:
+    told = json.loads(json.dumps(annotations_json(PARTS)))
+    (part,) = annotations_from_json(told).values()
+    np.testing.assert_array_equal(part.grasp, PARTS["handle"].grasp)
+    np.testing.assert_allclose(part.moved({"door": 0.4}), PARTS["handle"].moved({"door": 0.4}))
+    assert part.rolls == PARTS["handle"].rolls
+    told["handle"]["motions"][0]["kind"] = "spherical"
+    with pytest.raises(ValueError, match="kind"):
+        annotations_from_json(told)
+
+
+def test_frames_travel_as_bytes() -> None:
+    rng = np.random.default_rng(0)
+    color, depth = rng.integers(0, 256, (8, 8, 3), np.uint8), rng.integers(0, 4000, (8, 8)).astype(np.uint16)
+    content = pack_frame(TwinFrame(1.5, 9, color, depth))
+    assert len(content) == frame_capacity(8)
+    found = unpack_frame(content)
+    assert (found.stamp, found.number) == (1.5, 9)
+    np.testing.assert_array_equal(found.color, color)
+    np.testing.assert_array_equal(found.depth, depth)
+    with pytest.raises(ValueError, match="no frame"):
+        unpack_frame(content[:-1])

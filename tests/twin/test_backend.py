@@ -1,0 +1,161 @@
+"""The simulated arm behind the protocol of a real one: key frames to the bit, braking, stalls, pictures, resets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
+from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
+from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.rotations import pose_vector
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend, TwinOptions
+from lerobot_env_adamanip.twin.annotations import annotations_from_json
+from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity, unpack_frame
+
+pytestmark = pytest.mark.sim
+SEED, SIZE = 1000, 64
+LOCKED = EnvironmentOptions(category="microwave", observe_images=False, hidden_overrides={"locked": True})
+
+
+@pytest.fixture(scope="module")
+def boxes() -> Iterator[Any]:
+    shared = SharedMailboxes({FRONT_FRAMES: frame_capacity(SIZE), SUCCESS_BOX: 1})
+    yield {name: shared[name] for name in (FRONT_FRAMES, SUCCESS_BOX)}
+    shared.close()
+
+
+@pytest.fixture(scope="module")
+def twin(boxes: Any) -> Iterator[SapienBackend]:
+    backend = SapienBackend(TwinOptions(LOCKED, seed=SEED, image_size=SIZE, lockstep=True), boxes)
+    backend.connect()
+    yield backend
+    backend.close()
+    backend.close()
+
+
+def target(pose: Any, gripper: float, execution: Execution) -> ArmTarget:
+    return ArmTarget(pose_vector(pose, gripper), execution, 0.0)
+
+
+def play_key_frame(twin: SapienBackend, action: Any) -> int:
+    """Ticks that it took."""
+    twin.begin_keyframe(ArmTarget(action, Execution.KEYFRAME, 0.0))
+    for ticks in range(2000):
+        if twin.read().outcome is not None:
+            return ticks
+        twin.tick()
+    raise AssertionError("a key frame without an end")
+
+
+def test_key_frames_are_those_of_the_environment_to_the_bit(twin: SapienBackend) -> None:
+    env = KeyframeEnv(options=LOCKED)
+    try:
+        env.reset(seed=SEED)
+        twin.reset({"seed": SEED})
+        expert = make_expert("microwave", "adaptive", env.annotations, generator=np.random.default_rng(0))
+        goal = next(expert)
+        for _ in range(8):  # past the pull at the locked door
+            env.drive(goal.action())
+            assert play_key_frame(twin, goal.action()) > 1
+            np.testing.assert_array_equal(twin._scene.joints(), env.joints())
+            reading = twin.read()
+            assert reading.outcome is env.feedback.outcome
+            np.testing.assert_array_equal(reading.effort, env._running().effort)
+            goal = expert.send(env.feedback)
+        assert twin.episode({})["blocked_pulls"] == env.episode_record()["blocked_pulls"] == 1
+    finally:
+        env.close()
+
+
+def test_a_key_frame_that_is_stopped_brakes_and_rests(twin: SapienBackend) -> None:
+    twin.reset({"seed": SEED})
+    start = twin.read()
+    pose = start.tcp_in_base.copy()
+    pose[1, 3] += 0.25
+    twin.begin_keyframe(target(pose, 1.0, Execution.KEYFRAME))
+    for _ in range(25):
+        twin.tick()
+    moving = twin.read()
+    assert moving.mode is ArmMode.MOVING
+    assert moving.outcome is None
+    twin.stop()
+    for _ in range(40):
+        twin.tick()
+    rest = twin.read()
+    assert rest.mode is ArmMode.IDLE
+    assert rest.outcome is None
+    way = rest.tcp_in_base[1, 3] - moving.tcp_in_base[1, 3]
+    assert 0.0 < way < 0.1  # it goes on by what braking takes
+    assert rest.tcp_in_base[1, 3] < pose[1, 3] - 0.02
+
+
+def test_time_goes_by_ticks_and_a_stream_is_followed(twin: SapienBackend) -> None:
+    twin.reset({"seed": SEED})
+    before = twin.read()
+    pose = before.tcp_in_base.copy()
+    for _ in range(50):
+        pose[2, 3] += 0.001
+        twin.stream(target(pose, 1.0, Execution.STREAM))
+        twin.tick()
+    for _ in range(30):
+        twin.tick()
+    after = twin.read()
+    assert after.robot_time - before.robot_time == pytest.approx(80 * TICK)
+    np.testing.assert_allclose(after.tcp_in_base[:3, 3], pose[:3, 3], atol=2e-3)
+    assert after.outcome is None
+
+
+def test_a_pull_at_a_locked_door_stalls_under_bounded_strain(twin: SapienBackend) -> None:
+    told = twin.reset({"seed": SEED})
+    handle = annotations_from_json(told["annotations"])["handle"]
+    expert = make_expert(
+        "microwave", "adaptive", {**annotations_from_json(told["annotations"])}, generator=np.random.default_rng(0)
+    )
+    goal = next(expert)
+    for _ in range(3):  # before it, at it, closed
+        play_key_frame(twin, goal.action())
+        goal = expert.send(twin._scene.feedback)
+    pull = handle.moved({"door": 0.3})
+    twin.stream(target(pull, 0.0, Execution.STREAM))
+    for _ in range(150):
+        twin.tick()
+    driver = twin._scene.driver
+    assert driver.stream_outcome is Outcome.STALLED
+    assert twin.read().effort.__abs__().max() > 2.0
+    assert abs(twin._scene.part_positions()["door"]) < 0.02
+    assert not twin.episode({})["success"]
+
+
+def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, boxes: Any) -> None:
+    twin.reset({"seed": SEED})
+    number = twin.look({})["number"]
+    found = boxes[FRONT_FRAMES].read()
+    assert found is not None
+    frame = unpack_frame(found[1])
+    assert frame.number == number
+    assert frame.color.shape == (SIZE, SIZE, 3)
+    assert frame.depth.shape == (SIZE, SIZE)
+    rays = twin._scene.eye(SIZE, "raycast")
+    _, depth = rays.take()
+    both = (frame.depth > 0) & (depth > 0)
+    assert both.mean() > 0.2
+    apart = np.abs(frame.depth.astype(int) - depth.astype(int))[both]
+    assert np.percentile(apart, 90) <= 1
+
+
+def test_a_reset_tells_nothing_hidden_and_refuses_what_is_no_seed(twin: SapienBackend) -> None:
+    told = twin.reset({"seed": SEED + 1})
+    assert told["seed"] == SEED + 1
+    assert set(told["annotations"]) == {"handle", "button"}
+    assert not [key for key in told if "hidden" in key or "locked" in key]
+    assert twin.episode({})["hidden_state"]["locked"] is True
+    for wrong in (-1, 2**31, 1.5, True, None):
+        with pytest.raises(ValueError, match="seed"):
+            twin.reset({"seed": wrong})

@@ -1,0 +1,414 @@
+"""Teleoperators of one tool goal, through fake devices: integration, anchors, clutch, time, what SDKs really say."""
+
+from __future__ import annotations
+
+import sys
+import types
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
+from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.session import BOARD, RobotSession
+from lerobot_adamanip.hardware.teleoperators.adamanip_gamepad import AdamanipGamepad
+from lerobot_adamanip.hardware.teleoperators.adamanip_keyboard import (
+    GRIPPER,
+    LEROBOT_KEYS,
+    RESET,
+    SHIFTS,
+    SUCCESS,
+    TURNS,
+    AdamanipKeyboard,
+    KeyboardDevice,
+)
+from lerobot_adamanip.hardware.teleoperators.adamanip_phone import AdamanipPhone
+from lerobot_adamanip.hardware.teleoperators.adamanip_spacemouse import AdamanipSpacemouse
+from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
+from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
+from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
+from lerobot_adamanip.hardware.teleoperators.config_adamanip_spacemouse import AdamanipSpacemouseConfig
+from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
+from lerobot_adamanip.hardware.teleoperators.jog import Jog, dead_zone
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import (
+    FORGOTTEN,
+    LOCKSTEP_DT,
+    OPERATOR_SUCCESS,
+    RESET_WANTED,
+    JogTeleop,
+)
+from lerobot_adamanip.rotations import pose_from_vector, transform
+from lerobot_adamanip.schema import POSE_NAMES
+
+DT = 1 / 30
+LIMITS = SafetyLimits((-0.5, -1.0, -0.3), (1.3, 1.0, 1.5), speed=0.2, angular_speed=0.8)
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Robot:
+    """A robot on the board, that is where it is put."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.session: RobotSession = BOARD.open("arm")
+        self.session.safety = LIMITS
+        self.at(0.5, 0.0, 0.7)
+
+    def at(self, *position: float) -> None:
+        seven = np.zeros(7)
+        self.session.reading = ArmReading(
+            self.clock.now, self.clock.now, transform(position), 1.0, seven, seven, seven, ArmMode.IDLE
+        )
+
+
+class Stick:
+    """A device that asks for what it is told to."""
+
+    def __init__(self) -> None:
+        self.jog = Jog()
+        self.calls: list[str] = []
+
+    def open(self) -> None:
+        self.calls.append("open")
+
+    def read(self) -> Jog:
+        jog, self.jog = self.jog, replace(self.jog, toggle=False, success=False, reset=False)
+        return jog
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def robot(clock: Clock) -> Iterator[Robot]:
+    yield Robot(clock)
+    BOARD.close("arm")
+
+
+def call(teleop: Any, robot: Robot, *, follows: bool = True) -> Any:
+    """One round of LeRobot's loop: time passes, the robot is observed, the teleoperator asked, the arm follows."""
+    robot.clock.now += DT
+    assert robot.session.reading is not None
+    robot.session.reading = replace(robot.session.reading, stamp=robot.clock.now)
+    action = teleop.get_action()
+    assert tuple(action) == POSE_NAMES
+    pose = np.array(list(action.values()), np.float32)
+    if follows:
+        robot.session.reading = replace(robot.session.reading, tcp_in_base=pose_from_vector(pose)[0])
+    return pose
+
+
+def jogging(clock: Clock) -> tuple[JogTeleop, Stick]:
+    stick = Stick()
+    teleop = JogTeleop(TcpTeleopConfig(), stick, clock)
+    teleop.connect()
+    return teleop, stick
+
+
+def test_it_integrates_speed_times_time_and_turns_about_the_base_axes(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    call(teleop, robot)
+    stick.jog = Jog(shift=np.array([1.0, -0.5, 0.0]), turn=np.array([0.0, 0.0, 1.0]))
+    poses = [call(teleop, robot) for _ in range(30)]
+    np.testing.assert_allclose(poses[-1][:3], (0.5 + 0.1, -0.05, 0.7), atol=1e-4)
+    turned = Rotation.from_matrix(pose_from_vector(poses[-1])[0][:3, :3]).as_rotvec()
+    np.testing.assert_allclose(turned, (0.0, 0.0, 0.4), atol=1e-3)
+
+
+def test_what_it_returns_is_what_the_robots_own_filter_lets_through(robot: Robot, clock: Clock) -> None:
+    """Idempotence at work: recorded and sent targets are equal bit for bit."""
+    teleop, stick = jogging(clock)
+    ours = SafetyFilter(LIMITS)
+    stick.jog = Jog(shift=np.array([1.0, 0.3, -1.0]), turn=np.array([0.3, 0.2, -0.4]))
+    for number in range(60):
+        reading = robot.session.reading
+        assert reading is not None
+        sent = call(teleop, robot, follows=number % 3 > 0)  # an arm that does not always follow
+        if number == 0:
+            ours.anchor(reading.tcp_in_base, reading.gripper)
+        np.testing.assert_array_equal(ours.stream(sent, reading.tcp_in_base, DT), sent)
+
+
+def test_a_blocked_arm_is_not_run_away_from(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
+    for _ in range(60):
+        pose = call(teleop, robot, follows=False)
+    assert 0.03 < pose[0] - 0.5 <= LIMITS.lead + 1e-6
+
+
+def test_an_episode_anchors_anew(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    stick.jog = Jog(shift=np.array([0.0, 1.0, 0.0]))
+    for _ in range(10):
+        call(teleop, robot)
+    robot.session.episodes += 1
+    robot.at(0.4, 0.2, 0.8)
+    pose = call(teleop, robot)
+    np.testing.assert_allclose(pose[:3], (0.4, 0.2, 0.8), atol=1e-6)
+
+
+def test_a_second_without_calls_anchors_anew_and_moves_nothing(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    call(teleop, robot)
+    clock.now += FORGOTTEN + 0.1
+    robot.at(0.45, 0.1, 0.7)
+    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
+    np.testing.assert_allclose(call(teleop, robot)[:3], (0.45, 0.1, 0.7), atol=1e-6)
+
+
+def test_the_first_anchor_waits_for_a_reading_newer_than_the_reset(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    call(teleop, robot)
+    teleop.reset()
+    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
+    clock.now += DT
+    teleop.get_action()
+    assert teleop.goal is None  # the reading is from before
+    call(teleop, robot)
+    assert teleop.goal is not None
+
+
+def test_the_clutch_holds_the_goal_and_closing_it_begins_at_the_measured_pose(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    call(teleop, robot)
+    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]), clutch=False)
+    assert call(teleop, robot)[0] == pytest.approx(0.5)
+    robot.at(0.52, 0.0, 0.7)  # pushed a little
+    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]), clutch=True)
+    assert call(teleop, robot)[0] == pytest.approx(0.52, abs=1e-6)
+    assert call(teleop, robot)[0] == pytest.approx(0.52 + 0.1 * DT, abs=1e-5)
+
+
+def test_in_lockstep_steps_are_the_time_and_not_the_clock(robot: Robot, clock: Clock) -> None:
+    robot.session.details[LOCKSTEP_DT] = 0.01
+    teleop, stick = jogging(clock)
+    call(teleop, robot)
+    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
+    assert call(teleop, robot)[0] - 0.5 == pytest.approx(0.1 * 0.01, abs=1e-6)
+    clock.now += 60.0  # a slow machine
+    assert call(teleop, robot)[0] - 0.5 == pytest.approx(2 * 0.1 * 0.01, abs=1e-6)
+
+
+def test_the_gripper_toggles_and_keys_reach_the_robot(robot: Robot, clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    assert call(teleop, robot)[9] == 1.0
+    stick.jog = Jog(toggle=True, success=True, reset=True)
+    assert call(teleop, robot)[9] == 0.0
+    assert call(teleop, robot)[9] == 0.0
+    assert robot.session.details[OPERATOR_SUCCESS] is True
+    assert robot.session.details[RESET_WANTED] is True
+    robot.session.episodes += 1
+    call(teleop, robot)
+    assert OPERATOR_SUCCESS not in robot.session.details
+
+
+def test_without_a_robot_or_a_connection_it_says_so(clock: Clock) -> None:
+    teleop, stick = jogging(clock)
+    with pytest.raises(RobotError, match="knows no robot"):
+        teleop.get_action()
+    teleop.disconnect()
+    teleop.disconnect()
+    assert stick.calls == ["open", "close"]
+    with pytest.raises(RobotError, match="not connected"):
+        teleop.get_action()
+
+
+def test_a_dead_zone_is_continuous_and_keeps_full_deflection() -> None:
+    values = np.array([-1.0, -0.1, 0.05, 0.1, 0.55, 1.0])
+    np.testing.assert_allclose(dead_zone(values, 0.1), [-1.0, 0.0, 0.0, 0.0, 0.5, 1.0])
+
+
+# Devices --------------------------------------------------------------------------------------------------------------
+
+
+class Pad:
+    axes = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    buttons: frozenset[int] = frozenset()
+
+    def init(self) -> None:
+        pass
+
+    def get_axis(self, number: int) -> float:
+        return self.axes[number]
+
+    def get_numhats(self) -> int:
+        return 1
+
+    def get_hat(self, _: int) -> tuple[int, int]:
+        return (0, 0)
+
+    def get_numbuttons(self) -> int:
+        return 11
+
+    def get_button(self, number: int) -> bool:
+        return number in self.buttons
+
+
+def fake_pygame(pads: list[Pad]) -> Any:
+    module = types.ModuleType("pygame")
+    module.init = module.quit = lambda: None  # type: ignore[attr-defined]
+    joystick = types.SimpleNamespace(init=lambda: None, get_count=lambda: len(pads), Joystick=lambda index: pads[index])
+    module.joystick = joystick  # type: ignore[attr-defined]
+    module.event = types.SimpleNamespace(pump=lambda: None)  # type: ignore[attr-defined]
+    return module
+
+
+def test_gamepad_drives_only_while_its_shoulder_is_held(
+    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pad = Pad()
+    monkeypatch.setitem(sys.modules, "pygame", fake_pygame([pad]))
+    teleop = AdamanipGamepad(AdamanipGamepadConfig(), clock)
+    teleop.connect()
+    pad.axes = (0.0, -1.0, 0.0, 0.05, 0.0, 0.0)  # left stick forward, the right one worn
+    for _ in range(3):
+        assert call(teleop, robot)[0] == pytest.approx(0.5)
+    pad.buttons = frozenset({5})
+    call(teleop, robot)
+    assert call(teleop, robot)[0] == pytest.approx(0.5 + 0.1 * DT, abs=1e-5)
+    pad.buttons = frozenset({5, 0})
+    assert [call(teleop, robot)[9] for _ in range(3)] == [0.0, 0.0, 0.0]  # held, it toggles once
+    pad.buttons = frozenset({5})
+    call(teleop, robot)
+    pad.buttons = frozenset({5, 0})
+    assert call(teleop, robot)[9] == 1.0
+    teleop.disconnect()
+
+
+def test_a_gamepad_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", fake_pygame([]))
+    with pytest.raises(RobotError, match="no such gamepad"):
+        AdamanipGamepad(AdamanipGamepadConfig()).connect()
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(RobotError, match=r"lerobot\[gamepad\]"):
+        AdamanipGamepad(AdamanipGamepadConfig()).connect()
+
+
+class Mouse:
+    """As pyspacemouse's: one report a read, the same object each time, and a time that stands when there is none."""
+
+    def __init__(self) -> None:
+        self.state = types.SimpleNamespace(t=0.0, x=0.0, y=0.0, z=0.0, roll=0.0, pitch=0.0, yaw=0.0, buttons=[0, 0])
+        self.queue: list[dict[str, Any]] = []
+        self.closed = False
+
+    def read(self) -> Any:
+        if self.queue:
+            vars(self.state).update(self.queue.pop(0))
+            self.state.t += 1.0
+        return self.state
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_spacemouse_asks_for_ros_axes_and_takes_all_reports(
+    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mouse, asked = Mouse(), {}
+    module = types.ModuleType("pyspacemouse")
+    module.AxisConvention = types.SimpleNamespace(ROS="ros")  # type: ignore[attr-defined]
+    module.open = lambda **kwargs: asked.update(kwargs) or mouse  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pyspacemouse", module)
+    teleop = AdamanipSpacemouse(AdamanipSpacemouseConfig(), clock)
+    teleop.connect()
+    assert asked["axis_convention"] == "ros"
+    call(teleop, robot)
+    mouse.queue = [{"x": 0.2}, {"x": 0.6}, {"x": 1.0, "y": 0.02}, {"buttons": [1, 0]}]
+    pose = call(teleop, robot)
+    np.testing.assert_allclose(pose[:3], (0.5 + 0.1 * DT, 0.0, 0.7), atol=1e-5)
+    assert pose[9] == 0.0
+    assert call(teleop, robot)[9] == 0.0  # still held
+    teleop.disconnect()
+    assert mouse.closed
+
+
+def test_a_spacemouse_without_its_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyspacemouse", None)
+    with pytest.raises(RobotError, match="hidapi"):
+        AdamanipSpacemouse(AdamanipSpacemouseConfig()).connect()
+
+
+def test_keyboard_keys_are_none_of_lerobots() -> None:
+    ours = {*SHIFTS, *TURNS, GRIPPER, SUCCESS, RESET}
+    assert len(ours) == len(SHIFTS) + len(TURNS) + 3
+    assert ours.isdisjoint(LEROBOT_KEYS)
+    for table in (SHIFTS, TURNS):
+        assert sorted(table.values()) == sorted((axis, sign) for axis in range(3) for sign in (-1.0, 1.0))
+
+
+def test_keyboard_drives_while_keys_are_held(robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Keys(KeyboardDevice):
+        def open(self) -> None:
+            pass
+
+    keys = Keys()
+    teleop = AdamanipKeyboard(AdamanipKeyboardConfig(), clock, keys)
+    teleop.connect()
+    call(teleop, robot)
+    keys.press("w")
+    keys.press("u")
+    keys.press("g")
+    keys.press("g")  # a key that is held repeats
+    pose = call(teleop, robot)
+    np.testing.assert_allclose(pose[:3], (0.5 + 0.1 * DT, 0.0, 0.7 + 0.1 * DT), atol=1e-5)
+    assert pose[9] == 0.0
+    keys.release("w")
+    keys.release("u")
+    assert call(teleop, robot)[9] == 0.0
+    keys.press("backspace")
+    call(teleop, robot)
+    assert robot.session.details[RESET_WANTED] is True
+
+
+def test_phone_moves_the_goal_by_its_own_way_while_it_is_enabled(robot: Robot, clock: Clock) -> None:
+    class Phone:
+        told: dict[str, Any] = {}  # noqa: RUF012  (no pose yet)
+        connected = False
+
+        def connect(self) -> None:
+            self.connected = True
+
+        def disconnect(self) -> None:
+            self.connected = False
+
+        def get_action(self) -> dict[str, Any]:
+            return self.told
+
+    phone = Phone()
+    teleop = AdamanipPhone(AdamanipPhoneConfig(scale=0.5), clock, lambda _: phone)
+    teleop.connect()
+    assert call(teleop, robot)[0] == pytest.approx(0.5)
+
+    def at(x: float, enabled: bool) -> dict[str, Any]:
+        rotation = Rotation.from_rotvec((0.0, 0.0, 4 * x))
+        return {"phone.pos": np.array([x, 0.0, 0.0]), "phone.rot": rotation, "phone.enabled": enabled}
+
+    phone.told = at(3.0, False)
+    assert call(teleop, robot)[0] == pytest.approx(0.5)
+    phone.told = at(3.0, True)
+    assert call(teleop, robot)[0] == pytest.approx(0.5, abs=1e-6)  # where the phone is does not matter
+    phone.told = at(3.01, True)
+    pose = call(teleop, robot)
+    assert pose[0] == pytest.approx(0.505, abs=1e-5)
+    turned = Rotation.from_matrix(pose_from_vector(pose)[0][:3, :3]).as_rotvec()
+    np.testing.assert_allclose(turned, (0.0, 0.0, 0.02), atol=1e-4)
+    teleop.disconnect()
+    assert not phone.connected

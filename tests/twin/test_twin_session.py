@@ -1,0 +1,149 @@
+"""LeRobot's own commands on the twin: what is recorded in lockstep, what a replay does, and how fast real time is."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.hardware.features import LABEL_NAME, SCALAR_NAMES, SENT_NAMES, STAMP_NAME
+from lerobot_adamanip.schema import POSE_NAMES
+
+ROOT = Path(__file__).resolve().parents[2]
+SEED, FPS = 1000, 30
+TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave", "--robot.clock=lockstep")
+
+pytestmark = [pytest.mark.sim, pytest.mark.timeout(1800)]
+
+
+def lerobot(name: str, *arguments: str) -> None:
+    command = [str(Path(sys.executable).with_name(f"lerobot-{name}")), *arguments, "--play_sounds=false"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=os.environ)
+    assert done.returncode == 0, done.stderr[-4000:]
+
+
+def log_lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes, the second of them locked."""
+    root = tmp_path_factory.mktemp("twin") / "recorded"
+    for resume, locked in (("false", "false"), ("true", "true")):
+        lerobot(
+            "record",
+            *TWIN,
+            f"--robot.seed={SEED}",
+            f"--robot.hidden={{locked: {locked}}}",
+            "--robot.image_size=64",
+            "--teleop.type=adamanip_scripted",
+            "--dataset.repo_id=local/twin",
+            f"--dataset.root={root}",
+            "--dataset.num_episodes=1",
+            "--dataset.episode_time_s=3600",
+            "--dataset.reset_time_s=0",
+            "--dataset.single_task=Open the microwave.",
+            "--dataset.push_to_hub=false",
+            f"--resume={resume}",
+        )
+    return root
+
+
+def rows(root: Path) -> Any:
+    import pandas
+
+    return pandas.concat([pandas.read_parquet(file) for file in sorted((root / "data").rglob("*.parquet"))])
+
+
+def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> None:
+    log = log_lines(recorded.with_name("recorded.episodes.jsonl"))
+    assert [line["episode"] for line in log] == [0, 1]
+    assert [line["given_seed"] for line in log] == [SEED, SEED + 1]  # a session that goes on counts on
+    assert [line["hidden_state"]["locked"] for line in log] == [False, True]
+    assert [line["success"] for line in log] == [True, True]
+
+
+def test_what_is_recorded_is_the_contract_and_nothing_hidden(recorded: Path) -> None:
+    info = json.loads((recorded / "meta" / "info.json").read_text(encoding="utf-8"))
+    assert info["total_episodes"] == 2
+    assert info["robot_type"] == "adamanip_franka_sim"
+    assert info["features"]["observation.state"]["names"] == list(SCALAR_NAMES)
+    assert info["features"]["action"]["names"] == list(POSE_NAMES)
+    assert {"observation.images.front", "observation.images.front_depth"} <= info["features"].keys()
+    hidden = ("locked", "hidden", "latch", "seed", "object_joint")
+    assert not [name for name in (*SCALAR_NAMES, *info["features"]) if any(word in name for word in hidden)]
+
+
+def test_what_was_asked_is_what_was_sent_and_time_is_steps(recorded: Path) -> None:
+    table = rows(recorded)
+    states = np.stack(table["observation.state"].to_numpy())
+    actions, episodes = np.stack(table["action"].to_numpy()), table["episode_index"].to_numpy()
+    sent = states[:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]]
+    stamps, done = (states[:, SCALAR_NAMES.index(name)] for name in (STAMP_NAME, LABEL_NAME))
+    for episode in (0, 1):
+        mine = episodes == episode
+        # What the arm accepted stands in the next row.
+        np.testing.assert_array_equal(sent[mine][1:], actions[mine][:-1].astype(np.float32))
+        steps = np.diff(stamps[mine])
+        assert abs(steps.mean() - 1 / FPS) < 1e-3
+        assert steps.max() < 0.045  # two control ticks at most
+        assert done[mine][0] == 0.0
+        assert done[mine][-1] == 1.0
+
+
+def test_a_replay_opens_the_same_door_as_far(recorded: Path, tmp_path: Path) -> None:
+    log = tmp_path / "replayed.jsonl"
+    lerobot(
+        "replay",
+        *TWIN,
+        f"--robot.seed={SEED + 1}",
+        "--robot.hidden={locked: true}",
+        "--robot.camera=false",
+        f"--robot.episode_log={log}",
+        "--dataset.repo_id=local/twin",
+        f"--dataset.root={recorded}",
+        "--dataset.episode=1",
+    )
+    (replayed,) = log_lines(log)
+    before = log_lines(recorded.with_name("recorded.episodes.jsonl"))[1]
+    assert replayed["success"] is True
+    for joint, place in before["joints"].items():
+        assert replayed["joints"][joint] == pytest.approx(place, abs=1e-3)
+
+
+@pytest.mark.nightly
+def test_real_time_is_fast_enough_for_people() -> None:
+    """One camera at 8 Hz or more, its frames at most 150 ms old (p95), fewer than 5 % of a 30 Hz loop's ticks late."""
+    from lerobot_env_adamanip.twin.adamanip_franka_sim import AdamanipFrankaSim
+    from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+
+    robot = AdamanipFrankaSim(AdamanipFrankaSimConfig(id="twin", category="microwave", seed=SEED))
+    robot.connect()
+    try:
+        camera = robot.cameras["front"]
+        goal = {name: robot.get_observation()[name] for name in POSE_NAMES}
+        late, ages, numbers = 0, [], set()
+        begun = due = time.perf_counter()
+        while time.perf_counter() - begun < 60:
+            robot.get_observation()
+            frame = camera.latest_frame()
+            ages.append(time.perf_counter() - frame.stamp)
+            numbers.add(frame.number)
+            robot.send_action(goal)
+            due += 1 / FPS
+            late += time.perf_counter() > due + 0.005
+            time.sleep(max(0.0, due - time.perf_counter()))
+        assert len(numbers) / 60 >= 8
+        assert statistics.quantiles(ages, n=20)[-1] <= 0.150
+        assert late / len(ages) < 0.05
+    finally:
+        robot.disconnect()
