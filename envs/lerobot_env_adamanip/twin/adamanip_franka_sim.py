@@ -9,12 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import SUCCESS, AdamanipFranka
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import OPERATOR_SUCCESS, RESET_WANTED
 from lerobot_adamanip.schema import POSE_NAMES
@@ -80,14 +78,10 @@ class AdamanipFrankaSim(AdamanipFranka):
                 camera.attach(self._client, size=self.config.image_size, lockstep=self.config.clock == "lockstep")
 
     def _calibrated(self, details: dict[str, Any]) -> None:
-        told = details["camera"]
-        matrix, pose = np.array(told["intrinsics"], np.float64), np.array(told["extrinsics"], np.float64)
-        imager = Intrinsics(matrix, np.zeros(0), int(told["width"]), int(told["height"]))
+        calibration = simulated_calibration(details["camera"], "twin")
         for key, camera in self.cameras.items():
             if isinstance(camera, AdamanipTwin):
-                self._session.calibrations[key] = CameraCalibration(
-                    "twin", imager, pose, color=imager, depth_in_color=np.eye(4)
-                )
+                self._session.calibrations[key] = calibration
 
     def _read_calibrations(self) -> None:
         """The twin's own are told by its process; a file could only contradict them."""
