@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import os
 import re
 import subprocess
@@ -18,6 +20,7 @@ from smoke_test_release import ReleaseError, check_tag, find_wheel
 import lerobot_adamanip
 
 ROOT = Path(__file__).resolve().parents[1]
+RESUMES = "lerobot.common.control_utils"
 TEXT = {".py", ".typed", ".toml", ".md", ".txt", ".cff", ""}
 """Endings of what a release holds; the last one is that of LICENSE, PKG-INFO and .gitignore."""
 
@@ -178,7 +181,8 @@ def test_every_extra_is_imported_by_something() -> None:
     packages = ("lerobot_adamanip", "envs", "policies")
     text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
     assert 'WHEEL = "pyk4a-bundle"' in text  # whose libraries are loaded, and whose module is not imported
-    for extra in set(extras) - {"dev", "docs", "k4a"}:
+    assert "deepdiff" in inspect.getsource(importlib.import_module(RESUMES))  # LeRobot's, of which no extra brings it
+    for extra in set(extras) - {"dev", "docs", "k4a", "record"}:
         for name in (Requirement(line).name for line in extras[extra]):
             assert re.search(rf"\b(import|from) {modules.get(name, name)}\b", text), f"{extra}: {name}"
 

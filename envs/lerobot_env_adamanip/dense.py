@@ -187,24 +187,36 @@ def collect_dense(
         ConfigurationError: LeRobot is not one whose recordings outlive a kill.
         DatasetError: an expert did not succeed.
     """
-    items, dataset = spec.items(), _opened(root)
-    env: KeyframeEnv | None = None
+    items, dataset, watches = spec.items(), _opened(root), _Watches(spec)
     try:
         for number in range(dataset.meta.total_episodes, len(items)):
-            category = category_of(items[number].object_id)
-            if env is None or env.category != category:
-                if env is not None:
-                    env.close()
-                env = KeyframeEnv(options=spec.environment_of(category).changed(observe_images=False))
-                watch = TickWatch(env)
+            watch = watches.of(category_of(items[number].object_id))
             episode, known = successful_episode(watch, spec, make_expert, items[number], max_attempts)
             _save(dataset, episode, known, number)
             progress("record", number + 1, len(items))
     finally:
-        if env is not None:
-            env.close()
+        watches.close()
         dataset.finalize()
     return int(dataset.meta.total_episodes)
+
+
+class _Watches:
+    """The environment of one category after the other, each watched."""
+
+    def __init__(self, spec: CollectionSpec) -> None:
+        self._spec = spec
+        self._env: KeyframeEnv | None = None
+
+    def of(self, category: str) -> TickWatch:
+        if self._env is None or self._env.category != category:
+            self.close()
+            self._env = KeyframeEnv(options=self._spec.environment_of(category).changed(observe_images=False))
+            self._watch = TickWatch(self._env)
+        return self._watch
+
+    def close(self) -> None:
+        if self._env is not None:
+            self._env.close()
 
 
 def _opened(root: Path) -> Any:

@@ -84,12 +84,7 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
     folder = assembling(root)
     files.remove_tree(folder)
     files.crash_point("assembly begun")
-    environment = contents.manifest.spec.environment
-    image_size = environment.image_size if environment.observe_images else None
-    intrinsics = read_shard(contents.shards[0]).record["camera"].get("intrinsics")
-    dataset = create_dataset(
-        folder, contents.repo_id, num_points=environment.num_points, image_size=image_size, intrinsics=intrinsics
-    )
+    dataset = _empty(folder, contents)
     records, lengths = append_shards(dataset, contents.shards, progress, crews)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
@@ -100,6 +95,15 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
     read_back(folder, lengths)
     files.crash_point("dataset verified")
     return folder
+
+
+def _empty(folder: Path, contents: Contents) -> Any:
+    environment = contents.manifest.spec.environment
+    image_size = environment.image_size if environment.observe_images else None
+    intrinsics = read_shard(contents.shards[0]).record["camera"].get("intrinsics")
+    return create_dataset(
+        folder, contents.repo_id, num_points=environment.num_points, image_size=image_size, intrinsics=intrinsics
+    )
 
 
 def append_shards(
@@ -181,17 +185,12 @@ def create_dataset(
         intrinsics: (3, 3) of the front camera for that size [px], if known.
         workspace: box of the clouds, where no manifest tells it and it is not the default one.
     """
-    import av
-    import datasets
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    av.logging.set_libav_level(av.logging.ERROR)
-    datasets.disable_progress_bars()
-    images = image_size is not None
-    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=images)
-    box = {} if workspace is None else {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
-    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **box}
-    if images:
+    _quieten()
+    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=image_size is not None)
+    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **_box(workspace)}
+    if image_size is not None:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
         repo_id=repo_id,
@@ -204,6 +203,20 @@ def create_dataset(
         video_backend="pyav",
         video_files_size_in_mb=_VIDEO_FILE_MB,
     )
+
+
+def _quieten() -> None:
+    import av
+    import datasets
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+
+
+def _box(workspace: Workspace | None) -> dict[str, Any]:
+    if workspace is None:
+        return {}
+    return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
 
 
 def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:

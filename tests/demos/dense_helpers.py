@@ -98,10 +98,15 @@ def dense_episode(
     success = np.zeros(count, bool)
     success[-5:] = opens
     return DenseEpisode(
-        state=np.stack(states), effort=np.zeros((count, 7), np.float32), sent=np.stack(sent[:-1]),
-        stamp=np.arange(count) / FPS, outcome=np.full(count, -1), success=success, task="open the thing",
+        state=np.stack(states),
+        effort=np.zeros((count, 7), np.float32),
+        sent=np.stack(sent[:-1]),
+        stamp=np.arange(count) / FPS,
+        outcome=np.full(count, -1),
+        success=success,
+        task="open the thing",
         asked=targets,
-    )  # fmt: skip
+    )
 
 
 def scalars(episode: DenseEpisode) -> NDArray[np.float32]:
@@ -141,9 +146,14 @@ def begun(root: Path, names: Sequence[str] = SCALAR_NAMES, **more: Any) -> Any:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     return LeRobotDataset.create(
-        "local/dense", FPS, {**dense_features(names), **more}, root=root, robot_type="adamanip_franka",
-        rgb_encoder=RGBEncoderConfig(vcodec="h264"), depth_encoder=DepthEncoderConfig(depth_min=0.0, depth_max=2.0),
-    )  # fmt: skip
+        "local/dense",
+        FPS,
+        {**dense_features(names), **more},
+        root=root,
+        robot_type="adamanip_franka",
+        rgb_encoder=RGBEncoderConfig(vcodec="h264"),
+        depth_encoder=DepthEncoderConfig(depth_min=0.0, depth_max=2.0),
+    )
 
 
 def add(dataset: Any, episode: DenseEpisode) -> None:

@@ -52,9 +52,12 @@ class Recording:
         with (folder / "log").open("ab") as log:
             self.process = subprocess.Popen(
                 command(folder / "recording", resume=resume, streaming=streaming, episodes=episodes),
-                stdin=slave, stdout=log, stderr=log, env={**os.environ, "PYTHONPATH": path, SAVED: str(self.saved)},
+                stdin=slave,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, "PYTHONPATH": path, SAVED: str(self.saved)},
                 start_new_session=True,
-            )  # fmt: skip
+            )
         os.close(slave)
 
     def lines(self) -> list[tuple[int, int]]:

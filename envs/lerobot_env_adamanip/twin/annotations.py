@@ -18,16 +18,19 @@ _POSE = checked_json.listing(checked_json.listing(_NUMBER, 4, 4), 4, 4)
 _THREE = checked_json.listing(_NUMBER, 3, 3)
 _MOTION = checked_json.table(
     {
-        "joint": _NAME, "kind": checked_json.choice(("revolute", "prismatic", "fixed")), "point": _THREE,
+        "joint": _NAME,
+        "kind": checked_json.choice(("revolute", "prismatic", "fixed")),
+        "point": _THREE,
         "axis": _THREE,
     }
-)  # fmt: skip
+)
 _PART = checked_json.table(
     {
-        "grasp": _POSE, "motions": checked_json.listing(_MOTION, 0, 8),
+        "grasp": _POSE,
+        "motions": checked_json.listing(_MOTION, 0, 8),
         "rolls": checked_json.listing(_NUMBER, 0, 64),
     }
-)  # fmt: skip
+)
 _PARTS = checked_json.mapping(_NAME, _PART, 32)
 
 

@@ -107,14 +107,7 @@ def convert(
     require_free(out)
     simulated = [each for each in sources if _is_demonstrations(each)]
     chosen = _fitting(options or ConvertOptions(), simulated)
-    recordings = [DenseRecording.open(each, chosen.camera) for each in sources if each not in simulated]
-    if not recordings:
-        raise ConfigurationError(
-            "There is no dense recording.",
-            got=", ".join(each.name for each in sources) or "nothing",
-            allowed="one or more of `lerobot-record`",
-            hint="adamanip merge, for datasets of key frames alone",
-        )
+    recordings = _recordings(sources, simulated, chosen)
     work = out.with_name(out.name + ".converting")
     files.remove_tree(work)
     (work / "episodes").mkdir(parents=True)
@@ -129,6 +122,18 @@ def convert(
         files.move_durably(built, out)
     files.remove_tree(work)
     return Converted(len(shards), conversion.ticks, conversion.key_frames, merged, tuple(conversion.skipped))
+
+
+def _recordings(sources: Sequence[Path], simulated: Sequence[Path], options: ConvertOptions) -> list[DenseRecording]:
+    found = [DenseRecording.open(each, options.camera) for each in sources if each not in simulated]
+    if found:
+        return found
+    raise ConfigurationError(
+        "There is no dense recording.",
+        got=", ".join(each.name for each in sources) or "nothing",
+        allowed="one or more of `lerobot-record`",
+        hint="adamanip merge, for datasets of key frames alone",
+    )
 
 
 def _is_demonstrations(root: Path) -> bool:

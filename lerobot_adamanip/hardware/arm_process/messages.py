@@ -33,11 +33,16 @@ _REPLY = checked_json.table(
 )
 _TAIL = checked_json.table(
     {
-        "reading": checked_json.flag, "moved": checked_json.flag, "accepted": checked_json.integer(0, 2**53),
-        "faults": checked_json.integer(0, 2**53), "holding": checked_json.flag, "lost": checked_json.flag,
-        "fault": checked_json.optional(_text), "errors": checked_json.listing(_text, 0, 100),
+        "reading": checked_json.flag,
+        "moved": checked_json.flag,
+        "accepted": checked_json.integer(0, 2**53),
+        "faults": checked_json.integer(0, 2**53),
+        "holding": checked_json.flag,
+        "lost": checked_json.flag,
+        "fault": checked_json.optional(_text),
+        "errors": checked_json.listing(_text, 0, 100),
     }
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

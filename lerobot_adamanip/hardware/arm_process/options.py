@@ -75,17 +75,23 @@ _SECONDS = checked_json.number(0.001, 3600.0)
 _CORNER = checked_json.optional(checked_json.listing(checked_json.number(-10.0, 10.0), 3, 3))
 _SERVER = checked_json.table(
     {
-        "state_age": _SECONDS, "command_age": _SECONDS, "box_lower": _CORNER, "box_upper": _CORNER,
+        "state_age": _SECONDS,
+        "command_age": _SECONDS,
+        "box_lower": _CORNER,
+        "box_upper": _CORNER,
         "lockstep_fps": checked_json.optional(checked_json.number(0.1, 1000.0)),
     }
-)  # fmt: skip
+)
 _START = checked_json.table(
     {
-        "socket": checked_json.integer(0, 2**20), "memory": checked_json.integer(0, 2**20), "backend": _NAME,
-        "options": checked_json.mapping(_NAME, lambda _, value: value, 100), "server": _SERVER,
+        "socket": checked_json.integer(0, 2**20),
+        "memory": checked_json.integer(0, 2**20),
+        "backend": _NAME,
+        "options": checked_json.mapping(_NAME, lambda _, value: value, 100),
+        "server": _SERVER,
         "frames": checked_json.mapping(_NAME, checked_json.integer(1, MAX_FRAME_BYTES), 16),
     }
-)  # fmt: skip
+)
 
 
 def parse_start(argument: str) -> Start:

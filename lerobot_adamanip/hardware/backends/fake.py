@@ -225,19 +225,24 @@ _SECONDS = checked_json.number(0.0, 3600.0)
 _METRES = checked_json.number(-10.0, 10.0)
 _FAULT = checked_json.table(
     {
-        "kind": checked_json.choice(("reflex", "freeze", "thaw", "lost", "hang", "die")), "seconds": _SECONDS,
+        "kind": checked_json.choice(("reflex", "freeze", "thaw", "lost", "hang", "die")),
+        "seconds": _SECONDS,
         "flags": checked_json.listing(checked_json.text("[a-z_]{1,80}", "a flag"), 0, 41),
         "refuses": checked_json.integer(0, 100),
     }
-)  # fmt: skip
+)
 _RESET = checked_json.table({"seed": checked_json.integer(0, 2**53)})
 _OPTIONS = checked_json.table(
     {
-        "start": checked_json.listing(_METRES, 3, 3), "speed": checked_json.number(1e-6, 10.0), "wall": _METRES,
-        "stall_lag": checked_json.number(1e-6, 1.0), "time_limit": _SECONDS, "period": checked_json.number(1e-4, 1.0),
+        "start": checked_json.listing(_METRES, 3, 3),
+        "speed": checked_json.number(1e-6, 10.0),
+        "wall": _METRES,
+        "stall_lag": checked_json.number(1e-6, 1.0),
+        "time_limit": _SECONDS,
+        "period": checked_json.number(1e-4, 1.0),
         "log": checked_json.text(r"[^\0]*", "a path"),
     }
-)  # fmt: skip
+)
 
 
 def serve_fake(options: dict[str, Any]) -> Served:

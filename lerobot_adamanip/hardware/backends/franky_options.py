@@ -62,15 +62,23 @@ _number = checked_json.number
 _OPTIONS = checked_json.table(
     {
         "address": checked_json.text(r"[A-Za-z0-9][A-Za-z0-9.:_-]{0,252}", "a host name or IP address"),
-        "model": checked_json.choice(sorted(MODELS)), "dynamics": _number(0.001, 1.0),
-        "stiffness": _number(10.0, 3000.0), "rotational_stiffness": _number(1.0, 300.0),
-        "stall_force": _number(1.0, 200.0), "stall_torque": _number(0.1, 50.0),
-        "collision_force": _number(1.0, 500.0), "collision_torque": _number(1.0, 100.0),
-        "effort_sign": checked_json.either(_number(1.0, 1.0), _number(-1.0, -1.0)), "realtime": checked_json.flag,
-        "gripper": checked_json.flag, "gripper_speed": _number(0.001, 0.2), "grasp_force": _number(1.0, 140.0),
-        "time_limit": _number(0.1, 600.0), "period": _number(0.001, 0.1),
+        "model": checked_json.choice(sorted(MODELS)),
+        "dynamics": _number(0.001, 1.0),
+        "stiffness": _number(10.0, 3000.0),
+        "rotational_stiffness": _number(1.0, 300.0),
+        "stall_force": _number(1.0, 200.0),
+        "stall_torque": _number(0.1, 50.0),
+        "collision_force": _number(1.0, 500.0),
+        "collision_torque": _number(1.0, 100.0),
+        "effort_sign": checked_json.either(_number(1.0, 1.0), _number(-1.0, -1.0)),
+        "realtime": checked_json.flag,
+        "gripper": checked_json.flag,
+        "gripper_speed": _number(0.001, 0.2),
+        "grasp_force": _number(1.0, 140.0),
+        "time_limit": _number(0.1, 600.0),
+        "period": _number(0.001, 0.1),
     }
-)  # fmt: skip
+)
 
 
 def franky_options(options: dict[str, Any]) -> FrankyOptions:

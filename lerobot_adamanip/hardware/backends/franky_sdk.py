@@ -79,8 +79,10 @@ def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
     """Yields franky's name of a limit and its values in our table, times ``dynamics``."""
     limits, share = options.limits, options.dynamics
     for name, bounds in (
-        ("translation", limits.translation), ("rotation", limits.rotation), ("elbow", limits.elbow),
-    ):  # fmt: skip
+        ("translation", limits.translation),
+        ("rotation", limits.rotation),
+        ("elbow", limits.elbow),
+    ):
         for what in ("velocity", "acceleration", "jerk"):
             yield f"{name}_{what}_limit", [getattr(bounds, what) * share]
     for what in ("velocity", "acceleration", "jerk"):

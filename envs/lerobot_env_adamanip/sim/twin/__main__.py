@@ -16,10 +16,12 @@ from lerobot_adamanip.pointcloud import Workspace
 _OPTIONS = checked_json.table(
     {
         "environment": checked_json.mapping(checked_json.text(r"\w{1,40}", "a name"), lambda _, value: value, 40),
-        "seed": checked_json.integer(0, 2**31 - 1), "image_size": checked_json.integer(16, 1024),
-        "depth_source": checked_json.choice(("render", "raycast")), "lockstep": checked_json.flag,
+        "seed": checked_json.integer(0, 2**31 - 1),
+        "image_size": checked_json.integer(16, 1024),
+        "depth_source": checked_json.choice(("render", "raycast")),
+        "lockstep": checked_json.flag,
     }
-)  # fmt: skip
+)
 _CORNER = checked_json.listing(checked_json.number(-10.0, 10.0), 3, 3)
 _WORKSPACE = checked_json.table({"lower": _CORNER, "upper": _CORNER})
 
