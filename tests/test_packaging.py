@@ -177,7 +177,9 @@ def test_one_version(wheel: Path) -> None:
 def test_every_extra_is_imported_by_something() -> None:
     """An extra that no line imports promises what is not there."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    modules = {"mani-skill": "mani_skill", "opencv-python": "cv2", "pycollada": "collada"}
+    modules = {
+        "mani-skill": "mani_skill", "opencv-python": "cv2", "pycollada": "collada", "franky-control": "franky",
+    }  # fmt: skip
     packages = ("lerobot_adamanip", "envs", "policies")
     text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
     assert 'WHEEL = "pyk4a-bundle"' in text  # whose libraries are loaded, and whose module is not imported
