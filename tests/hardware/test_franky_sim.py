@@ -152,7 +152,7 @@ def test_a_stream_is_followed_no_faster_than_its_limit(arm: SimulatedArm, make: 
     milliseconds, commanded = arm.poses("c")
     assert speeds(milliseconds, commanded).max() <= 1.01 * LIMIT
     assert commanded[-1][0, 3] > commanded[0][0, 3] + 0.01
-    # It goes past its last target by what it takes to brake, which docs/robot.md tells: v^2 / 2a, and some for the jerk.
+    # It goes past its last target by what it takes to brake, as docs/robot.md tells: v^2 / 2a, and some for the jerk.
     assert commanded[:, 0, 3].max() <= goal[0] + 1.2 * LIMIT**2 / (2 * 0.05 * 9.0)
 
 
