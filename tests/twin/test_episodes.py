@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import sys
 import types
 from collections.abc import Iterator
@@ -123,7 +124,8 @@ def test_another_loop_is_left_alone_with_a_warning(
     module = types.ModuleType("recorder")
     module.record_loop = loop  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, lerobot_episodes.RECORDER, module)
-    assert lerobot_episodes.apply() is False
+    with caplog.at_level(logging.WARNING, logger=lerobot_episodes.__name__):
+        assert lerobot_episodes.apply() is False
     assert module.record_loop is loop
     assert "not one that episode events were tested with" in caplog.text
     monkeypatch.setattr(lerobot_episodes, "TESTED", {"0.6.1": lerobot_episodes.loop_hash(loop)})
