@@ -12,6 +12,7 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import AdaManipError, SimulatorError, no_vulkan_device
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
+from lerobot_env_adamanip.own_kinematics import import_sapien
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
@@ -25,6 +26,7 @@ def sensors_name(options: EnvironmentOptions) -> str:
     cast = f"embreex {importlib.metadata.version('embreex')}" if source == "raycast" else ""
     if cast and not options.observe_images:
         return cast
+    import_sapien()
     from lerobot_env_adamanip.sim.rendering import renderer_name
 
     return "; ".join(filter(None, (cast, renderer_name())))
@@ -33,6 +35,7 @@ def sensors_name(options: EnvironmentOptions) -> str:
 def require_simulator() -> None:
     """Imports the simulator; raises `SimulatorError` if it is not installed."""
     try:
+        import_sapien()
         import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
     except ImportError as error:
         raise SimulatorError(
