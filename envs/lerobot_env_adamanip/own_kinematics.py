@@ -7,7 +7,6 @@ nothing says so: the same seed no longer gives the same episode, and each solve 
 
 from __future__ import annotations
 
-import importlib
 import logging
 import sys
 
@@ -40,7 +39,7 @@ def _import_without(name: str) -> None:
     before = sys.modules.get(name, missing)
     sys.modules[name] = None  # type: ignore[assignment]  # Python's way to say that there is no such module
     try:
-        importlib.import_module("sapien")
+        import sapien  # noqa: F401
     finally:
         del sys.modules[name]
         if before is not missing:
