@@ -53,6 +53,19 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
         crash_point(crash_points[1])
 
 
+def append_line(path: Path, line: str) -> None:
+    """Appends a line; the folder is made if it is missing.
+
+    One write to a file opened for appending is atomic, so processes may share a log.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        os.write(descriptor, f"{line}\n".encode())
+    finally:
+        os.close(descriptor)
+
+
 @contextlib.contextmanager
 def locked(folder: Path, busy: str, hint: str) -> Iterator[int]:
     """Keeps other processes out of a folder; raises `DatasetError` that says ``busy`` if one is in it.

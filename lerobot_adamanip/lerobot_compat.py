@@ -10,8 +10,6 @@ lerobot-train. Scripts of one's own call `apply`. The other places that change L
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -20,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.schema import ACTION, LATEST_ONLY, POINT_CLOUD, POSE_NAMES, SKIP_VIDEOS
 
 TESTED = {"0.6.1": "e594c630a264f01d"}
 """LeRobot version -> hash of its reader's source, for which `FastDatasetReader` was written and tested."""
 _log = logging.getLogger(__name__)
 _stock: type[Any] | None = None  # LeRobot's own reader, while it is replaced
-_warned: set[str] = set()
 
 
 def is_ours(features: Mapping[str, Any]) -> bool:
@@ -36,20 +34,15 @@ def is_ours(features: Mapping[str, Any]) -> bool:
     return POINT_CLOUD in features and flat == list(POSE_NAMES)
 
 
-def reader_hash(reader: type[Any]) -> str:
-    """Returns a short hash of a class's source."""
-    return hashlib.sha256(inspect.getsource(reader).encode()).hexdigest()[:16]
-
-
 def is_tested() -> bool:
     """Whether this LeRobot's version, and its reader, are those that the faster reader was tested with."""
-    try:
-        import lerobot
-        from lerobot.datasets.dataset_reader import DatasetReader
+    return lerobot_version.is_tested(TESTED, _built_on)
 
-        return TESTED.get(str(lerobot.__version__)) == reader_hash(DatasetReader)
-    except (ImportError, AttributeError, OSError, TypeError):
-        return False
+
+def _built_on() -> tuple[Any, ...]:
+    from lerobot.datasets.dataset_reader import DatasetReader
+
+    return (DatasetReader,)
 
 
 def apply() -> bool:
@@ -61,7 +54,7 @@ def apply() -> bool:
     if _stock is not None:
         return True
     if not is_tested():
-        _warn_once()
+        lerobot_version.warn_untested(_log, TESTED, "its own, slower dataset reader stays")
         return False
     from lerobot.datasets import lerobot_dataset
 
@@ -89,19 +82,6 @@ def restore() -> None:
         lerobot_dataset.DatasetReader, _stock = _stock, None
         if "__getitems__" in vars(lerobot_dataset.LeRobotDataset):
             del lerobot_dataset.LeRobotDataset.__getitems__
-
-
-def _warn_once() -> None:
-    import lerobot
-
-    version = str(getattr(lerobot, "__version__", "?"))
-    if version not in _warned:
-        _warned.add(version)
-        _log.warning(
-            "LeRobot %s is not what lerobot_env_adamanip was tested with (%s): its own, slower dataset reader stays.",
-            version,
-            ", ".join(TESTED),
-        )
 
 
 def skip_videos(dataset_meta: Any) -> None:

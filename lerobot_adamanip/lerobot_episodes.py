@@ -8,7 +8,6 @@ by hand (clutch) or by a new session.
 from __future__ import annotations
 
 import functools
-import hashlib
 import inspect
 import logging
 import sys
@@ -17,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
+from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.hardware.session import BOARD
 
 TESTED = {"0.6.1": "95cc7a877af8ca53"}
@@ -51,7 +51,7 @@ def end_episode() -> bool:
 
 def loop_hash(loop: Callable[..., Any]) -> str:
     """Returns a short hash of the source of a loop, that of the function which its decorators wrap."""
-    return hashlib.sha256(inspect.getsource(undecorated(loop)).encode()).hexdigest()[:16]
+    return lerobot_version.source_hash(undecorated(loop))
 
 
 def undecorated(loop: Callable[..., Any]) -> Callable[..., Any]:
@@ -68,7 +68,7 @@ def apply() -> bool:
     stock = getattr(module, LOOP, None)
     if getattr(stock, "tells_episodes", False):
         return True
-    if stock is None or not _is_tested(stock):
+    if stock is None or not lerobot_version.is_tested(TESTED, lambda: [undecorated(stock)]):
         _log.warning("This LeRobot's recorder is not one that episode events were tested with; nobody is told of them.")
         return False
     setattr(module, LOOP, telling(stock))
@@ -118,12 +118,3 @@ def _recorder() -> ModuleType | None:
     if spec is not None and spec.name == RECORDER:
         return main
     return sys.modules.get(RECORDER)
-
-
-def _is_tested(loop: Callable[..., Any]) -> bool:
-    try:
-        import lerobot
-
-        return TESTED.get(str(lerobot.__version__)) == loop_hash(loop)
-    except (ImportError, AttributeError, OSError, TypeError):
-        return False

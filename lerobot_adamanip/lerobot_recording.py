@@ -8,40 +8,31 @@ Datasets of other robots, and other versions of LeRobot, are left to LeRobot; se
 from __future__ import annotations
 
 import functools
-import hashlib
-import inspect
 import logging
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.hardware.features import is_dense
 
 TESTED = {"0.6.1": "33fc8815f9c00df2"}
 """LeRobot version -> hash of the source of its writer and of its metadata, for which this was written and tested."""
 _log = logging.getLogger(__name__)
 _stock: dict[str, Any] = {}  # LeRobot's own, while they are replaced
-_warned: set[str] = set()
 
 
-def source_hash() -> str:
-    """Returns a short hash of the source of what this builds on."""
+def is_tested() -> bool:
+    """Whether this LeRobot's version, and what this builds on, are those that it was tested with."""
+    return lerobot_version.is_tested(TESTED, _built_on)
+
+
+def _built_on() -> tuple[Any, ...]:
     from lerobot.datasets import io_utils
     from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
     from lerobot.datasets.dataset_writer import DatasetWriter
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    parts = (DatasetWriter, LeRobotDatasetMetadata, LeRobotDataset.resume, io_utils.write_info, io_utils.write_stats)
-    return hashlib.sha256("".join(map(inspect.getsource, parts)).encode()).hexdigest()[:16]
-
-
-def is_tested() -> bool:
-    """Whether this LeRobot's version, and what this builds on, are those that it was tested with."""
-    try:
-        import lerobot
-
-        return TESTED.get(str(lerobot.__version__)) == source_hash()
-    except (ImportError, AttributeError, OSError, TypeError):
-        return False
+    return (DatasetWriter, LeRobotDatasetMetadata, LeRobotDataset.resume, io_utils.write_info, io_utils.write_stats)
 
 
 def apply() -> bool:
@@ -52,7 +43,7 @@ def apply() -> bool:
     if _stock:
         return True
     if not is_tested():
-        _warn_once()
+        lerobot_version.warn_untested(_log, TESTED, "a kill loses a recording's episodes")
         return False
     from lerobot.datasets import lerobot_dataset
 
@@ -98,16 +89,3 @@ def mend(root: Path) -> None:
     done = repair(root)
     for line in done.lines():
         _log.warning("%s: %s", root.name, line)
-
-
-def _warn_once() -> None:
-    import lerobot
-
-    version = str(getattr(lerobot, "__version__", "?"))
-    if version not in _warned:
-        _warned.add(version)
-        _log.warning(
-            "LeRobot %s is not what lerobot_env_adamanip was tested with (%s): a kill loses a recording's episodes.",
-            version,
-            ", ".join(TESTED),
-        )

@@ -79,8 +79,8 @@ class Run:
         """Trains, on from the last checkpoint if there is one."""
         self._train("train", self.data, self.options.steps, self._begin())
 
-    def _begin(self) -> list[str]:
-        begin = ["--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false"]
+    def _begin(self, policy: str = "--policy.type=dp3_adaptive") -> list[str]:
+        begin = [policy, "--policy.device=cpu", "--policy.push_to_hub=false"]
         return [*begin, *(SEVERAL_TASKS if self.category == SUITE else ()), *self.options.train]
 
     def correct(self) -> None:
@@ -94,9 +94,8 @@ class Run:
             self._run("correct", *self._recording(corrections, given.corrections), *policy, *expert)
         if not _recorded(both):
             self._merge("merge", [self.data, corrections], both)
-        begin = self._begin()
-        if given.correction_start == "trained":
-            begin = [f"--policy.path={self.checkpoint('train')}", *begin[1:]]
+        going_on = given.correction_start == "trained"
+        begin = self._begin(f"--policy.path={self.checkpoint('train')}") if going_on else self._begin()
         self._train("retrain", both, given.correction_steps, begin)
 
     @property

@@ -18,7 +18,7 @@ from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from readers import FPS, assert_same, opened
 
-from lerobot_adamanip import columns, lerobot_compat, schema
+from lerobot_adamanip import columns, lerobot_compat, lerobot_version, schema
 from lerobot_adamanip.columns import ColumnStore
 from lerobot_adamanip.lerobot_reader import FastDatasetReader
 
@@ -234,7 +234,7 @@ def test_a_lerobot_it_was_not_tested_with_keeps_its_own_reader_and_says_so_once(
 ) -> None:
     lerobot_compat.restore()
     change(monkeypatch)
-    monkeypatch.setattr(lerobot_compat, "_warned", set())
+    monkeypatch.setattr(lerobot_version, "_warned", set())
     with caplog.at_level(logging.WARNING):
         assert not lerobot_compat.apply()
         assert not lerobot_compat.apply()

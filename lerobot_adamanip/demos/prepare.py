@@ -6,8 +6,6 @@ That is most of assembly's work, so it is done by as many processes as there are
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import inspect
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.jobs import Beat
 
@@ -56,14 +55,13 @@ class PreparedEpisode:
 
 def is_tested() -> bool:
     """Whether this LeRobot's writer is the one whose work this does; any other one does it itself, serially."""
-    import lerobot
+    return lerobot_version.is_tested(TESTED_WRITER, _built_on)
+
+
+def _built_on() -> tuple[Any, ...]:
     from lerobot.datasets import compute_stats, dataset_writer
 
-    try:
-        sources = inspect.getsource(dataset_writer.DatasetWriter) + inspect.getsource(compute_stats)
-    except (OSError, AttributeError):
-        return False
-    return TESTED_WRITER.get(str(lerobot.__version__)) == hashlib.sha256(sources.encode()).hexdigest()[:16]
+    return dataset_writer.DatasetWriter, compute_stats
 
 
 def video_encoder() -> Any:

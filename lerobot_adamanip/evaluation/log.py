@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import uuid
 from pathlib import Path
 
-from lerobot_adamanip import checked_json
+from lerobot_adamanip import checked_json, files
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 
@@ -19,14 +18,7 @@ def new_run_id() -> str:
 
 def append_record(path: Path, record: EpisodeRecord) -> None:
     """Appends a record as one line; the folder is made if it is missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    line = json.dumps(record.to_json()) + "\n"
-    # One write to a file opened for appending is atomic, so workers may share a log.
-    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        os.write(descriptor, line.encode())
-    finally:
-        os.close(descriptor)
+    files.append_line(path, json.dumps(record.to_json()))
 
 
 def read_log(path: Path) -> list[EpisodeRecord]:

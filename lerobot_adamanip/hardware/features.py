@@ -20,6 +20,8 @@ STAMP_NAME = "arm.stamp"
 LABEL_NAME = "label.success"
 """1 once the operator has pressed the key for success, or the twin's task is done; 0 before."""
 SCALAR_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME, LABEL_NAME)
+UNLABELLED = -1
+"""Phase and trial of demonstrations by people, which nobody has labelled."""
 FRONT_CAMERA = "front"
 """Key of the camera whose depth becomes the cloud."""
 DEPTH_SUFFIX = "_depth"

@@ -15,6 +15,13 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.arm import ArmReading
 
+LOCKSTEP_DT = "lockstep_dt"
+"""Detail of a session: seconds of one step, where time passes by steps."""
+OPERATOR_SUCCESS, SUCCESS = "operator_success", "success"
+"""Details: the operator has pressed the key for it; a twin knows it."""
+RESET_WANTED = "reset_wanted"
+"""Detail: the operator wants the scene anew."""
+
 
 @dataclass
 class RobotSession:

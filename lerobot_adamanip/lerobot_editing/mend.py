@@ -9,14 +9,13 @@ columns of episodes, the known ranges of poses, cameras, and what tells of their
 from __future__ import annotations
 
 import functools
-import hashlib
-import inspect
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.demos.editing.compose import describe
 from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.lerobot_compat import is_ours
@@ -28,22 +27,15 @@ _stock: list[tuple[ModuleType, str, Any]] = []
 """What LeRobot had, while it is replaced."""
 
 
-def source_hash() -> str:
-    """Returns a short hash of the source of LeRobot's editing."""
-    from lerobot.datasets import aggregate, dataset_tools
-
-    source = inspect.getsource(aggregate) + inspect.getsource(dataset_tools)
-    return hashlib.sha256(source.encode()).hexdigest()[:16]
-
-
 def is_tested() -> bool:
     """Whether this LeRobot's version, and its editing, are those that this was tested with."""
-    try:
-        import lerobot
+    return lerobot_version.is_tested(TESTED, _built_on)
 
-        return TESTED.get(str(lerobot.__version__)) == source_hash()
-    except (ImportError, AttributeError, OSError, TypeError):
-        return False
+
+def _built_on() -> tuple[ModuleType, ...]:
+    from lerobot.datasets import aggregate, dataset_tools
+
+    return aggregate, dataset_tools
 
 
 def apply() -> bool:

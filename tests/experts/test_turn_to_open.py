@@ -42,6 +42,12 @@ def hidden(name: str, direction: int, fraction: float) -> dict[str, Any]:
     return {"direction": direction, "turn_range": fraction * cached_object(name).joint(key).limits[1]}
 
 
+def drawn_world(category: str, data: st.DataObject, direction: int, fraction: float) -> KinematicWorld:
+    """Any object of the category, in a hidden state."""
+    name = data.draw(object_names(category))
+    return KinematicWorld(name, hidden(name, direction, fraction))
+
+
 def opens(episode: Episode) -> list[tuple[int, Move]]:
     """Tries at the joint that opens: how many moves came before, and the move."""
     return [(i, move) for i, move in enumerate(episode.moves) if move.joint == episode.world.final]
@@ -67,8 +73,7 @@ def test_any_direction_and_range_is_found(
 def test_a_direction_that_failed_is_not_tried_again(
     category: str, data: st.DataObject, direction: int, fraction: float, seed: int
 ) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, hidden(name, direction, fraction))
+    world = drawn_world(category, data, direction, fraction)
     episode = run(world, adaptive(world, seed))
     signs = [sign for sign, _ in episode.turns()]
     wrong = [stalled for sign, stalled in episode.turns() if sign != direction]
@@ -93,8 +98,7 @@ def test_which_direction_comes_first_is_left_to_chance_and_not_to_the_truth(cate
 def test_after_a_blocked_try_it_turns(
     category: str, data: st.DataObject, direction: int, fraction: float, seed: int
 ) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, hidden(name, direction, fraction))
+    world = drawn_world(category, data, direction, fraction)
     episode = run(world, adaptive(world, seed))
     for move, following in pairwise(episode.moves):
         if move.joint == world.final and move.end == move.start:
@@ -110,8 +114,7 @@ def test_after_a_blocked_try_it_turns(
 def test_where_the_key_has_stopped_it_is_not_turned_on_but_tried(
     category: str, data: st.DataObject, direction: int, fraction: float, seed: int
 ) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, hidden(name, direction, fraction))
+    world = drawn_world(category, data, direction, fraction)
     episode = run(world, adaptive(world, seed))
     for move, following in pairwise(episode.moves):
         if move.joint == world.key and move.sign == direction and move.stalled:
@@ -172,8 +175,7 @@ def test_a_failed_try_is_repeated_as_often_as_asked_for(
 def test_sight_of_the_hidden_state_turns_just_far_enough_and_meets_no_stall(
     category: str, data: st.DataObject, direction: int, fraction: float, seed: int
 ) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, hidden(name, direction, fraction))
+    world = drawn_world(category, data, direction, fraction)
     episode = run(world, static(world, seed))
     assert not any(felt.failed for felt in episode.felt)
     assert {sign for sign, _ in episode.turns()} == {direction}
@@ -187,8 +189,7 @@ def test_sight_of_the_hidden_state_turns_just_far_enough_and_meets_no_stall(
 def test_upstream_s_expert_neither_tries_first_nor_before_its_angle(
     category: str, data: st.DataObject, direction: int, fraction: float, seed: int
 ) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, hidden(name, direction, fraction))
+    world = drawn_world(category, data, direction, fraction)
     episode = run(world, adaptive(world, seed, preset="upstream"))
     assert episode.moves[0].joint == world.key
     turned = 0.0
@@ -212,8 +213,7 @@ def test_upstream_s_angle_is_the_least_that_can_be_enough(category: str) -> None
 def test_who_turns_to_the_stop_tries_once(
     category: str, data: st.DataObject, direction: int, fraction: float, seed: int
 ) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, hidden(name, direction, fraction))
+    world = drawn_world(category, data, direction, fraction)
     episode = run(world, adaptive(world, seed, preset="to_stop"))
     assert max(world.successes)
     (first, _), *_ = opens(episode)

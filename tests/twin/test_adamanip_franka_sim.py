@@ -17,8 +17,7 @@ from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
-from lerobot_adamanip.hardware.session import BOARD
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import OPERATOR_SUCCESS, RESET_WANTED
+from lerobot_adamanip.hardware.session import BOARD, OPERATOR_SUCCESS, RESET_WANTED
 from lerobot_adamanip.keyframes import Outcome
 from lerobot_adamanip.lerobot_episodes import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import SUCCESS, AdamanipFranka
+from lerobot_adamanip import files
+from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
 from lerobot_adamanip.hardware.safety import SafetyLimits
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import OPERATOR_SUCCESS, RESET_WANTED
+from lerobot_adamanip.hardware.session import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.schema import POSE_NAMES
 from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
@@ -164,10 +164,5 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def _log(self, path: Path, index: int | None) -> None:
         assert self._client is not None
-        line = json.dumps({"episode": index, **self._client.request("episode", time_limit=RESET_TIME)}) + "\n"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            os.write(descriptor, line.encode())
-        finally:
-            os.close(descriptor)
+        told = self._client.request("episode", time_limit=RESET_TIME)
+        files.append_line(path, json.dumps({"episode": index, **told}))

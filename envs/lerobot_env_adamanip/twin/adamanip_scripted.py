@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.session import RobotSession
+from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
 from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
 from lerobot_adamanip.lerobot_episodes import end_episode
@@ -19,8 +19,6 @@ from lerobot_adamanip.schema import GRIPPER_DIM
 from lerobot_env_adamanip.twin.annotations import annotations_from_json
 from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
 from lerobot_env_adamanip.twin.played_motion import PlayedMotion
-
-Target = NDArray[np.float32]
 
 
 class AdamanipScripted(TcpTeleop):

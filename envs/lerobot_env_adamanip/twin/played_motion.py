@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.outcome import pose_error
+from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, Outcome
-from lerobot_adamanip.rotations import angle_between, pose_from_vector, pose_vector, straight_path
+from lerobot_adamanip.rotations import pose_from_vector, pose_vector, straight_path
 
 Array = NDArray[np.float64]
-Target = NDArray[np.float32]
 
 STILL_POSITION, STILL_ROTATION, STILL_GRIPPER = 0.001, 0.004, 0.01
 """An arm that moves less than this within `STILL_TIME` rests [m, rad, share of the opening]."""
@@ -58,8 +59,7 @@ class PlayedMotion:
 
     def __post_init__(self) -> None:
         """Plans the way."""
-        way = float(np.linalg.norm(self.goal[:3, 3] - self.start[:3, 3]))
-        turn = angle_between(self.start[:3, :3], self.goal[:3, :3])
+        way, turn = pose_error(self.start, self.goal)
         self._duration = 1.875 * max(way / self.speed, turn / self.angular_speed)
         # As `KeyframeDriver`: a hand that is sent away closes or opens on its way; one that stays does nothing else.
         self._elapsed, self._stage, self._stage_left = 0.0, Stage.MOVE, 0.0
@@ -100,8 +100,7 @@ class PlayedMotion:
 
     def _judge_move(self, reading: ArmReading, sent: Target) -> None:
         limits = DEFAULT_MOTION
-        far = float(np.linalg.norm(reading.tcp_in_base[:3, 3] - self.goal[:3, 3]))
-        turned = angle_between(reading.tcp_in_base[:3, :3], self.goal[:3, :3])
+        far, turned = pose_error(reading.tcp_in_base, self.goal)
         near = far < limits.reached_position and turned < limits.reached_rotation
         late = self._elapsed > self._duration + PATIENCE
         if near and self._elapsed >= self._duration and self._rests():
@@ -124,14 +123,12 @@ class PlayedMotion:
         (first, before), (last, now) = self._seen[0], self._seen[-1]
         if last - first < STILL_TIME * 0.9:
             return False
-        moved = np.linalg.norm(now.tcp_in_base[:3, 3] - before.tcp_in_base[:3, 3])
-        turned = angle_between(now.tcp_in_base[:3, :3], before.tcp_in_base[:3, :3])
+        moved, turned = pose_error(now.tcp_in_base, before.tcp_in_base)
         return bool(
             moved < STILL_POSITION and turned < STILL_ROTATION and abs(now.gripper - before.gripper) < STILL_GRIPPER
         )
 
     def _lags(self, reading: ArmReading, sent: Target) -> bool:
-        wanted = pose_from_vector(sent)[0]
-        far = np.linalg.norm(wanted[:3, 3] - reading.tcp_in_base[:3, 3]) / DEFAULT_MOTION.stall_position
-        turned = angle_between(wanted[:3, :3], reading.tcp_in_base[:3, :3]) / DEFAULT_MOTION.stall_rotation
-        return bool(far > LAG_POSITION or turned > LAG_ROTATION)
+        far, turned = pose_error(reading.tcp_in_base, pose_from_vector(sent)[0])
+        limits = DEFAULT_MOTION
+        return far / limits.stall_position > LAG_POSITION or turned / limits.stall_rotation > LAG_ROTATION

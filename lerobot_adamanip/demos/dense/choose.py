@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.sparsify import DenseTrajectory, SparsifyOptions, distance, sparsify
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hardware.outcome import pose_error
 from lerobot_adamanip.keyframes import DEFAULT_MOTION, Outcome
-from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_6d
+from lerobot_adamanip.rotations import pose_from_vector
 
 _SHORTEST = 1e-3
 """Stamps nearer to each other than this are one moment [s]: a recorder may ask faster than an arm tells."""
@@ -225,7 +226,6 @@ def _outcome(episode: DenseEpisode, tick: int, target: NDArray[np.float32], opti
     """How the motion to a target had ended by a tick: as the arm says, or else by how far it was off."""
     if episode.outcome[tick] >= 0:
         return int(episode.outcome[tick])
-    here, goal = episode.pose[tick], target.astype(np.float64)
-    far = np.linalg.norm(goal[schema.POSITION_DIMS] - here[schema.POSITION_DIMS]) > options.reached_position
-    turns = [matrix_from_rotation_6d(each[schema.ROTATION_DIMS]) for each in (here, goal)]
-    return int(Outcome.STALLED if far or angle_between(*turns) > options.reached_rotation else Outcome.REACHED)
+    far, turned = pose_error(*(pose_from_vector(each)[0] for each in (episode.pose[tick], target)))
+    reached = far <= options.reached_position and turned <= options.reached_rotation
+    return int(Outcome.REACHED if reached else Outcome.STALLED)

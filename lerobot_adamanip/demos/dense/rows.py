@@ -14,6 +14,7 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.demos.dense.choose import ChosenKeyFrames, DenseEpisode
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud
+from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.hardware.frames import CameraCalibration
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.rotations import pose_from_vector
@@ -30,8 +31,6 @@ class Camera:
     calibration: CameraCalibration
 
 
-UNKNOWN = -1
-"""Phase and trial of key frames that nobody has labelled."""
 _OPEN_FINGER = 0.04
 """Way of each finger of an open hand [m]."""
 
@@ -66,8 +65,8 @@ def demonstration_columns(
     rows, count = chosen.rows, len(chosen.rows)
     success = np.maximum.accumulate(episode.success[np.r_[rows[1:], rows[-1:]]])
     labels: dict[str, NDArray[Any]] = {
-        schema.PHASE: np.full(count, UNKNOWN),
-        schema.TRIAL: np.full(count, UNKNOWN),
+        schema.PHASE: np.full(count, UNLABELLED),
+        schema.TRIAL: np.full(count, UNLABELLED),
         schema.OUTCOME: chosen.outcomes,
         schema.TRIED: np.full(count, -1),
         schema.FAILED: np.zeros(count, bool),

@@ -14,7 +14,7 @@ from lerobot.robots.robot import Robot
 
 from lerobot_adamanip.errors import ConfigurationError, RobotError
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.hardware.adamanip_franka.motion import LOCKSTEP_DT, MotionDriver, MotionRules, action_vector
+from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules, action_vector
 from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
@@ -23,11 +23,8 @@ from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
-from lerobot_adamanip.hardware.session import BOARD, RobotSession
+from lerobot_adamanip.hardware.session import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, SUCCESS, RobotSession
 from lerobot_adamanip.schema import POSE_NAMES
-
-OPERATOR_SUCCESS, SUCCESS = "operator_success", "success"
-"""Details of the session: the operator's key; what a twin knows."""
 
 _logger = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
 from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.session import RobotSession
+from lerobot_adamanip.hardware.session import LOCKSTEP_DT, RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.schema import POSE_NAMES, POSITION_DIMS
 
@@ -25,8 +25,6 @@ FAR_STEPS = 1.5
 """Under execution=auto an action that is farther than this many steps is a key frame."""
 CALM = 5.0
 """A stream that has gone on for this long since a fault [s] ends its count."""
-LOCKSTEP_DT = "lockstep_dt"
-"""Detail of a session: seconds of one step, where time passes by steps."""
 
 _logger = logging.getLogger(__name__)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.errors import RobotError, require_choice
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.session import RobotSession
+from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
 from lerobot_adamanip.rotations import (
@@ -20,8 +21,6 @@ from lerobot_adamanip.rotations import (
     pose_vector,
     rotation_vector_from_matrix,
 )
-
-Target = NDArray[np.float32]
 
 
 def lerobot_phone(config: AdamanipPhoneConfig) -> Any:

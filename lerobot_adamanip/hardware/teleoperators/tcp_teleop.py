@@ -7,27 +7,20 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from lerobot.teleoperators.teleoperator import Teleoperator
-from numpy.typing import NDArray
 
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
-from lerobot_adamanip.hardware.session import BOARD, RobotSession
+from lerobot_adamanip.hardware.session import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, RobotSession
+from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
 from lerobot_adamanip.hardware.teleoperators.jog import JogDevice
 from lerobot_adamanip.rotations import matrix_from_rotation_vector, pose_from_vector, pose_vector
 from lerobot_adamanip.schema import GRIPPER_DIM, POSE_NAMES
 
-Target = NDArray[np.float32]
-
 FORGOTTEN = 1.0
 """A teleoperator that was not asked for so long anchors anew [s]: the arm may be elsewhere by now."""
-LOCKSTEP_DT = "lockstep_dt"
-"""Detail of a session whose time passes by steps: seconds of one. Then the clock tells nothing."""
-OPERATOR_SUCCESS, RESET_WANTED = "operator_success", "reset_wanted"
-"""Details that a teleoperator sets for the robot: the task is done; a twin's scene is wanted anew."""
 
 
 class TcpTeleop(Teleoperator):

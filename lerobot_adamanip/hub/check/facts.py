@@ -22,10 +22,10 @@ from lerobot_adamanip.demos.loading import JSON_COLUMNS
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, read_manifest
 from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.fingerprint import combined
+from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.hub.check.findings import Report
 from lerobot_adamanip.hub.check.layout import ATTEMPTS, CAMERAS, Layout
 from lerobot_adamanip.hub.check.reading import Batch
-from lerobot_adamanip.hub.check.values import UNKNOWN
 
 COLLECTION = "meta/collection.json"
 _ANY = text(r"(?s).*", "text")
@@ -103,7 +103,7 @@ def check_course(batch: Batch, columns: Mapping[str, NDArray[Any]], report: Repo
     if schema.TRIAL in columns and schema.FAILED in columns:
         before = np.cumsum(columns[schema.FAILED].astype(np.int64)) - columns[schema.FAILED].astype(np.int64)
         counted = before - np.repeat(before[starts], np.diff(np.r_[starts, len(before)]))
-        wrong = (columns[schema.TRIAL] != counted) & (columns[schema.TRIAL] != UNKNOWN)
+        wrong = (columns[schema.TRIAL] != counted) & (columns[schema.TRIAL] != UNLABELLED)
         report.add_rows("label", f"{schema.TRIAL} is not the number of failed tries before", batch.where, wrong)
 
 

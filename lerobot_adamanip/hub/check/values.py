@@ -10,6 +10,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.hub.check.findings import Report
 from lerobot_adamanip.hub.check.reading import Batch, points_last
 from lerobot_adamanip.keyframes import Outcome, Phase
@@ -19,11 +20,9 @@ ORTHONORMAL = 1e-3
 """How far a row of a rotation may be from length 1, and two from being orthogonal."""
 MARGIN = 1e-4
 """Rounding: how far a point may be outside the workspace [m], and an opening outside [0, 1]."""
-UNKNOWN = -1
-"""Phase and trial of demonstrations by people, which nobody has labelled."""
 LABELS: Mapping[str, tuple[int, int]] = {
-    schema.PHASE: (UNKNOWN, max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
-    schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (UNKNOWN, 10_000),
+    schema.PHASE: (UNLABELLED, max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
+    schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (UNLABELLED, 10_000),
 }  # fmt: skip
 """Column -> least and largest code."""
 
