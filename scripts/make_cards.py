@@ -1,6 +1,7 @@
-"""Writes docs/cards from what `make demo` leaves: ``python scripts/make_cards.py [--demo outputs/demo]``.
+"""Writes docs/cards: ``python scripts/make_cards.py [--demo outputs/demo] [--only environment]``.
 
-The cards are those that `adamanip push` would publish, checked as it checks them.
+The cards are those that `adamanip push` would publish, checked as it checks them. That of the environments changes
+with results/experts.json; those of a dataset and a model need what `make demo` leaves.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ def main() -> None:
     """Writes the three cards."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demo", type=Path, default=ROOT / "outputs" / "demo", help="folder of `make demo`")
-    demo = parser.parse_args().demo
+    parser.add_argument("--only", choices=("dataset", "model", "environment"), help="write this card alone")
+    given = parser.parse_args()
+    demo = given.demo
     policy = demo / "train" / "checkpoints" / "last"
     staged: dict[str, Callable[[Path], Staged]] = {
         "dataset": lambda into: stage_dataset(demo / "demos", DATASET, into),
@@ -38,7 +41,7 @@ def main() -> None:
         "environment": environment,
     }
     CARDS.mkdir(exist_ok=True)
-    for name, stage in staged.items():
+    for name, stage in staged.items() if given.only is None else [(given.only, staged[given.only])]:
         with tempfile.TemporaryDirectory() as scratch:
             card = stage(Path(scratch)).folder / "README.md"
             (CARDS / f"{name}.md").write_text(card.read_text(encoding="utf-8"), encoding="utf-8")
