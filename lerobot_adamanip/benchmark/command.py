@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -15,13 +16,24 @@ from lerobot_adamanip.errors import ConfigurationError
 _STOP_SECONDS = 20.0
 _DEFAULTS = {"HF_HUB_OFFLINE": "1", "TOKENIZERS_PARALLELISM": "false"}
 """Nothing here is on the Hub. A method that has to download something is run with HF_HUB_OFFLINE=0."""
+_THREADS = "OMP_NUM_THREADS"
+
+
+class Running(Protocol):
+    """A command that was begun."""
+
+    def poll(self) -> int | None:
+        """Returns its exit status; None while it runs."""
+
+    def stop(self) -> None:
+        """Ends it, if it still runs, and waits for its end."""
 
 
 class Runner(Protocol):
-    """Runs a command and waits for its end."""
+    """Begins commands."""
 
-    def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int) -> int:
-        """Returns a command's exit status.
+    def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int) -> Running:
+        """Begins a command.
 
         Args:
             command: program and arguments.
@@ -29,21 +41,38 @@ class Runner(Protocol):
             log: file that what it says is appended to.
             lock: file descriptor that it inherits: while it runs, whatever becomes of this process, no other benchmark
                 begins in the same folder.
+            threads: that it may compute with; 0 for as many as it likes.
         """
 
 
-def run_command(command: Sequence[str], *, folder: Path, log: Path, lock: int) -> int:
-    """Runs a program of this installation; see `Runner`. Ends it if this process is interrupted."""
+@dataclass(frozen=True)
+class _Process:
+    process: subprocess.Popen[bytes]
+
+    def poll(self) -> int | None:
+        return self.process.poll()
+
+    def stop(self) -> None:
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(_STOP_SECONDS)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+def run_command(command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0) -> Running:
+    """Begins a program of this installation; see `Runner`."""
     line = [find_program(command[0]), *command[1:]]
-    environment = {**_DEFAULTS, **os.environ}
+    limit = {_THREADS: str(threads)} if threads else {}
+    environment = {**_DEFAULTS, **limit, **os.environ}
     with log.open("ab") as said:
-        process = subprocess.Popen(
-            line, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said, pass_fds=(lock,)
+        return _Process(
+            subprocess.Popen(
+                line, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said, pass_fds=(lock,)
+            )
         )
-        try:
-            return process.wait()
-        finally:
-            _end(process)
 
 
 def find_program(name: str) -> str:
@@ -59,13 +88,3 @@ def find_program(name: str) -> str:
             "A program is missing.", got=name, allowed="a complete installation", hint="adamanip doctor"
         )
     return found
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        process.terminate()
-        try:
-            process.wait(_STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()

@@ -1,4 +1,4 @@
-"""Running a benchmark: each cell's missing steps, one after the other, until its result is written.
+"""Running a benchmark: each cell's missing steps, in order, until its result is written.
 
 Whatever ends it, at any moment, the same call goes on with the step it was in, and writes the same results: collections
 and trainings resume, a half-finished evaluation is begun anew.
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from lerobot_adamanip import files
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.command import Runner, run_command
+from lerobot_adamanip.benchmark.command import Runner, Running, run_command
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.numbers import Numbers
@@ -27,6 +27,7 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
 """States of a cell. Stale: its result is of other code or other options. Begun: one of its steps is, or is done."""
+_POLL_SECONDS = 0.02
 _WORDS = {COLLECT: "collecting", TRAIN: "training", EVALUATE: "evaluating"}
 
 
@@ -51,6 +52,14 @@ class CellState:
     result: CellResult | None = None
 
 
+@dataclass(frozen=True)
+class _RunningStep:
+    step: Step
+    process: Running
+    begin: float
+    program: str
+
+
 @dataclass
 class BenchmarkRun:
     """A scale of a benchmark in a folder.
@@ -63,7 +72,8 @@ class BenchmarkRun:
         machine: kind of this one, see `machine_class`.
         unavailable: method -> why it cannot be run here.
         collect_options: of ``adamanip collect``, deciding nothing: workers, cluster.
-        runner: runs commands.
+        jobs: commands that run at once; each computes with its share of the cores.
+        runner: begins commands.
         say: told what begins.
     """
 
@@ -75,9 +85,11 @@ class BenchmarkRun:
     machine: Mapping[str, int | bool]
     unavailable: Mapping[str, str] = field(default_factory=dict)
     collect_options: tuple[str, ...] = ()
+    jobs: int = 1
     runner: Runner = run_command
     say: Callable[[str], None] = lambda text: None
     _failed: dict[str, str] = field(default_factory=dict, init=False)
+    _running: dict[str, _RunningStep] = field(default_factory=dict, init=False)
 
     def state(self, cell: Cell) -> CellState:
         """Returns how far a cell is; runs nothing."""
@@ -100,50 +112,100 @@ class BenchmarkRun:
         self.folder.make()
         busy = "A benchmark, or a command that one has left behind, is at work here."
         with files.locked(self.folder.root, busy, "wait for its end, or another --out") as lock:
-            for number, cell in enumerate(cells, start=1):
-                yield self._finished(cell, lock, f"[{number}/{len(cells)}] {cell.name}")
+            waiting = {cell: f"[{number}/{len(cells)}] {cell.name}" for number, cell in enumerate(cells, start=1)}
+            try:
+                while waiting:
+                    yield from self._advanced(waiting, lock)
+                    self._wait()
+            finally:
+                for each in self._running.values():
+                    each.process.stop()
+                self._running.clear()
 
-    def _finished(self, cell: Cell, lock: int, label: str) -> CellState:
+    def _advanced(self, waiting: dict[Cell, str], lock: int) -> Iterator[CellState]:
+        """Begins steps that can be done now, in the order of cells; yields the cells that wait for nothing more."""
+        for cell, label in list(waiting.items()):
+            state = self._ended(cell)
+            while state is None and len(self._running) < self.jobs:
+                step = self._next_step(cell)
+                if step is None or step.key in self._running or self._begun(step, lock, label):
+                    break
+                state = self._ended(cell)  # there was nothing left to run
+            if state is not None:
+                del waiting[cell]
+                yield state
+
+    def _ended(self, cell: Cell) -> CellState | None:
+        """Returns the state of a cell that wants no more steps, its result written; None for any other."""
         before = self.state(cell)
         if before.state in (DONE, UNAVAILABLE):
             return before
         step = self._plan(cell)
+        for each in step.chain():
+            if each.key in self._failed:
+                return CellState(cell, FAILED, self._failed[each.key], before.result)
+        if self._next_step(cell) is not None:
+            return None
         try:
-            self._ensure(step, lock, label)
+            write_cell(self.folder.result(cell), self._result(cell, step))
         except StepError as error:
             return CellState(cell, FAILED, str(error), before.result)
-        write_cell(self.folder.result(cell), self._result(cell, step))
         return self.state(cell)
+
+    def _next_step(self, cell: Cell) -> Step | None:
+        """Returns the first step after the last one that is done: what that was made of is no longer needed."""
+        missing = None
+        for step in reversed(list(self._plan(cell).chain())):
+            if self.folder.is_done(step):
+                break
+            missing = step
+        return missing
+
+    def _begun(self, step: Step, lock: int, label: str) -> bool:
+        """Begins a step; False if it was ended at once, for its command had nothing left to do."""
+        self.say(f"{label}: {_WORDS[step.kind]}")
+        self.folder.begin(step)
+        begin = time.perf_counter()
+        command = self._command(step)
+        if not command:
+            self._end(step, begin, 0, "")
+            return False
+        threads = 0 if self.jobs == 1 else self._cores_of_a_job
+        log = self.folder.log(step)
+        process = self.runner(command, folder=self.folder.root, log=log, lock=lock, threads=threads)
+        self._running[step.key] = _RunningStep(step, process, begin, command[0])
+        return True
+
+    def _wait(self) -> None:
+        """Waits until a command ends."""
+        while self._running:
+            ended = [(each, status) for each in self._running.values() if (status := each.process.poll()) is not None]
+            for each, status in ended:
+                del self._running[each.step.key]
+                self._end(each.step, each.begin, status, each.program)
+            if ended:
+                return
+            time.sleep(_POLL_SECONDS)
+
+    def _end(self, step: Step, begin: float, status: int, program: str) -> None:
+        try:
+            if status:
+                log = self.folder.log(step).relative_to(self.folder.root)
+                raise StepError(f"{program} ended with status {status}: {log}")
+            if step.kind == EVALUATE:
+                self._records(step)
+        except StepError as error:
+            self._failed[step.key] = str(error)
+            return
+        machine = {**self.machine, "cores": self._cores_of_a_job}
+        self.folder.finish(step, time.perf_counter() - begin, machine)
+
+    @property
+    def _cores_of_a_job(self) -> int:
+        return max(1, self.machine["cores"] // self.jobs)
 
     def _plan(self, cell: Cell) -> Step:
         return plan(cell, self.declaration, self.scale, self.code)
-
-    def _ensure(self, step: Step, lock: int, label: str) -> None:
-        """Does a step, and before it what it needs, unless it is done."""
-        if self.folder.is_done(step):
-            return
-        if step.needs is not None:
-            self._ensure(step.needs, lock, label)
-        if step.key in self._failed:
-            raise StepError(self._failed[step.key])
-        self.say(f"{label}: {_WORDS[step.kind]}")
-        begin = time.perf_counter()
-        self.folder.begin(step)
-        try:
-            self._do(step, lock)
-        except StepError as error:
-            self._failed[step.key] = str(error)
-            raise
-        self.folder.finish(step, time.perf_counter() - begin, self.machine)
-
-    def _do(self, step: Step, lock: int) -> None:
-        if command := self._command(step):
-            log = self.folder.log(step)
-            status = self.runner(command, folder=self.folder.root, log=log, lock=lock)
-            if status:
-                raise StepError(f"{command[0]} ended with status {status}: {log.relative_to(self.folder.root)}")
-        if step.kind == EVALUATE:
-            self._records(step)
 
     def _command(self, step: Step) -> list[str]:
         """Returns the command that does a step from where it is; empty if there is nothing left to do."""

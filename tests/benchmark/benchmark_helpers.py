@@ -7,12 +7,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from records import MADE, record
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
+from lerobot_adamanip.benchmark.command import Running
 from lerobot_adamanip.benchmark.declaration import Declaration, parse_declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import Code
@@ -21,6 +23,7 @@ from lerobot_adamanip.evaluation.origin import Origin
 
 FAKE = Path(__file__).with_name("fake_command.py")
 SCALE = "tiny"
+FAILED = 7
 CODE = Code("d" * 16, MADE.fingerprint, {"ours": "a" * 16, "ours_on_static": "a" * 16, "untrained": "b" * 16})
 ORIGIN = Origin("c" * 40, False, "0.2.0", {"python": "3.12.0"})
 
@@ -55,32 +58,56 @@ def with_scale(**changes: Any) -> Declaration:
     return declared(scales={SCALE: {**scale, **changes}})
 
 
+@dataclass(frozen=True)
+class FakeProcess:
+    """A command that runs, or one that has failed at once."""
+
+    process: subprocess.Popen[bytes] | None
+
+    def poll(self) -> int | None:
+        return FAILED if self.process is None else self.process.poll()
+
+    def stop(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+
+
 class FakeRunner:
     """Runs `fake_command` instead of programs.
 
     Attributes:
         called: command lines, as given.
         failing: program that fails.
+        threads: that each was given.
+        processes: that were begun.
+        most_at_once: of them.
     """
 
     def __init__(self, folder: Path, *, pause: float = 0.0, die: str = "") -> None:
         self.called: list[list[str]] = []
         self.failing = ""
+        self.threads: list[int] = []
+        self.processes: list[subprocess.Popen[bytes]] = []
+        self.most_at_once = 0
         self._templates = folder / "templates.json"
         self._environment = {**os.environ, "FAKE_PAUSE": str(pause), "FAKE_DIE": die}
         folder.mkdir(parents=True, exist_ok=True)
         self._templates.write_text(json.dumps(templates()))
 
-    def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int) -> int:
+    def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int) -> Running:
         self.called.append(list(command))
+        self.threads.append(threads)
         if command[0] == self.failing:
-            return 7
+            return FakeProcess(None)
         line = [sys.executable, "-I", "-S", str(FAKE), str(self._templates), *command]
         with log.open("ab") as said:
-            done = subprocess.run(
-                line, cwd=folder, env=self._environment, stdout=said, stderr=said, pass_fds=(lock,), check=False
+            process = subprocess.Popen(
+                line, cwd=folder, env=self._environment, stdout=said, stderr=said, pass_fds=(lock,)
             )
-        return done.returncode
+        self.processes.append(process)
+        self.most_at_once = max(self.most_at_once, sum(each.poll() is None for each in self.processes))
+        return FakeProcess(process)
 
     @property
     def programs(self) -> list[str]:

@@ -27,7 +27,7 @@ from benchmark_helpers import (
 )
 
 from lerobot_adamanip import files
-from lerobot_adamanip.benchmark.command import run_command
+from lerobot_adamanip.benchmark.command import Running, run_command
 from lerobot_adamanip.benchmark.plan import Code
 from lerobot_adamanip.benchmark.result import read_cell
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
@@ -74,10 +74,42 @@ def test_a_result_says_what_made_it(tmp_path: Path) -> None:
     assert str(tmp_path) not in text
 
 
+@pytest.mark.parametrize("jobs", [2, 3, 8])
+def test_several_at_once_come_to_the_same(tmp_path: Path, whole: dict[str, Any], jobs: int) -> None:
+    runner = FakeRunner(tmp_path, pause=PAUSE)
+    states = run_all(benchmark(tmp_path / "out", runner, jobs=jobs))
+    assert sorted(each.cell.name for each in states) == sorted(f.removesuffix(".json") for f in whole)
+    assert {each.state for each in states} == {"done"}
+    assert results(tmp_path / "out") == whole
+    assert len(runner.called) == 10, "what cells share is made once"
+    assert 1 < runner.most_at_once <= jobs
+    costs = [read_cell(path).costs["evaluate"] for path in (tmp_path / "out" / "cells").iterdir()]
+    assert {(each.begun, each.machine["cores"]) for each in costs} == {(1, 2 // min(jobs, 2))}
+    assert set(runner.threads) == {1}
+
+
+def test_one_at_a_time_may_use_all_threads(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(tmp_path / "out", runner))
+    assert (set(runner.threads), runner.most_at_once) == ({0}, 1)
+
+
+def test_what_a_finished_step_was_made_of_is_no_longer_needed(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(tmp_path / "out", runner))
+    count = len(runner.called)
+    for folder in ("demonstrations", "trainings"):
+        files.remove_tree(tmp_path / "out" / folder)
+    for path in (tmp_path / "out" / "cells").iterdir():
+        path.unlink()
+    assert {each.state for each in run_all(benchmark(tmp_path / "out", runner))} == {"done"}
+    assert len(runner.called) == count
+
+
 # Kills ------------------------------------------------------------------------------------------------------------
 
 
-def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "") -> bool:
+def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "", jobs: int = 1) -> bool:
     """Runs the benchmark in a process that is killed; returns whether it was.
 
     By its runner; or after some seconds; or as soon as a file of that name is written in its folder.
@@ -94,7 +126,7 @@ def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "
             threading.Timer(seconds, kill).start()
         status = 1
         try:
-            run_all(benchmark(root, runner))
+            run_all(benchmark(root, runner, jobs=jobs))
             status = 0
         finally:
             os._exit(status)
@@ -137,17 +169,18 @@ def test_a_death_in_any_step_changes_no_result(tmp_path: Path, whole: dict[str, 
     assert sorted(begun)[-2:] == [1, 2], "it was killed in that step"
 
 
-def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, Any]) -> None:
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, Any], jobs: int) -> None:
     begin = time.monotonic()
-    run_all(benchmark(tmp_path / "timed", FakeRunner(tmp_path, pause=PAUSE)))
+    run_all(benchmark(tmp_path / "timed", FakeRunner(tmp_path, pause=PAUSE), jobs=jobs))
     lasts, drawn, deaths, begun = time.monotonic() - begin, random.Random(0), 0, 0
     while deaths < DEATHS:
         root, runner = tmp_path / str(deaths), FakeRunner(tmp_path, pause=PAUSE)
         root.mkdir()
-        while deaths < DEATHS and killed(root, runner, seconds=drawn.uniform(0.01, lasts / 2)):
+        while deaths < DEATHS and killed(root, runner, seconds=drawn.uniform(0.01, lasts / 2), jobs=jobs):
             deaths += 1
             wait_for_the_orphan(root)
-        run_all(benchmark(root, runner))
+        run_all(benchmark(root, runner, jobs=jobs))
         assert results(root) == whole
         begun += sum(json.loads(path.read_text())["begun"] - 1 for path in (root / "steps").glob("*.json"))
     assert begun >= DEATHS // 2, "most deaths were in the midst of a step"
@@ -247,34 +280,61 @@ def test_collecting_is_told_what_decides_nothing(tmp_path: Path) -> None:
 # Programs ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(tmp_path: Path) -> None:
+def waited(process: Running) -> int:
+    """The exit status, once there is one."""
+    end = time.monotonic() + 30
+    while time.monotonic() < end:
+        if (status := process.poll()) is not None:
+            return status
+        time.sleep(0.005)
+    raise AssertionError("it runs for ever")
+
+
+@pytest.mark.parametrize(("threads", "told"), [(0, "None"), (2, "2")])
+def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int, told: str
+) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     log = tmp_path / "log"
-    code = "import os, sys; print(os.getcwd(), os.environ['HF_HUB_OFFLINE']); sys.exit(3)"
+    code = "import os, sys; e = os.environ; print(os.getcwd(), e['HF_HUB_OFFLINE'], e.get('OMP_NUM_THREADS')); exit(3)"
     with files.locked(tmp_path, "busy", "") as lock:
-        status = run_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=log, lock=lock)
-    assert status == 3
-    assert log.read_text() == f"{tmp_path} 1\n"
+        program = Path(sys.executable).name
+        assert waited(run_command([program, "-c", code], folder=tmp_path, log=log, lock=lock, threads=threads)) == 3
+    assert log.read_text() == f"{tmp_path} 1 {told}\n"
 
 
-def test_an_interruption_ends_the_program(tmp_path: Path) -> None:
+def test_a_program_is_stopped_even_if_it_will_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lerobot_adamanip.benchmark.command._STOP_SECONDS", 0.2)
+    code = "import signal, time; signal.signal(15, signal.SIG_IGN); print('begun', flush=True); time.sleep(60)"
+    log = tmp_path / "log"
+    with files.locked(tmp_path, "busy", "") as lock:
+        process = run_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=log, lock=lock)
+        while not log.read_text():
+            time.sleep(0.005)
+        process.stop()
+    assert process.poll() == -signal.SIGKILL
+    with files.locked(tmp_path, "the program still runs", ""):
+        pass
+
+
+def test_an_interruption_ends_all_programs(tmp_path: Path) -> None:
     def interrupt() -> None:
         end = time.monotonic() + 30
-        while not (tmp_path / "log").read_text() and time.monotonic() < end:
-            time.sleep(0.01)
+        while len(runner.processes) < 4 and time.monotonic() < end:
+            time.sleep(0.005)
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    code = "import time; print('begun', flush=True); time.sleep(60)"
-    (tmp_path / "log").touch()
+    root, runner = tmp_path / "out", FakeRunner(tmp_path, pause=0.5)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=interrupt).start()
-    begin = time.monotonic()
     try:
-        with files.locked(tmp_path, "busy", "") as lock, pytest.raises(KeyboardInterrupt):
-            run_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=tmp_path / "log", lock=lock)
+        with pytest.raises(KeyboardInterrupt):
+            run_all(benchmark(root, runner, jobs=4))
     finally:
         signal.signal(signal.SIGINT, before)
-    assert time.monotonic() - begin < 40
-    with files.locked(tmp_path, "the program still runs", ""):
+    assert len(runner.processes) == 4
+    assert all(process.poll() is not None for process in runner.processes)
+    with files.locked(root, "a program still runs", ""):
         pass
 
 

@@ -165,6 +165,7 @@ def test_a_declaration_of_ones_own(runner: FakeRunner, tmp_path: Path, capsys: p
         (["--seeds", "7"], "has no such cells"),
         (["--scale", "huge"], "Unknown scale"),
         (["--config", "absent.toml"], "Not a declaration of a benchmark"),
+        (["--jobs", "0"], "Not a number of jobs"),
         (["--list", "--report"], "Two things at once"),
     ],
 )
