@@ -18,12 +18,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from check_common import count
+from check_common import count, header
 from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.loading import load_check
+from lerobot_adamanip.demos.manifest import read_manifest
+from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.keyframes import Phase
 
 SHARES = (10, 50, 90)
@@ -101,6 +103,7 @@ def main() -> int:
     parser.add_argument("--rows", type=count, default=512, help="looked at (%(default)s)")
     parser.add_argument("--samples", type=count, default=8, help="drawn at each (%(default)s)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="file to write the report to")
     parser.add_argument("--json", action="store_true", help="print the report")
     options = parser.parse_args()
     load_check(options.data)
@@ -113,11 +116,14 @@ def main() -> int:
     before, after = make_pre_post_processors(policy.config, pretrained_path=str(options.policy))
     batch = windows(policy, options.data.absolute(), options.rows, options.seed)
     found = drawn(policy, before, after, batch, options.samples)
-    report = compare(batch, found, policy.config.n_action_history_steps)
+    phases = compare(batch, found, policy.config.n_action_history_steps)
+    report = {**header(), "category": read_manifest(options.data).spec.category, "phases": phases}
+    if options.out is not None:
+        write_atomically(options.out, json.dumps(report, indent=1).encode())
     if options.json:
         sys.stdout.write(json.dumps(report) + "\n")
         return 0
-    for phase, row in report.items():
+    for phase, row in phases.items():
         sys.stdout.write(f"{phase:9} {row['rows']:4} rows; 10, 50, 90 %\n")
         for name in ("demonstrated", "drawn", "nearest"):
             sys.stdout.write(f"    {name:12} {row[name]['mm']} mm  {row[name]['deg']} degrees\n")

@@ -1,7 +1,9 @@
 """Writes docs/results.md and the README's results from results/*.json: ``python scripts/make_results.py [--check]``.
 
-Results of `adamanip benchmark` are those of results/benchmark/SCALE/*.json; they have their part of docs/results.md.
-Numbers of another fingerprint than the present code's do not reach the README; docs/results.md marks them.
+What policies draw is in results/choices and results/motions, a file for each category (scripts/check_choices.py and
+check_motions.py with --out). Results of `adamanip benchmark` are those of results/benchmark/SCALE/*.json; they have
+their part of docs/results.md. Numbers of another fingerprint than the present code's do not reach the README;
+docs/results.md marks them.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.evaluation.draws import CHOICES, MOTIONS, choices_page, motions_page, read_reports
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
 from lerobot_env_adamanip.fingerprint import present_fingerprints
@@ -37,11 +40,20 @@ def benchmark_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
             yield benchmark_page(make_report(results, declaration, scale, present), level=2)
 
 
+def drawn_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
+    """Yields the parts of docs/results.md that tell what policies draw, where there are reports."""
+    if choices := read_reports(folder / "choices", CHOICES):
+        yield choices_page(choices, present)
+    if motions := read_reports(folder / "motions", MOTIONS):
+        yield motions_page(motions, present)
+
+
 def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     """Returns document -> what it has to say."""
     results = read_results(folder)
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(results, present))
-    return {PAGE: "\n".join((results_page(results, present), *benchmark_pages(folder, present))), README: readme}
+    parts = (results_page(results, present), *drawn_pages(folder, present), *benchmark_pages(folder, present))
+    return {PAGE: "\n".join(parts), README: readme}
 
 
 def main() -> int:
