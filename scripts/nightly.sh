@@ -29,10 +29,15 @@ long_tests() {
     ((status == 0 || status == 5))
 }
 
-# The simulated FR3 brings the package `pin`, which would take the place of SAPIEN's own kinematics: it has a folder of its own.
+# The simulated FR3 brings the package `pin`, which would take the place of SAPIEN's own kinematics: it has a folder of its
+# own. In it, `pin` lies in a folder that only a .pth file names, which Python reads in site-packages alone.
 simulated_arm() {
-    "$python" -m pip install --quiet --target "$out/franky_sim" 'franky-sim>=1.0.4,<2' 'franky-control>=2.0,<3' -c constraints.txt &&
-        PYTHONPATH="$out/franky_sim${PYTHONPATH:+:$PYTHONPATH}" "$python" -m pytest -m franky
+    local here version
+    here=$(realpath -m "$out")/franky_sim
+    version=$("$python" -c 'import sys; print(f"python{sys.version_info[0]}.{sys.version_info[1]}")')
+    "$python" -m pip install --quiet --target "$here" 'franky-sim>=1.0.4,<2' 'franky-control>=2.0,<3' -c constraints.txt &&
+        PYTHONPATH="$here:$here/cmeel.prefix/lib/$version/site-packages${PYTHONPATH:+:$PYTHONPATH}" \
+            "$python" -m pytest -m franky
 }
 
 part "long tests" long_tests

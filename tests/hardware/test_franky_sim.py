@@ -149,12 +149,12 @@ def test_a_stream_is_followed_no_faster_than_its_limit(arm: SimulatedArm, make: 
     robot = make()
     robot.connect()
     goal = moved(pose(robot), (0.1, 0.0, 0.0))
-    stream_until(robot, arm, goal, 1500)
+    stream_until(robot, arm, goal, 2500)
     milliseconds, commanded = arm.poses("c")
     assert speeds(milliseconds, commanded).max() <= 1.01 * LIMIT
-    assert commanded[-1][0, 3] > commanded[0][0, 3] + 0.01
-    # It goes past its last target by what it takes to brake, as docs/robot.md tells: v^2 / 2a, and some for the jerk.
-    assert commanded[:, 0, 3].max() <= goal[0] + 1.2 * LIMIT**2 / (2 * 0.05 * 9.0)
+    # Planned anew again and again towards a target that rests, it went past that by half of what it takes to brake.
+    assert commanded[:, 0, 3].max() <= goal[0] + 0.001
+    assert commanded[-1][0, 3] == pytest.approx(goal[0], abs=0.001)
 
 
 def run_into_a_reflex(robot: AdamanipFranka, arm: SimulatedArm) -> None:
