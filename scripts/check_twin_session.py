@@ -1,27 +1,31 @@
-"""A session on the simulated twin with LeRobot's own commands: record, teleoperate, replay, roll out.
+"""A session on the simulated twin with LeRobot's own commands: record, teleoperate, replay, learn, roll out.
 
     python scripts/check_twin_session.py --out outputs/twin --episodes 10
     python scripts/check_twin_session.py --out outputs/twin --policy CHECKPOINT/pretrained_model --seeds 20
 
 Records microwaves in lockstep through the scripted teleoperator (which of them are locked is drawn from their seeds),
-teleoperates in real time, and replays an episode that opened its door in a twin of the same seed. With ``--policy``,
-`lerobot-rollout` plays each seed in key frames, and `lerobot-eval` plays the same seeds. What came of each is read from
-the logs that the twin writes beside its datasets.
+teleoperates in real time, and replays an episode that opened its door in a twin of the same seed. Makes key frames of
+the recording, plays them again in the scenes of their seeds, and trains on them and simulated demonstrations together.
+With ``--policy``, `lerobot-rollout` plays each seed in key frames, and `lerobot-eval` plays the same seeds. What came
+of each is read from the logs that the twin writes beside its datasets.
 
-Returns 1 unless 9 of 10 recorded doors opened, both kinds were recorded, the replay opened its door, and the roll-outs'
-success lies in the 95 % Wilson interval of the evaluation's.
+Returns 1 unless 9 of 10 recorded doors opened, both kinds were recorded, the replay opened its door, key frames are
+described as simulated demonstrations are and hold accepted targets, 8 of 10 of them open their door again, the loss
+falls by half, and the roll-outs' success lies in the 95 % Wilson interval of the evaluation's.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+import twin_learning
 from check_common import ROOT, count, header
 
 from lerobot_adamanip.checked_json import parse
@@ -47,18 +51,19 @@ class Session:
         self.out = out
         self.commands: list[dict[str, Any]] = []
 
-    def run(self, name: str, *arguments: str) -> None:
-        """Runs ``lerobot-NAME``; raises RuntimeError with the end of its log where it fails."""
-        command = [str(Path(sys.executable).with_name(f"lerobot-{name}")), *arguments]
-        log = self.out / f"{len(self.commands):02d}-{name}.log"
-        sys.stderr.write(f"lerobot-{name} {' '.join(arguments)}\n")
+    def run(self, program: str, *arguments: str) -> Path:
+        """Runs a program and returns its log; raises RuntimeError with the end of that where it fails."""
+        command = [str(Path(sys.executable).with_name(program)), *arguments]
+        log = self.out / f"{len(self.commands):02d}-{program}.log"
+        sys.stderr.write(f"{program} {' '.join(arguments)}\n")
         started = time.monotonic()
         with log.open("wb") as file:
             done = subprocess.run(command, cwd=ROOT, stdout=file, stderr=subprocess.STDOUT, check=False)
         seconds = round(time.monotonic() - started, 1)
-        self.commands.append({"command": [f"lerobot-{name}", *arguments], "seconds": seconds, "log": log.name})
+        self.commands.append({"command": [program, *arguments], "seconds": seconds, "log": log.name})
         if done.returncode:
-            raise RuntimeError(f"lerobot-{name} failed, see {log}:\n{log.read_text(errors='replace')[-2000:]}")
+            raise RuntimeError(f"{program} failed, see {log}:\n{log.read_text(errors='replace')[-2000:]}")
+        return log
 
 
 def lines_of(log: Path) -> list[dict[str, Any]]:
@@ -71,7 +76,7 @@ def record(session: Session, options: argparse.Namespace) -> list[dict[str, Any]
     """Records episodes and returns what the twin says of them."""
     root = session.out / "recorded"
     session.run(
-        "record",
+        "lerobot-record",
         *TWIN,
         "--robot.clock=lockstep",
         f"--robot.seed={options.seed}",
@@ -93,7 +98,7 @@ def teleoperate(session: Session, options: argparse.Namespace) -> dict[str, Any]
     """Drives the twin in real time for a while."""
     log = session.out / "teleoperated.jsonl"
     session.run(
-        "teleoperate",
+        "lerobot-teleoperate",
         *TWIN,
         f"--robot.seed={options.seed}",
         f"--robot.episode_log={log}",
@@ -108,7 +113,7 @@ def replay(session: Session, options: argparse.Namespace, episode: int) -> dict[
     """Replays one recorded episode in the scene that it was recorded in."""
     log = session.out / "replayed.jsonl"
     session.run(
-        "replay",
+        "lerobot-replay",
         *TWIN,
         "--robot.clock=lockstep",
         "--robot.camera=false",
@@ -127,7 +132,7 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
     won, log = 0, session.out / "rolled_out.jsonl"
     for seed in range(options.seed, options.seed + options.seeds):
         session.run(
-            "rollout",
+            "lerobot-rollout",
             *TWIN,
             "--robot.clock=lockstep",
             "--robot.execution=keyframe",
@@ -143,7 +148,7 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
         won += bool(lines_of(log)[-1]["success"])
     evaluated = session.out / "evaluated.jsonl"
     session.run(
-        "eval",
+        "lerobot-eval",
         f"--policy.path={options.policy}",
         "--env.type=adamanip_microwave",
         f"--env.episode_log={evaluated}",
@@ -157,6 +162,23 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
     return {
         "rolled_out": won, "evaluated": expected, "seeds": options.seeds, "interval": [low, high],
         "agrees": low <= won / options.seeds <= high,
+    }  # fmt: skip
+
+
+def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Makes key frames of what was recorded, plays them again, and trains on them and simulated ones."""
+    recorded, simulated, converted = (session.out / name for name in ("recorded", "simulated", "converted"))
+    twin_learning.convert(session.run, recorded, simulated, converted)
+    seeds = {each["episode"]: each["given_seed"] for each in episodes}
+    opened, count_of = twin_learning.played_again(converted, seeds)
+    losses = twin_learning.mixed_training(session.run, recorded, simulated, session.out, options.steps)
+    ends = sum(losses[-3:]) / 3
+    return {
+        "same_description": twin_learning.same_description(simulated, converted),
+        "accepted_targets": twin_learning.accepted_targets(recorded, converted),
+        "played_again": count_of, "opened_again": opened,
+        "opened_enough": opened >= twin_learning.SHARE_REPLAYED * count_of,
+        "loss": [losses[0], round(ends, 4)], "loss_halves": ends <= losses[0] / 2,
     }  # fmt: skip
 
 
@@ -179,18 +201,25 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1000, help="of the first episode")
     parser.add_argument("--image-size", type=count, default=256)
     parser.add_argument("--teleoperate", type=float, default=10.0, metavar="SECONDS")
+    parser.add_argument("--steps", type=count, default=twin_learning.STEPS, help="of the mixed training (%(default)s)")
     parser.add_argument("--policy", type=Path, help="checkpoint whose preprocessor makes clouds from depth")
     parser.add_argument("--seeds", type=count, default=20, help="of roll-outs")
     parser.add_argument("--json", action="store_true", help="print the result")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    session = Session(options.out.resolve())
+    # All of it runs in the repository's root, so that commands are told as others could type them.
+    options.out, options.policy = (each and Path(os.path.relpath(each, ROOT)) for each in (options.out, options.policy))
+    os.chdir(ROOT)
+    session = Session(options.out)
     episodes = record(session, options)
     driven = teleoperate(session, options)
     opened = [each["episode"] for each in episodes if each["success"]]
     replayed = replay(session, options, opened[0]) if opened else None
-    result = {**header(), **judged(episodes, replayed), "teleoperated_s": driven["seconds"]}
-    passed = result["enough"] and result["both_kinds"] and bool(result["replay_opened"])
+    learnt = learn(session, options, episodes)
+    result = {**header(), **judged(episodes, replayed), "teleoperated_s": driven["seconds"], "learnt": learnt}
+    passed = all(result[name] for name in ("enough", "both_kinds", "replay_opened"))
+    passed = passed and all(learnt[name] for name in ("same_description", "accepted_targets", "opened_enough"))
+    passed = passed and learnt["loss_halves"]
     if options.policy is not None:
         result["roll_outs"] = roll_out(session, options)
         passed = passed and result["roll_outs"]["agrees"]

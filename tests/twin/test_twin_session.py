@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import twin_learning
 
 from lerobot_adamanip.hardware.features import LABEL_NAME, SCALAR_NAMES, SENT_NAMES, STAMP_NAME
 from lerobot_adamanip.schema import POSE_NAMES
@@ -118,6 +119,26 @@ def test_a_replay_opens_the_same_door_as_far(recorded: Path, tmp_path: Path) -> 
     assert replayed["success"] is True
     for joint, place in before["joints"].items():
         assert replayed["joints"][joint] == pytest.approx(place, abs=1e-3)
+
+
+def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(recorded: Path, tmp_path: Path) -> None:
+    def run(program: str, *arguments: str) -> Path:
+        log = tmp_path / f"{program}.log"
+        with log.open("ab") as said:
+            command = [str(Path(sys.executable).with_name(program)), *arguments]
+            done = subprocess.run(command, cwd=ROOT, stdout=said, stderr=said, check=False)
+        assert done.returncode == 0, log.read_text()[-4000:]
+        return log
+
+    small = ("--image-size=64", "--objects=0:1", "--episodes-per-object=1")
+    run("adamanip", "collect", "--category=microwave", *small, f"--root={tmp_path / 'simulated'}")
+    losses = twin_learning.mixed_training(run, recorded, tmp_path / "simulated", tmp_path, steps=20)
+    assert len(losses) == 20
+    assert all(np.isfinite(losses))
+    run("adamanip", "keyframes", str(recorded), "--out", str(tmp_path / "converted"))
+    assert twin_learning.accepted_targets(recorded, tmp_path / "converted")
+    state = rows(tmp_path / "converted")["observation.state"]
+    assert len(state) < len(rows(recorded)) / 10
 
 
 @pytest.mark.nightly
