@@ -113,11 +113,14 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
     records = [record(seed=k, locked=k % 2 == 0, success=k % 4 != 0) for k in range(20)]
     rows = rows_of_records([*records, records[0]], "dp3_adaptive")
     assert [(row.objects, row.successes, row.episodes) for row in rows] == [("seen", 15, 20)]
-    block = readme_block({"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}, {NOW})
-    assert (
-        "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | -0.50 | 0/0 | "
-        "direction +1 15/20, locked 5/10, unlocked 10/10 |" in block
-    )
+    measured = {"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}
+    told = "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | -0.50 | 0/0 |"
+    hidden = "direction +1 15/20, locked 5/10, unlocked 10/10"
+    page = results_page(measured, {NOW})
+    assert f"{told} ajar 5 | {hidden} |" in page
+    block = readme_block(measured, {NOW})
+    assert told in block
+    assert hidden not in block
 
 
 def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_were_measured() -> None:

@@ -13,6 +13,7 @@ import tyro
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.comparison import Comparison, compare
+from lerobot_adamanip.evaluation.failures import failures_text
 from lerobot_adamanip.evaluation.groups import Group
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import EvaluationSummary, first_episodes, split_evaluations
@@ -180,6 +181,8 @@ def print_tables(comparison: Comparison) -> None:
         failed = {name: result for name, result in summary.objects.items() if result.failures}
         text = ", ".join(f"{name} {r.failures}/{r.episodes}" for name, r in failed.items()) or "none"
         console.print(f"Failures by object, {label}: {text}", markup=False, highlight=False)
+        ended = failures_text(summary.failures)
+        console.print(f"Failures by how they ended, {label}: {ended}", markup=False, highlight=False)
     for warning in comparison.warnings:
         console.print(f"Mind: {warning}", style="bold yellow", markup=False, highlight=False)
 

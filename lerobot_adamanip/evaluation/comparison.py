@@ -83,6 +83,7 @@ def _summary(summary: EvaluationSummary) -> dict[str, Any]:
         "tried_locked_first": asdict(summary.tried_locked_first),
         "recovery": asdict(summary.recovery),
         "objects": {name: asdict(result) for name, result in summary.objects.items()},
+        "failures": dict(summary.failures),
         "fingerprints": summary.fingerprints,
         "versions": summary.versions,
         "mechanism_presets": summary.mechanism_presets,

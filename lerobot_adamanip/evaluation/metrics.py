@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from lerobot_adamanip.evaluation.failures import count_failures
 from lerobot_adamanip.evaluation.groups import ALL, Boundaries, Group, group_records
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
@@ -67,6 +68,7 @@ class EvaluationSummary:
         tried_locked_first: of the episodes that started locked, those whose first try was a pull that failed.
         recovery: what follows a try that failed.
         objects: per object id, in order.
+        failures: cause -> episodes; see `lerobot_adamanip.evaluation.failures`.
         fingerprints, versions, mechanism_presets: what made the episodes; one each, unless evaluations were mixed.
     """
 
@@ -76,6 +78,7 @@ class EvaluationSummary:
     tried_locked_first: Rate
     recovery: Recovery
     objects: Mapping[str, ObjectResult]
+    failures: Mapping[str, int]
     fingerprints: tuple[str, ...]
     versions: tuple[str, ...]
     mechanism_presets: tuple[str, ...]
@@ -176,6 +179,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         tried_locked_first=rate(sum(map(tried_locked_first, locked)), len(locked)),
         recovery=recovery(kept),
         objects=_by_object(kept),
+        failures=count_failures(kept),
         fingerprints=tuple(sorted({each.fingerprint for each in made})),
         versions=tuple(sorted({each.version for each in made})),
         mechanism_presets=tuple(sorted({each.mechanism_preset for each in made})),

@@ -15,6 +15,7 @@ from typing import Any
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.evaluation.failures import CAUSES, count_failures
 from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
 from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
 from lerobot_adamanip.evaluation.origin import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
@@ -47,6 +48,7 @@ class ResultRow:
         wasted_tries: mean of the successes, beyond the best possible; None if not counted.
         repeated: failed tries that were repeated unchanged, and all that another try followed; None if not counted.
         train_minutes: that a policy was trained; None if not measured.
+        failures: cause -> episodes, see `lerobot_adamanip.evaluation.failures`; None if not counted.
     """
 
     subject: str
@@ -61,6 +63,7 @@ class ResultRow:
     wasted_tries: float | None = None
     repeated: tuple[int, int] | None = None
     train_minutes: float | None = None
+    failures: Mapping[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -202,7 +205,7 @@ def read_result(path: Path) -> ResultFile:
 
 def parse_result(content: object) -> ResultFile:
     """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
-    found = _RESULT("the result", content)
+    found = _RESULT("the result", _completed(content))
     del found["schema"]
     rows = []
     for row in found.pop("rows"):
@@ -212,11 +215,21 @@ def parse_result(content: object) -> ResultFile:
         for count, episodes in [(row["successes"], row["episodes"]), *(hidden or {}).values()]:
             if not 0 <= count <= episodes <= row["episodes"]:
                 raise ValueError(f"{row['subject']}, {row['category']}: {count} of {episodes} episodes cannot be")
+        if sum((row["failures"] or {}).values()) not in (0, row["episodes"] - row["successes"]):
+            raise ValueError(f"{row['subject']}, {row['category']}: causes are not of the episodes that failed")
         if row["repeated"] is not None and row["repeated"][0] > row["repeated"][1]:
             raise ValueError(f"{row['subject']}, {row['category']}: more tries are repeated than failed")
     if PRIVATE_PATH.search(found["command"]):
         raise ValueError("command holds a path of one machine")
     return ResultFile(rows=tuple(rows), **{**found, "seeds": tuple(found["seeds"])})
+
+
+def _completed(content: object) -> object:
+    """Adds to a result of before what its rows lack: how failures had ended was not counted."""
+    rows = content.get("rows") if isinstance(content, dict) else None
+    if not isinstance(content, dict) or not isinstance(rows, list):
+        return content
+    return {**content, "rows": [{"failures": None, **row} if isinstance(row, dict) else row for row in rows]}
 
 
 def rows_of_records(
@@ -250,6 +263,7 @@ def rows_of_records(
                 None if result.tries is None else result.tries.wasted,
                 (again.count, again.episodes),
                 train_minutes,
+                count_failures(chosen),
             )
         )
     return rows
@@ -274,6 +288,7 @@ _ROW = checked_json.table(
         "wasted_tries": checked_json.optional(checked_json.number(-(10**6), 10**6)),
         "repeated": checked_json.optional(checked_json.listing(_COUNT, 2, 2)),
         "train_minutes": checked_json.optional(checked_json.number(0, 10**6)),
+        "failures": checked_json.optional(checked_json.mapping(checked_json.choice(CAUSES), _COUNT, len(CAUSES))),
     }
 )
 _RESULT = checked_json.table(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.results import OBJECT_SPLITS, ResultFile, ResultRow
 
@@ -16,11 +17,14 @@ with which command, commit and seeds it was measured, and by which code: the *fi
 how an episode comes out (contract, mechanisms, objects, simulator; experts, where they acted). Only tables of the
 present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
 success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
-either. *Failed tries repeated*: unchanged, of those that another try followed.
+either. *Failed tries repeated*: unchanged, of those that another try followed. *How failures ended*: without any try,
+without a joint that moved, with the other joint moved (knob, cap, lever), or ajar.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _CONTINUOUS = ("<", ">=")
-_POLICY_TITLES = ("wasted tries", "failed tries repeated", "trained", "by what is hidden")
+_POLICY_TITLES = ("wasted tries", "failed tries repeated", "trained", "how failures ended", "by what is hidden")
+_LONG_TITLES = 2
+"""Columns at the end of a policy's table that a brief one does without."""
 
 
 def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
@@ -58,7 +62,7 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
     fresh = [result for result in fresh if result.kind == "policy"] or fresh
     parts = [START]
     for result in fresh:
-        parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result)}\n")
+        parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result, brief=True)}\n")
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if fresh else NOTHING)
     return "\n".join([*parts, END])
 
@@ -72,9 +76,14 @@ def with_block(document: str, block: str) -> str:
     return before + block + after
 
 
-def result_table(result: ResultFile) -> str:
-    """Returns a result's table: a row per category for experts, a row per subject and category for policies."""
-    return _expert_table(result.rows) if result.kind == "expert" else _policy_table(result.rows)
+def result_table(result: ResultFile, *, brief: bool = False) -> str:
+    """Returns a result's table: a row per category for experts, a row per subject and category for policies.
+
+    Args:
+        result: what to tell.
+        brief: without how failures ended and what was hidden.
+    """
+    return _expert_table(result.rows) if result.kind == "expert" else _policy_table(result.rows, brief)
 
 
 def source_line(name: str, result: ResultFile) -> str:
@@ -132,7 +141,7 @@ def _column_order(column: tuple[str, str, str]) -> tuple[str, str, int]:
     return column[0], column[1], OBJECT_SPLITS.index(column[2])
 
 
-def _policy_table(rows: Sequence[ResultRow]) -> str:
+def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
     splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
     several = len({row.preset for row in rows}) > 1
     lines = []
@@ -152,6 +161,7 @@ def _policy_table(rows: Sequence[ResultRow]) -> str:
                     _wasted(mine),
                     _repeated(mine),
                     _minutes(mine),
+                    _failures(mine),
                     _hidden(mine),
                 ]
             )
@@ -159,10 +169,11 @@ def _policy_table(rows: Sequence[ResultRow]) -> str:
             means = [
                 _mean_success([row for row in of_policy if row.objects == split], len(categories)) for split in splits
             ]
-            lines.append([name, f"mean of {len(categories)}", *means, *[""] * 4])
+            lines.append([name, f"mean of {len(categories)}", *means, *[""] * len(_POLICY_TITLES)])
     titles = ["policy", "category", *(f"{split} objects" for split in splits), *_POLICY_TITLES]
     # What nobody measured needs no column.
-    kept = [place for place in range(len(titles)) if any(line[place] not in ("-", "") for line in lines)]
+    last = len(titles) - (_LONG_TITLES if brief else 0)
+    kept = [place for place in range(last) if any(line[place] not in ("-", "") for line in lines)]
     return markdown_table([titles[place] for place in kept], [[line[place] for place in kept] for line in lines])
 
 
@@ -190,6 +201,13 @@ def _minutes(rows: Iterable[ResultRow]) -> str:
     """Returns how long the policy was trained; its rows say the same."""
     known = [row.train_minutes for row in rows if row.train_minutes is not None]
     return f"{max(known):.0f} min" if known else "-"
+
+
+def _failures(rows: Iterable[ResultRow]) -> str:
+    """Returns how failed episodes had ended, of all splits of objects together."""
+    counted = [row.failures for row in rows if row.failures is not None]
+    found = {cause: sum(each.get(cause, 0) for each in counted) for cause in CAUSES}
+    return failures_text({cause: count for cause, count in found.items() if count}) if counted else "-"
 
 
 def interval_text(share: Rate) -> str:
