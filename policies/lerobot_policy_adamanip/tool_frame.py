@@ -69,6 +69,19 @@ def reverse(motion: Tensor) -> Tensor:
     return torch.cat([back, -motion[..., 3:6], motion[..., 6:]], dim=-1)
 
 
+def mirrored_poses(poses: Tensor) -> Tensor:
+    """Returns poses (..., 10) of the same arm behind a mirror, in the vertical plane y = 0 of the base.
+
+    The hand is its own mirror image, left finger for right one: across its y axis, along which the fingers move.
+    """
+    return poses * constant((1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0), poses)
+
+
+def mirrored_motions(motions: Tensor) -> Tensor:
+    """Returns motions (..., 7) as `motion_between` sees them between mirrored poses."""
+    return motions * constant((1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0), motions)
+
+
 def fingers_swapped(pose: Tensor) -> Tensor:
     """Returns poses (..., 10) after half a turn about the approach: two fingers hold alike either way."""
     return pose * constant((1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0), pose)

@@ -9,7 +9,15 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory
 from lerobot_policy_adamanip.events import events
-from lerobot_policy_adamanip.tool_frame import constant, motion_between, points_seen, pose_after, upwards
+from lerobot_policy_adamanip.tool_frame import (
+    constant,
+    mirrored_motions,
+    mirrored_poses,
+    motion_between,
+    points_seen,
+    pose_after,
+    upwards,
+)
 
 
 def _poses(count: int, seed: int) -> torch.Tensor:
@@ -25,6 +33,19 @@ def _moved(poses: torch.Tensor, turn: Rotation, shift: np.ndarray) -> torch.Tens
     return torch.from_numpy(
         np.concatenate([position, rotation_6d_from_matrix(rotation), poses[:, 9:].numpy()], axis=1)
     ).float()
+
+
+def test_a_mirrored_arm_sees_mirrored_motions_and_points() -> None:
+    tool, goal = _poses(60, 1), _poses(60, 2)
+    found = motion_between(mirrored_poses(goal), mirrored_poses(tool))
+    wanted = mirrored_motions(motion_between(goal, tool))
+    # Half a turn is the same about an axis and its opposite: compared as where they lead.
+    torch.testing.assert_close(pose_after(found, tool), pose_after(wanted, tool), rtol=0, atol=5e-4)
+    cloud = torch.randn(60, 30, 3)
+    across = torch.tensor([1.0, -1.0, 1.0])
+    seen = points_seen(cloud * across, mirrored_poses(tool))
+    torch.testing.assert_close(seen, points_seen(cloud, tool) * across, rtol=0, atol=1e-4)
+    assert torch.equal(mirrored_poses(mirrored_poses(tool)), tool)
 
 
 def test_a_motion_leads_where_it_was_seen_to_lead() -> None:

@@ -37,6 +37,17 @@ def check_sizes(config: DP3AdaptiveConfig) -> None:
         )
 
 
+def check_augmentation(config: DP3AdaptiveConfig) -> None:
+    """Refuses a share that is none."""
+    if not 0.0 <= config.augmentation_mirror <= 1.0:
+        raise ConfigurationError(
+            "Not a share of scenes.",
+            got=f"augmentation_mirror={config.augmentation_mirror}",
+            allowed="0 to 1",
+            hint="--policy.augmentation_mirror=0.5",
+        )
+
+
 def check_normalization(config: DP3AdaptiveConfig) -> None:
     """Relating poses to clouds undoes the normalisation, and knows how to for one kind only."""
     modes = [config.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]

@@ -12,7 +12,12 @@ from lerobot.optim.schedulers import DiffuserSchedulerConfig
 from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
 from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.contract import has_pose_layout, keep_inputs, names_are_poses
-from lerobot_policy_adamanip.dp3_adaptive.checks import check_horizon, check_normalization, check_sizes
+from lerobot_policy_adamanip.dp3_adaptive.checks import (
+    check_augmentation,
+    check_horizon,
+    check_normalization,
+    check_sizes,
+)
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
 from lerobot_policy_adamanip.optimizer import FusedAdamWConfig
 
@@ -141,6 +146,9 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     augmentation_yaw: float = from_preset()
     # ... through this point: x, y, z [m], robot base frame.
     augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
+    # Training only: share of scenes that are mirrored, left for right; joint positions and torques do not follow. Not
+    # where a direction is the same in all scenes, as for lids and portafilters: it is not, in a mirror.
+    augmentation_mirror: float = 0.0
     # Training only: standard deviation of noise on the history, normalised units (fast 0.0, diffusion 0.02, dp3 0.0,
     # paper 0.0).
     history_noise_std: float = from_preset()
@@ -185,6 +193,7 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         require_choice("prediction_type", self.prediction_type, ("epsilon", "sample"))
         check_sizes(self)
         check_horizon(self)
+        check_augmentation(self)
         check_normalization(self)
 
     def _take_preset(self) -> None:

@@ -29,6 +29,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_wei
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions
 from lerobot_policy_adamanip.publishing import PublishesOurCard
+from lerobot_policy_adamanip.tool_frame import mirrored_motions
 
 ACTION_IS_PAD = "action_is_pad"
 TASK_INDEX = "task_index"
@@ -117,6 +118,8 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
     def fit_anchors(self, motions: NDArray[np.float32]) -> None:
         """Takes the typical ones of demonstrated motions (M, 7) [m, rad, -] as an untrained policy's anchors."""
+        if self.config.augmentation_mirror:
+            motions = np.concatenate([motions, mirrored_motions(torch.from_numpy(motions)).numpy()])
         anchors, spread = cluster_motions(motions, self.config.num_anchors)
         for model in (self.model, self.ema_model):
             model.anchors.copy_(anchors)

@@ -23,6 +23,7 @@ from lerobot_policy_adamanip.depth_step import DepthToCloudStep
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, instruction_vector
 from lerobot_policy_adamanip.rotations import orthonormal_6d
+from lerobot_policy_adamanip.tool_frame import mirrored_poses
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 
@@ -32,6 +33,8 @@ Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 class RigidAugmentationStep(ProcessorStep):
     """Moves a sample's whole scene: cloud, tool pose, history and labels alike. Joint positions stay as they are.
 
+    A share of the samples is mirrored first, left for right.
+
     Acts only where actions come along, which is in training, and before normalisation, in metres. Every sample of a
     batch is moved by a draw of its own, all of its time steps by the same one.
 
@@ -39,19 +42,25 @@ class RigidAugmentationStep(ProcessorStep):
         translation: uniform within +- this along each axis [m].
         yaw: uniform within +- this about the vertical through ``center`` [rad].
         center: (x, y, z) [m], robot base frame.
+        mirror: share of samples that are mirrored.
     """
 
     translation: float = 0.0
     yaw: float = 0.0
     center: tuple[float, float, float] = (0.55, 0.0, 0.0)
+    mirror: float = 0.0
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Returns a transition with moved copies; the one given stays as it is."""
         actions = transition.get(TransitionKey.ACTION)
         observation = transition.get(TransitionKey.OBSERVATION)
-        if not isinstance(actions, Tensor) or observation is None or (self.translation == 0 and self.yaw == 0):
+        still = self.translation == self.yaw == self.mirror == 0
+        if not isinstance(actions, Tensor) or observation is None or still:
             return transition
         batch, device = len(actions), actions.device
+        if self.mirror:
+            chosen = torch.rand(batch, device=device) < self.mirror
+            observation, actions = _mirrored(observation, actions, chosen)
         rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
         shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
         moved = {
@@ -80,7 +89,8 @@ class RigidAugmentationStep(ProcessorStep):
 
     def get_config(self) -> dict[str, Any]:
         """JSON-able options."""
-        return {"translation": self.translation, "yaw": self.yaw, "center": list(self.center)}
+        told = {"translation": self.translation, "yaw": self.yaw, "center": list(self.center)}
+        return {**told, "mirror": self.mirror}
 
     def transform_features(self, features: Features) -> Features:
         """Shapes stay."""
@@ -137,6 +147,19 @@ class InstructionStep(ProcessorStep):
         return features
 
 
+def _mirrored(observation: dict[str, Any], actions: Tensor, chosen: Tensor) -> tuple[dict[str, Any], Tensor]:
+    """Mirrors the samples (B,) that are chosen."""
+
+    def where(changed: Tensor, plain: Tensor) -> Tensor:
+        return torch.where(chosen.reshape(-1, *(1,) * (plain.dim() - 1)), changed, plain)
+
+    cloud, state = observation[POINT_CLOUD], observation[STATE]
+    other_side = torch.cat([cloud[..., :1], -cloud[..., 1:2], cloud[..., 2:]], dim=-1)
+    tool = torch.cat([mirrored_poses(state[..., :ACTION_DIM]), state[..., ACTION_DIM:]], dim=-1)
+    seen = {**observation, POINT_CLOUD: where(other_side, cloud), STATE: where(tool, state)}
+    return seen, where(mirrored_poses(actions), actions)
+
+
 def _about_z(angle: Tensor) -> Tensor:
     """(B,) [rad] -> (B, 3, 3)."""
     cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
@@ -158,7 +181,7 @@ def make_dp3_adaptive_pre_post_processors(
     inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, depth, *told, steps.to_device]
     outputs: list[ProcessorStep] = [steps.unnormalize]
     if config.has_pose_layout:
-        augmentation = (config.augmentation_translation, config.augmentation_yaw, config.augmentation_center)
-        inputs.append(RigidAugmentationStep(*augmentation))
+        moved = (config.augmentation_translation, config.augmentation_yaw, config.augmentation_center)
+        inputs.append(RigidAugmentationStep(*moved, config.augmentation_mirror))
         outputs.append(OrthonormaliseStep())
     return cast(Pipelines, make_policy_processor_pipelines([*inputs, steps.normalize], [*outputs, steps.to_cpu]))

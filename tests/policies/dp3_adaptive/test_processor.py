@@ -63,6 +63,37 @@ def _views(batch: dict[str, Any]) -> list[torch.Tensor]:
     return [points, actions, turns, distances, gram @ gram.transpose(-1, -2), action[..., 9:], state[..., 9:]]
 
 
+def test_a_mirrored_scene_is_the_same_scene_left_for_right(raw: dict[str, Any]) -> None:
+    """Seen from the tool, all is where it was, but for the sign of y; turns about y keep theirs, others change it."""
+    moved, across = _moved(raw, mirror=1.0), torch.diag(torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64))
+    found, wanted = _views(moved), _views(raw)
+    torch.testing.assert_close(found[0], wanted[0] @ across, rtol=0, atol=1e-5)
+    torch.testing.assert_close(found[1], wanted[1] @ across, rtol=0, atol=1e-5)
+    torch.testing.assert_close(found[2], across @ wanted[2] @ across, rtol=0, atol=1e-5)
+    for same_before, same_after in zip(wanted[3:], found[3:], strict=True):
+        torch.testing.assert_close(same_after, same_before, rtol=0, atol=1e-5)
+    torch.testing.assert_close(torch.linalg.det(_matrices(moved[schema.ACTION])), torch.ones(4, 7, dtype=torch.float64))
+    torch.testing.assert_close(moved[schema.POINT_CLOUD][..., 1], -raw[schema.POINT_CLOUD][..., 1])
+    torch.testing.assert_close(moved[schema.POINT_CLOUD][..., ::2], raw[schema.POINT_CLOUD][..., ::2])
+
+
+def test_a_share_of_the_samples_is_mirrored_whole(raw: dict[str, Any]) -> None:
+    many = {
+        key: value.repeat_interleave(50, 0) if hasattr(value, "repeat_interleave") else value
+        for key, value in raw.items()
+    }
+    moved = _moved(many, mirror=0.3)
+    sides = []
+    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
+        kept = (moved[key] == many[key]).flatten(1).all(dim=1)
+        turned = (moved[key][..., 1] == -many[key][..., 1]).flatten(1).all(dim=1)
+        assert bool((kept | turned).all())
+        sides.append(kept)
+    assert torch.equal(sides[0], sides[1])
+    assert torch.equal(sides[0], sides[2])
+    assert 0.2 < 1 - sides[0].double().mean() < 0.4
+
+
 def test_every_sample_moves_on_its_own_and_its_time_steps_together(raw: dict[str, Any]) -> None:
     moved = _moved(raw, translation=0.2)
     shift = moved[schema.POINT_CLOUD] - raw[schema.POINT_CLOUD]
