@@ -29,7 +29,8 @@ from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.evaluation.groups import hidden_names
 from lerobot_adamanip.evaluation.rates import wilson_interval
-from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
+from lerobot_adamanip.evaluation.result_rows import ResultRow
+from lerobot_adamanip.evaluation.results import check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 
 FIRST_SEED = 5_000_000

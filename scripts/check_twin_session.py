@@ -160,9 +160,12 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
     expected = sum(bool(parse(line)["success"]) for line in evaluated.read_text(encoding="utf-8").splitlines())
     low, high = wilson_interval(expected, options.seeds)
     return {
-        "rolled_out": won, "evaluated": expected, "seeds": options.seeds, "interval": [low, high],
+        "rolled_out": won,
+        "evaluated": expected,
+        "seeds": options.seeds,
+        "interval": [low, high],
         "agrees": low <= won / options.seeds <= high,
-    }  # fmt: skip
+    }
 
 
 def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str, Any]]) -> dict[str, Any]:
@@ -176,10 +179,12 @@ def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str
     return {
         "same_description": twin_learning.same_description(simulated, converted),
         "accepted_targets": twin_learning.accepted_targets(recorded, converted),
-        "played_again": count_of, "opened_again": opened,
+        "played_again": count_of,
+        "opened_again": opened,
         "opened_enough": opened >= twin_learning.SHARE_REPLAYED * count_of,
-        "loss": [losses[0], round(ends, 4)], "loss_halves": ends <= losses[0] / 2,
-    }  # fmt: skip
+        "loss": [losses[0], round(ends, 4)],
+        "loss_halves": ends <= losses[0] / 2,
+    }
 
 
 def judged(episodes: list[dict[str, Any]], replayed: dict[str, Any] | None) -> dict[str, Any]:
@@ -187,10 +192,13 @@ def judged(episodes: list[dict[str, Any]], replayed: dict[str, Any] | None) -> d
     locked = [bool(each["hidden_state"]["locked"]) for each in episodes]
     opened = sum(bool(each["success"]) for each in episodes)
     return {
-        "episodes": len(episodes), "locked": sum(locked), "opened": opened, "both_kinds": len(set(locked)) == 2,
+        "episodes": len(episodes),
+        "locked": sum(locked),
+        "opened": opened,
+        "both_kinds": len(set(locked)) == 2,
         "enough": opened >= SHARE_OPENED * len(episodes),
         "replay_opened": None if replayed is None else bool(replayed["success"]),
-    }  # fmt: skip
+    }
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -36,7 +36,8 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
+from lerobot_adamanip.evaluation.result_rows import rows_of_records
+from lerobot_adamanip.evaluation.results import policy_result, write_result
 from lerobot_adamanip.experts import EXPERT_PRESETS
 from lerobot_adamanip.files import write_atomically
 

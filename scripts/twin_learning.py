@@ -26,9 +26,17 @@ def convert(run: Run, recorded: Path, simulated: Path, converted: Path) -> None:
     """Makes key frames of a recording, and records a few simulated episodes to compare and to mix them with."""
     run("adamanip", "keyframes", str(recorded), "--out", str(converted))
     run(
-        "adamanip", "collect", "--category", "microwave", "--objects", "0:2", "--episodes-per-object", "2",
-        "--root", str(simulated),
-    )  # fmt: skip
+        "adamanip",
+        "collect",
+        "--category",
+        "microwave",
+        "--objects",
+        "0:2",
+        "--episodes-per-object",
+        "2",
+        "--root",
+        str(simulated),
+    )
 
 
 def same_description(simulated: Path, converted: Path) -> bool:
@@ -104,9 +112,17 @@ def mixed_training(run: Run, recorded: Path, simulated: Path, out: Path, steps: 
     """Trains on key frames of the recording and simulated demonstrations together; returns the losses told."""
     run("adamanip", "keyframes", str(recorded), str(simulated), "--out", str(out / "mix"))
     log = run(
-        "lerobot-train", "--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false",
-        "--dataset.repo_id=local/mix", f"--dataset.root={out / 'mix'}", "--batch_size=32", "--num_workers=0",
-        f"--steps={steps}", f"--save_freq={steps}", f"--log_freq={max(1, steps // 15)}",
+        "lerobot-train",
+        "--policy.type=dp3_adaptive",
+        "--policy.device=cpu",
+        "--policy.push_to_hub=false",
+        "--dataset.repo_id=local/mix",
+        f"--dataset.root={out / 'mix'}",
+        "--batch_size=32",
+        "--num_workers=0",
+        f"--steps={steps}",
+        f"--save_freq={steps}",
+        f"--log_freq={max(1, steps // 15)}",
         f"--output_dir={out / 'trained'}",
-    )  # fmt: skip
+    )
     return [float(value) for value in re.findall(r" loss:([0-9.]+)", log.read_text(errors="replace"))]

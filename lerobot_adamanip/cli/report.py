@@ -126,7 +126,8 @@ class Report:
                 yield (label if len(parts) == 1 else f"{label} #{name}"), part
 
     def _write_result(self, evaluations: Evaluations) -> None:
-        from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
+        from lerobot_adamanip.evaluation.result_rows import rows_of_records
+        from lerobot_adamanip.evaluation.results import policy_result, write_result
 
         assert self.result is not None
         result = policy_result(

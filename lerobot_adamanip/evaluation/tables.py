@@ -7,7 +7,8 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
 from lerobot_adamanip.evaluation.rates import Rate, rate
-from lerobot_adamanip.evaluation.results import OBJECT_SPLITS, ResultFile, ResultRow
+from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
+from lerobot_adamanip.evaluation.results import ResultFile
 
 START, END = "<!-- results -->", "<!-- /results -->"
 INTRODUCTION = """# Results

@@ -9,13 +9,8 @@ from typing import TYPE_CHECKING, Any
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.rates import rate
-from lerobot_adamanip.evaluation.results import (
-    ResultFile,
-    ResultRow,
-    policy_result,
-    read_result,
-    rows_of_records,
-)
+from lerobot_adamanip.evaluation.result_rows import ResultRow, rows_of_records
+from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result
 from lerobot_adamanip.hub.cards import table
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from records import record
 from lerobot_adamanip.evaluation.failures import AJAR, IN_VAIN, KEY_MOVED, NO_TRY, count_failures, failure_cause
 from lerobot_adamanip.evaluation.metrics import summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.results import policy_result, rows_of_records
+from lerobot_adamanip.evaluation.result_rows import rows_of_records
+from lerobot_adamanip.evaluation.results import policy_result
 from lerobot_adamanip.evaluation.tables import result_table
 
 PULL = (0, 1, True)
