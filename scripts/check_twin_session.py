@@ -7,7 +7,7 @@ Records microwaves in lockstep through the scripted teleoperator (which of them 
 teleoperates in real time, and replays an episode that opened its door in a twin of the same seed. Makes key frames of
 the recording, plays them again in the scenes of their seeds, and trains on them and simulated demonstrations together.
 With ``--policy``, `lerobot-rollout` plays each seed in key frames, and `lerobot-eval` plays the same seeds. What came
-of each is read from the logs that the twin writes beside its datasets.
+of each is read from the logs that the twin writes beside its datasets. Interrupted, the same command goes on.
 
 Returns 1 unless 9 of 10 recorded doors opened, both kinds were recorded, the replay opened its door, key frames are
 described as simulated demonstrations are and hold accepted targets, 8 of 10 of them open their door again, the loss
@@ -22,16 +22,20 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import twin_learning
 from check_common import ROOT, count, header
 
+from lerobot_adamanip import files
 from lerobot_adamanip.checked_json import parse
 from lerobot_adamanip.evaluation.rates import wilson_interval
-from lerobot_adamanip.files import write_atomically
 
+STAGES = "stages.json"
+"""What came of each part of a session: the same command goes on where it was interrupted."""
 SHARE_OPENED = 0.9
 """Of the recorded doors that have to be open."""
 ENDLESS = 24 * 3600
@@ -49,7 +53,28 @@ class Session:
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        self.commands: list[dict[str, Any]] = []
+        kept = out / STAGES
+        self._stages: dict[str, dict[str, Any]] = parse(kept.read_text(encoding="utf-8")) if kept.exists() else {}
+        self.commands: list[dict[str, Any]] = [each for stage in self._stages.values() for each in stage["commands"]]
+
+    def stage(self, name: str, work: Callable[[], Any], *makes: str) -> Any:
+        """Returns what came of a part of the session: what is kept of an earlier run, or else that of the work now.
+
+        Args:
+            name: of the part.
+            work: does it.
+            makes: files and folders that a part which was interrupted has left, and that it begins anew.
+        """
+        if name not in self._stages:
+            for path in (self.out / each for each in makes):
+                if path.is_dir():
+                    files.remove_tree(path)
+                path.unlink(missing_ok=True)
+            before = len(self.commands)
+            found = work()
+            self._stages[name] = {"found": found, "commands": self.commands[before:]}
+            files.write_atomically(self.out / STAGES, json.dumps(self._stages, indent=1).encode())
+        return self._stages[name]["found"]
 
     def run(self, program: str, *arguments: str) -> Path:
         """Runs a program and returns its log; raises RuntimeError with the end of that where it fails."""
@@ -129,8 +154,9 @@ def replay(session: Session, options: argparse.Namespace, episode: int) -> dict[
 
 def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
     """Plays each seed with a policy: by `lerobot-rollout` on the twin, and by `lerobot-eval`."""
-    won, log = 0, session.out / "rolled_out.jsonl"
-    for seed in range(options.seed, options.seed + options.seeds):
+    log = session.out / "rolled_out.jsonl"
+
+    def play(seed: int) -> bool:
         session.run(
             "lerobot-rollout",
             *TWIN,
@@ -145,7 +171,14 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
             "--return_to_initial_position=false",
             *QUIET,
         )
-        won += bool(lines_of(log)[-1]["success"])
+        return bool(lines_of(log)[-1]["success"])
+
+    seeds = range(options.seed, options.seed + options.seeds)
+    won = sum(session.stage(f"roll-out {seed}", partial(play, seed)) for seed in seeds)
+    return session.stage("evaluation", lambda: _against_evaluation(session, options, won), "evaluated.jsonl")
+
+
+def _against_evaluation(session: Session, options: argparse.Namespace, won: int) -> dict[str, Any]:
     evaluated = session.out / "evaluated.jsonl"
     session.run(
         "lerobot-eval",
@@ -170,11 +203,17 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
 
 def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str, Any]]) -> dict[str, Any]:
     """Makes key frames of what was recorded, plays them again, and trains on them and simulated ones."""
-    recorded, simulated, converted = (session.out / name for name in ("recorded", "simulated", "converted"))
-    twin_learning.convert(session.run, recorded, simulated, converted)
+    names = ("recorded", "simulated", "converted")
+    recorded, simulated, converted = (session.out / name for name in names)
+    session.stage("key frames", lambda: twin_learning.convert(session.run, recorded, simulated, converted), *names[1:])
     seeds = {each["episode"]: each["given_seed"] for each in episodes}
-    opened, count_of = twin_learning.played_again(converted, seeds)
-    losses = twin_learning.mixed_training(session.run, recorded, simulated, session.out, options.steps)
+    opened, count_of = session.stage("played again", lambda: twin_learning.played_again(converted, seeds))
+    losses = session.stage(
+        "training",
+        lambda: twin_learning.mixed_training(session.run, recorded, simulated, session.out, options.steps),
+        "mix",
+        "trained",
+    )
     ends = sum(losses[-3:]) / 3
     return {
         "same_description": twin_learning.same_description(simulated, converted),
@@ -219,10 +258,12 @@ def main(arguments: list[str] | None = None) -> int:
     options.out, options.policy = (each and Path(os.path.relpath(each, ROOT)) for each in (options.out, options.policy))
     os.chdir(ROOT)
     session = Session(options.out)
-    episodes = record(session, options)
-    driven = teleoperate(session, options)
+    episodes = session.stage("recording", lambda: record(session, options), "recorded", "recorded.episodes.jsonl")
+    driven = session.stage("teleoperation", lambda: teleoperate(session, options), "teleoperated.jsonl")
     opened = [each["episode"] for each in episodes if each["success"]]
-    replayed = replay(session, options, opened[0]) if opened else None
+    replayed = session.stage(
+        "replay", lambda: replay(session, options, opened[0]) if opened else None, "replayed.jsonl"
+    )
     learnt = learn(session, options, episodes)
     result = {**header(), **judged(episodes, replayed), "teleoperated_s": driven["seconds"], "learnt": learnt}
     passed = all(result[name] for name in ("enough", "both_kinds", "replay_opened"))
@@ -232,7 +273,7 @@ def main(arguments: list[str] | None = None) -> int:
         result["roll_outs"] = roll_out(session, options)
         passed = passed and result["roll_outs"]["agrees"]
     text = json.dumps({**result, "commands": session.commands, "passed": passed}, indent=2)
-    write_atomically(options.out / "result.json", text.encode())
+    files.write_atomically(options.out / "result.json", text.encode())
     if options.json:
         sys.stdout.write(text + "\n")
     return 0 if passed else 1
