@@ -17,6 +17,7 @@ SCALE = "smoke"
 
 
 @pytest.mark.sim
+@pytest.mark.nightly
 @pytest.mark.timeout(1800)
 def test_every_method_learns_and_is_tested(tmp_path: Path) -> None:
     command = [str(Path(sys.executable).with_name("adamanip")), "benchmark", "--scale", SCALE, "--jobs", "2", "--json"]
