@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.demos.collection import manifest_path
 from lerobot_adamanip.demos.loading import load_check
 from lerobot_adamanip.demos.manifest import read_manifest
 from lerobot_adamanip.files import write_atomically
@@ -117,7 +118,7 @@ def main() -> int:
     batch = windows(policy, options.data.absolute(), options.rows, options.seed)
     found = drawn(policy, before, after, batch, options.samples)
     phases = compare(batch, found, policy.config.n_action_history_steps)
-    report = {**header(), "category": read_manifest(options.data).spec.category, "phases": phases}
+    report = {**header(), "category": read_manifest(manifest_path(options.data)).spec.category, "phases": phases}
     if options.out is not None:
         write_atomically(options.out, json.dumps(report, indent=1).encode())
     if options.json:
