@@ -80,7 +80,7 @@ def read_reports(folder: Path, check: checked_json.Check) -> dict[str, Any]:
 def choices_page(reports: Mapping[str, Any], present: Container[str]) -> str:
     """Returns the part of docs/results.md that tells what is tried after failures; ``present`` as `results_page`."""
     most = max((row["failed"] for report in reports.values() for row in report["after"]), default=0)
-    columns = ["category", "opened", "tried first", *(f"new after {failed} failed" for failed in range(1, most + 1))]
+    columns = ["category", "opened", "tried before a failure", *(f"new after {failed} failed" for failed in range(1, most + 1))]
     rows = []
     for report in reports.values():
         after = {row["failed"]: row for row in report["after"]}
