@@ -133,7 +133,7 @@ def test_color_and_depth_that_are_read_together_are_of_one_frame() -> None:
     def put() -> None:
         number = 0
         while not done.is_set():
-            number += 1
+            number = number % 60_000 + 1  # depth has sixteen bits
             slot.put(numbered_frame(number, time.perf_counter(), 2, 2))
 
     thread = threading.Thread(target=put)
