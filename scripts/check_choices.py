@@ -24,6 +24,7 @@ from check_common import Progress, count, header
 from numpy.typing import NDArray
 
 from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.evaluation.draws import NO_TRY
 from lerobot_adamanip.evaluation.labels import CLOSED, JointRange, KeyFrameMotion, find_try, joint_ranges
 from lerobot_adamanip.evaluation.recovery import failed_since_motion
 from lerobot_adamanip.files import write_atomically
@@ -55,14 +56,14 @@ class Tally:
     def add(self, failed: Set[Choice], choices: list[Choice]) -> None:
         """Counts the draws of one key frame."""
         words = self.draws.setdefault(len(failed), Counter())
-        words.update("no try" if each is None else f"{each[0]} {'+' if each[1] > 0 else '-'}" for each in choices)
+        words.update(NO_TRY if each is None else f"{each[0]} {'+' if each[1] > 0 else '-'}" for each in choices)
         self.repeated[len(failed)] += sum(each in failed for each in choices if each is not None)
 
     def to_json(self) -> dict[str, Any]:
         """Returns rows by failed tries: draws, share of those that repeat what failed, of tries and of all."""
         rows = []
         for number, words in sorted(self.draws.items()):
-            tries, all_draws = words.total() - words["no try"], words.total()
+            tries, all_draws = words.total() - words[NO_TRY], words.total()
             rows.append(
                 {
                     "failed": number,

@@ -7,10 +7,11 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.fingerprint import versions
 from lerobot_env_adamanip.fingerprint import present_fingerprint
 
@@ -28,6 +29,29 @@ def header() -> dict[str, Any]:
         "fingerprint": present_fingerprint(),
         "versions": dict(versions()),
     }
+
+
+def document_command(description: str | None, wanted: Callable[[], Mapping[Path, str]]) -> int:
+    """Writes documents that are made of results, or with ``--check`` says which is not what it would be; exit status.
+
+    Args:
+        description: of the command line.
+        wanted: makes document -> text.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document would change")
+    options = parser.parse_args()
+    try:
+        texts = wanted()
+    except AdaManipError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    stale = [path for path, text in texts.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    for path in stale:
+        if not options.check:
+            path.write_text(texts[path], encoding="utf-8")
+        sys.stdout.write(f"{'stale' if options.check else 'written'}: {path.relative_to(ROOT)}\n")
+    return 1 if options.check and stale else 0
 
 
 def count(text: str) -> int:

@@ -8,22 +8,21 @@ docs/results.md marks them.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Collection, Iterator
 from pathlib import Path
+
+from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import read_declaration
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
-from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.evaluation.draws import CHOICES, MOTIONS, choices_page, motions_page, read_reports
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGE, README, RESULTS = ROOT / "docs" / "results.md", ROOT / "README.md", ROOT / "results"
 
 
@@ -58,20 +57,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
 
 def main() -> int:
     """Writes both, or says which is not what it would write; 0 if all is well."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document would change")
-    options = parser.parse_args()
-    try:
-        wanted = documents(RESULTS, present_fingerprints())
-    except AdaManipError as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    stale = [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
-    for path in stale:
-        if not options.check:
-            path.write_text(wanted[path], encoding="utf-8")
-        sys.stdout.write(f"{'stale' if options.check else 'written'}: {path.relative_to(ROOT)}\n")
-    return 1 if options.check and stale else 0
+    return document_command(__doc__, lambda: documents(RESULTS, present_fingerprints()))
 
 
 if __name__ == "__main__":

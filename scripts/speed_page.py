@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+from check_common import ROOT, document_command
+
 PAGE, REPORT = ROOT / "docs" / "speed.md", ROOT / "results" / "bench" / "against.json"
 NAMES = {
     "tick_us": "control tick, µs of processor time",
@@ -75,16 +74,7 @@ def _categories(report: dict[str, Any]) -> list[str]:
 
 def main() -> int:
     """Writes the page, or says that it is not what it would be."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if the page would change")
-    check = parser.parse_args().check
-    wanted = page(json.loads(REPORT.read_text(encoding="utf-8")))
-    if PAGE.exists() and PAGE.read_text(encoding="utf-8") == wanted:
-        return 0
-    if not check:
-        PAGE.write_text(wanted, encoding="utf-8")
-    sys.stdout.write(f"{'stale' if check else 'written'}: {PAGE.relative_to(ROOT)}\n")
-    return int(check)
+    return document_command(__doc__, lambda: {PAGE: page(json.loads(REPORT.read_text(encoding="utf-8")))})
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 from lerobot_adamanip import schema
 from lerobot_adamanip.checked_json import read
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, SENT_NAMES
+from lerobot_policy_adamanip.demonstrations import read_columns
 
 STEPS = 300
 """Of the mixed training."""
@@ -50,13 +51,11 @@ def same_description(simulated: Path, converted: Path) -> bool:
     return told(simulated) == told(converted)
 
 
-def rows_of(root: Path, *columns: str) -> dict[str, np.ndarray]:
+def rows_of(root: Path, *columns: str) -> dict[str, Any]:
     """Returns columns of all rows, in order."""
-    import pyarrow.dataset as pads
+    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 
-    files = [str(path) for path in sorted((root / "data").rglob("*.parquet"))]
-    table = pads.dataset(files).to_table(columns=list(columns))
-    return {name: np.array(table[name].to_pylist()) for name in columns}
+    return read_columns(LeRobotDatasetMetadata(f"local/{root.name}", root=root), columns)
 
 
 def accepted_targets(recorded: Path, converted: Path) -> bool:

@@ -5,14 +5,13 @@ The report is what ``check_twin_session.py --policy ...`` leaves as ``result.jso
 
 from __future__ import annotations
 
-import argparse
 import json
 import shlex
 import sys
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+from check_common import ROOT, document_command
+
 PAGE, REPORT = ROOT / "docs" / "twin_session.md", ROOT / "results" / "twin" / "session.json"
 
 
@@ -84,17 +83,8 @@ def _commands(commands: list[dict[str, Any]]) -> list[str]:
 
 
 def main() -> int:
-    """Writes the page, or says that it is not what it would write; 0 if all is well."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if the page would change")
-    options = parser.parse_args()
-    wanted = page(json.loads(REPORT.read_text(encoding="utf-8")))
-    if PAGE.exists() and PAGE.read_text(encoding="utf-8") == wanted:
-        return 0
-    if not options.check:
-        PAGE.write_text(wanted, encoding="utf-8")
-    sys.stdout.write(f"{'stale' if options.check else 'written'}: {PAGE.relative_to(ROOT)}\n")
-    return 1 if options.check else 0
+    """Writes the page, or says that it is not what it would be."""
+    return document_command(__doc__, lambda: {PAGE: page(json.loads(REPORT.read_text(encoding="utf-8")))})
 
 
 if __name__ == "__main__":

@@ -125,26 +125,26 @@ class BenchmarkRun:
     def _advanced(self, waiting: dict[Cell, str], lock: int) -> Iterator[CellState]:
         """Begins steps that can be done now, in the order of cells; yields the cells that wait for nothing more."""
         for cell, label in list(waiting.items()):
-            state = self._ended(cell)
+            whole = self._plan(cell)
+            state = self._ended(cell, whole)
             while state is None and len(self._running) < self.jobs:
-                step = self._next_step(cell)
+                step = self._next_step(whole)
                 if step is None or step.key in self._running or self._begun(step, lock, label):
                     break
-                state = self._ended(cell)  # there was nothing left to run
+                state = self._ended(cell, whole)  # there was nothing left to run
             if state is not None:
                 del waiting[cell]
                 yield state
 
-    def _ended(self, cell: Cell) -> CellState | None:
-        """Returns the state of a cell that wants no more steps, its result written; None for any other."""
+    def _ended(self, cell: Cell, step: Step) -> CellState | None:
+        """Returns the state of a cell that wants no more than this, its result written; None for any other."""
         before = self.state(cell)
         if before.state in (DONE, UNAVAILABLE):
             return before
-        step = self._plan(cell)
         for each in step.chain():
             if each.key in self._failed:
                 return CellState(cell, FAILED, self._failed[each.key], before.result)
-        if self._next_step(cell) is not None:
+        if self._next_step(step) is not None:
             return None
         try:
             write_cell(self.folder.result(cell), self._result(cell, step))
@@ -152,10 +152,10 @@ class BenchmarkRun:
             return CellState(cell, FAILED, str(error), before.result)
         return self.state(cell)
 
-    def _next_step(self, cell: Cell) -> Step | None:
+    def _next_step(self, whole: Step) -> Step | None:
         """Returns the first step after the last one that is done: what that was made of is no longer needed."""
         missing = None
-        for step in reversed(list(self._plan(cell).chain())):
+        for step in reversed(list(whole.chain())):
             if self.folder.is_done(step):
                 break
             missing = step

@@ -80,7 +80,8 @@ def read_reports(folder: Path, check: checked_json.Check) -> dict[str, Any]:
 def choices_page(reports: Mapping[str, Any], present: Container[str]) -> str:
     """Returns the part of docs/results.md that tells what is tried after failures; ``present`` as `results_page`."""
     most = max((row["failed"] for report in reports.values() for row in report["after"]), default=0)
-    columns = ["category", "opened", "tried before a failure", *(f"new after {failed} failed" for failed in range(1, most + 1))]
+    later = range(1, most + 1)
+    columns = ["category", "opened", "tried before a failure", *(f"new after {failed} failed" for failed in later)]
     rows = []
     for report in reports.values():
         after = {row["failed"]: row for row in report["after"]}
@@ -90,7 +91,7 @@ def choices_page(reports: Mapping[str, Any], present: Container[str]) -> str:
                 _category(report),
                 f"{opened}/{episodes}",
                 _shares(after[0]["draws"]) if 0 in after else "-",
-                *(_new(after.get(failed)) for failed in range(1, most + 1)),
+                *(_new(after.get(failed)) for failed in later),
             ]
         )
     about = (
@@ -130,15 +131,19 @@ def _category(report: Mapping[str, Any]) -> str:
     return str(report["category"]).replace("_", " ")
 
 
+def _tries(draws: Mapping[str, int]) -> dict[str, int]:
+    return {what: count for what, count in draws.items() if what != NO_TRY}
+
+
 def _shares(draws: Mapping[str, int]) -> str:
-    tries = {what: count for what, count in draws.items() if what != NO_TRY}
+    tries = _tries(draws)
     total = max(1, sum(tries.values()))
     told = [f"{what} {100 * count / total:.0f} %" for what, count in tries.items() if count / total >= 0.005]
     return ", ".join(told) or "-"
 
 
 def _new(row: Mapping[str, Any] | None) -> str:
-    tries = 0 if row is None else sum(count for what, count in row["draws"].items() if what != NO_TRY)
+    tries = 0 if row is None else sum(_tries(row["draws"]).values())
     return "-" if row is None or not tries else f"{100 * (1 - row['repeat_of_tries']):.1f} % of {tries:,}"
 
 
