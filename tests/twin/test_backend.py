@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +17,7 @@ from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.rotations import pose_vector
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend, TwinOptions
+from lerobot_env_adamanip.sim.twin.pictures import Pair, TwinEye
 from lerobot_env_adamanip.twin.annotations import annotations_from_json
 from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity, unpack_frame
 
@@ -148,6 +150,27 @@ def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, bo
     assert both.mean() > 0.2
     apart = np.abs(frame.depth.astype(int) - depth.astype(int))[both]
     assert np.percentile(apart, 90) <= 1
+
+
+def test_a_picture_is_as_old_as_its_own_making(
+    twin: SapienBackend, boxes: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, take = [], TwinEye.take
+
+    def noted(eye: TwinEye) -> Pair:
+        begun.append(time.perf_counter())
+        return take(eye)
+
+    monkeypatch.setattr(TwinEye, "take", noted)
+    for moment in (SEED, SEED + 1):
+        twin.reset({"seed": moment})
+        for _ in range(2):
+            twin.look({})
+            found = boxes[FRONT_FRAMES].read()
+            assert found is not None
+            before, last = begun[-2:]
+            assert before < unpack_frame(found[1]).stamp <= last
+    assert len(begun) == 6  # a scene's first picture, which takes ten times as long, is shown to nobody
 
 
 def test_a_reset_tells_nothing_hidden_and_refuses_what_is_no_seed(twin: SapienBackend) -> None:

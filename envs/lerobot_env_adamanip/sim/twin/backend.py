@@ -179,7 +179,7 @@ class SapienBackend:
         self._publish_success()
         self._seed = seed
         if self._frames:  # whoever looks will look again: the scene is made ready to be seen
-            self._camera().take()
+            self._camera().get_ready()
         self._ticked = time.perf_counter()
         return self.describe()
 
@@ -200,8 +200,10 @@ class SapienBackend:
         """Takes a picture of this moment into the mailbox of frames; returns its number."""
         if FRONT_FRAMES not in self._boxes:
             raise RobotError("The twin was started without a camera.")
+        camera = self._camera()
+        camera.get_ready()  # a picture is as old as its making takes: the first one of a scene would be called frozen
         taken = time.perf_counter()
-        color, depth = self._camera().take()
+        color, depth = camera.take()
         self._frames += 1
         self._boxes[FRONT_FRAMES].write(pack_frame(TwinFrame(taken, self._frames, color, depth)))
         return {"number": self._frames}
