@@ -129,6 +129,14 @@ def test_a_clock_that_stands_still_is_a_fault() -> None:
         arm.healthy()
 
 
+def test_a_fault_is_told_before_an_arm_that_does_not_answer_is_stopped() -> None:
+    with fake_arm(ServerOptions(state_age=1.0)) as arm:
+        arm.request("inject", {"kind": "freeze", "seconds": 3.0})
+        fault = eventually(arm, lambda status: status.fault is not None).fault  # a status older than 1 s is an error
+        assert fault is not None
+        assert "s old, more than 1 s" in fault
+
+
 def test_a_lost_connection_is_mended_by_connecting_only(arm: ArmClient) -> None:
     arm.request("inject", {"kind": "lost"})
     eventually(arm, lambda status: status.lost)

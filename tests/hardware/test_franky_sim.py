@@ -119,8 +119,8 @@ def test_twenty_goals_are_reached(make: Callable[..., AdamanipFranka]) -> None:
 
 
 def speeds(milliseconds: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Of commanded poses [m/s], over 20 ms: a packet may be late."""
-    behind = 20
+    """Of commanded poses [m/s], over 200 ms, so that a packet which comes a millisecond late is half a percent."""
+    behind = 200
     moved_by = np.linalg.norm(poses[behind:, :3, 3] - poses[:-behind, :3, 3], axis=1)
     passed = np.maximum(milliseconds[behind:] - milliseconds[:-behind], behind) / 1000.0
     return np.asarray(moved_by / passed)
@@ -201,17 +201,42 @@ def test_the_gripper_is_commanded_on_change_and_opens_as_told(
     assert robot._client.request("gripper")["commands"] == 3
 
 
+def ticks(robot: AdamanipFranka, openings: list[float]) -> np.ndarray:
+    """Of a stream at 30 Hz: how long each takes [s]."""
+    goal, took, due = pose(robot), [], time.perf_counter()
+    for opening in openings:
+        goal[9] = opening
+        began = time.perf_counter()
+        act(robot, goal)
+        robot.get_observation()
+        took.append(time.perf_counter() - began)
+        due += 1 / 30
+        time.sleep(max(0.0, due - time.perf_counter()))
+    return np.array(took)
+
+
+def test_a_hand_that_moves_delays_no_tick(make: Callable[..., AdamanipFranka]) -> None:
+    """One tick in a hundred is late for reasons of this machine, whether or not the hand moves."""
+    robot = make()
+    robot.connect()
+    still = ticks(robot, [1.0] * 270)
+    moving = ticks(robot, [float(tick // 30 % 2) for tick in range(270)])
+    assert robot._client is not None
+    assert robot._client.request("gripper")["commands"] >= 8
+    assert np.quantile(moving, 0.99) - np.quantile(still, 0.5) < 0.005
+
+
 @pytest.mark.parametrize("death", ["kill", "freeze"])
 def test_a_controller_that_dies_or_freezes_is_one_clear_error(
     arm: SimulatedArm, make: Callable[..., AdamanipFranka], tmp_path: Path, death: str
 ) -> None:
-    robot = make(state_age=1.0)
+    robot = make(state_age=0.6)  # below libfranka's own second
     robot.connect()
     goal = moved(pose(robot), (0.1, 0.0, 0.0))
     stream_until(robot, arm, goal, 200)
     getattr(arm, death)()
     died = time.perf_counter()
-    with pytest.raises(RobotError, match=r"lost|s old|no state"):
+    with pytest.raises(RobotError, match=r"lost|s old|no state|gripper failed"):
         act_until(robot, goal, died + 20)
     assert time.perf_counter() - died < 1.5
     began = time.perf_counter()

@@ -92,7 +92,8 @@ class AdamanipFrankaConfig(RobotConfig):
     """Reflexes in a row that are recovered from by itself, at half dynamics; the next one ends with an error."""
 
     state_age: float = 0.2
-    """The arm's state may be this old [s]; then it is stopped, and that is an error."""
+    """The arm's state may be this old [s]; then it is stopped, and that is an error. From 1 s up a connection that
+    stands still may be told a second later: libfranka waits so long for an answer."""
 
     command_age: float = 0.5
     """Streamed actions may stop this long [s]; then the arm holds where it is."""

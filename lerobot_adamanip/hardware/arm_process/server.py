@@ -196,11 +196,12 @@ class ArmServer:
         return True
 
     def _fail(self, what: str, *, lost: bool = False) -> None:
-        """Keeps the first fault, and stops the arm."""
+        """Keeps the first fault, tells it, and stops the arm, which takes a second where the arm does not answer."""
         self._lost = self._lost or lost
         if self._fault is None:
             self._fault = what
             self._faults += 1
+            self._publish()
             with contextlib.suppress(RobotError):
                 self._backend.stop()
 

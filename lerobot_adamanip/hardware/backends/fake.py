@@ -74,7 +74,7 @@ class FakeBackend:
         self._time, self._frozen, self._lost, self._refuses = 0.0, False, False, 0
         self._flags: tuple[str, ...] = ()
         self._targets: list[list[float]] = []
-        self._moving = False
+        self._moving, self._stop_takes = False, 0.0
         self._log = open(options.log, "a", buffering=1, encoding="utf-8") if options.log else None  # noqa: SIM115
 
     @property
@@ -156,7 +156,8 @@ class FakeBackend:
         self._write({"time": time.perf_counter(), "target": self._targets[-1]})
 
     def stop(self) -> None:
-        """Stands still at once."""
+        """Stands still at once; frozen, it answers as late as was injected."""
+        time.sleep(self._stop_takes)
         self._goal = self._desired = self._tcp.copy()
         self._keyframe_ends, self._moving = None, False
 
@@ -184,6 +185,7 @@ class FakeBackend:
             self._flags, self._refuses = fault["flags"], fault["refuses"]
         elif kind in ("freeze", "thaw"):
             self._frozen = kind == "freeze"
+            self._stop_takes = fault["seconds"] if self._frozen else 0.0
         elif kind == "lost":
             self._lost = True
         elif kind == "hang":

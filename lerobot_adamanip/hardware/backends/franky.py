@@ -6,6 +6,7 @@ The control loop (1 kHz) is a thread of franky's, in C++; this backend gives it 
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -38,6 +39,8 @@ STAYS = 5e-4
 """A goal that is nearer than this is no motion [m, rad]."""
 SAME = 5e-5
 """A streamed target that is nearer to the one before than this is the same [m, rad]."""
+RECOVERY_TIME = 0.5
+"""At most waited for a state without errors [s]."""
 STOP_TIME = 1.0
 """At most waited for a stop when closing [s]."""
 
@@ -204,9 +207,15 @@ class FrankyBackend:
             self._hand.forgive()
         with contextlib.suppress(Exception):  # the exception of the motion that broke off, told once
             self._robot.poll_motion()
-        if not self._ask(self._robot.recover_from_errors):
-            raise RobotError("The arm did not recover from its errors: see to it in Desk.")
+        recovered = bool(self._ask(self._robot.recover_from_errors))
         self._state = self._ask(lambda: self._robot.state)
+        # franky judges by a state that may be from before the arm has answered.
+        end = time.perf_counter() + RECOVERY_TIME
+        while not recovered and time.perf_counter() < end:
+            self._state = self._ask(lambda: self._robot.state)
+            recovered = not flags_of(self._state.current_errors)
+        if not recovered:
+            raise RobotError("The arm did not recover from its errors: see to it in Desk.")
         self._gentle_until = self._state.time.to_msec() / 1000.0 + GENTLE_TIME
 
     # Franky's errors -------------------------------------------------------------------------------------------------
