@@ -76,7 +76,8 @@ def main() -> int:
     """Measures; 0 if all categories have enough of both."""
     chosen = options()
     categories = tuple(CATEGORIES) if chosen.category == ALL else tuple(chosen.category.split(","))
-    progress = Progress(0, len(categories) * chosen.episodes)
+    objects = sum(len(select_objects(category, chosen.objects, None)) for category in categories)
+    progress = Progress(0, objects * chosen.episodes)
     rows: dict[str, dict[str, Any]] = {}
     for category in categories:
         found, episodes = measured(category, chosen, progress)

@@ -14,6 +14,8 @@ from lerobot_adamanip.rotations import matrix_from_rotation_6d
 
 _STANDS, _AWHILE = 1e-3, 3
 """A goal that moves by less than this [m] for so many samples stands still."""
+_SPRINGS = 2
+"""So many samples at most an arm that leaned on something takes to spring back, once its goal is given up."""
 _LEVER = 0.1
 """Weighs a rotation against a translation: the way of a point this far from the tool centre point [m]."""
 
@@ -118,15 +120,30 @@ def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.i
             kept.add(int(stay_end[t]) if stay_end[t] >= 0 else t)
     if trajectory.command is not None:
         given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
-        kept.difference_update(_late_ends(stay_end, given_up, count))
+        kept.difference_update(_late_ends(trajectory, given_up, stay_end, is_open, options))
         kept.update(given_up)
         _take_back_beginnings(kept, set(given_up), trajectory, is_open, options)
     return np.array(sorted(kept), dtype=np.int64)
 
 
-def _late_ends(stay_end: NDArray[np.int64], given_up: list[int], count: int) -> set[int]:
-    """Returns ends of stays that were over when their goal was given up: after that an arm takes a while to begin."""
-    return {int(stay_end[t]) for t in given_up if stay_end[t] >= 0} - {count - 1}
+def _late_ends(
+    trajectory: DenseTrajectory,
+    given_up: list[int],
+    stay_end: NDArray[np.int64],
+    is_open: NDArray[np.bool_],
+    options: SparsifyOptions,
+) -> set[int]:
+    """Returns ends of stays that were over when their goal was given up: after that an arm takes a while to begin.
+
+    One that leaned on something springs back when its goal is given up, and may stay again right after that.
+    """
+    late, last = set[int](), len(stay_end) - 1
+    for t in given_up:
+        for end in stay_end[t : t + 1 + _SPRINGS].tolist():
+            near = end >= 0 and distance(trajectory.pose[t], trajectory.pose[end]) <= options.same_place
+            if near and (is_open[t : end + 1] == is_open[t]).all():
+                late.add(end)
+    return late - {last}
 
 
 def _take_back_beginnings(

@@ -105,6 +105,16 @@ def test_a_blocked_arm_that_is_given_another_goal_stays_once_for_each() -> None:
     assert kept.tolist() == [0, 7, 16, len(samples) - 1]
 
 
+def test_an_arm_that_springs_back_when_a_goal_is_given_up_stays_in_one_place() -> None:
+    leans = [pose(0.291 + 0.0012 * i) for i in range(9)]  # and gives way slowly, by 24 mm/s
+    still = np.stack([*leans, *[pose(0.297)] * 7])
+    away = np.stack([pose(x) for x in (0.290, 0.283, 0.277, 0.272, *[0.270] * 5)])
+    samples = np.concatenate([still, away])
+    command = np.stack([pose(0.35)] * 8 + [pose(0.27)] * (len(samples) - 8))
+    kept = sparsify(DenseTrajectory.from_samples(samples, RATE, command))
+    assert kept.tolist() == [0, 7, len(samples) - 1]
+
+
 def test_a_goal_that_streams_ahead_of_the_arm_is_not_given_up() -> None:
     samples = teleoperated([(0.0, 1.0, 2), (0.6, 1.0, 2)])
     command = np.concatenate([samples[3:], samples[-1:].repeat(3, axis=0)])
