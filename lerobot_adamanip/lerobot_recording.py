@@ -15,8 +15,8 @@ from typing import Any
 from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.hardware.features import is_dense
 
-TESTED = {"0.6.1": "33fc8815f9c00df2"}
-"""LeRobot version -> hash of the source of its writer and of its metadata, for which this was written and tested."""
+TESTED = {"0.6.1": "91402ca2eb139601"}
+"""LeRobot version -> hash of the source of its writer, encoder and metadata, for which this was written and tested."""
 _log = logging.getLogger(__name__)
 _stock: dict[str, Any] = {}  # LeRobot's own, while they are replaced
 
@@ -31,8 +31,16 @@ def _built_on() -> tuple[Any, ...]:
     from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
     from lerobot.datasets.dataset_writer import DatasetWriter
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.datasets.video_utils import StreamingVideoEncoder
 
-    return (DatasetWriter, LeRobotDatasetMetadata, LeRobotDataset.resume, io_utils.write_info, io_utils.write_stats)
+    return (
+        DatasetWriter,
+        LeRobotDatasetMetadata,
+        LeRobotDataset.resume,
+        io_utils.write_info,
+        io_utils.write_stats,
+        StreamingVideoEncoder,
+    )
 
 
 def apply() -> bool:

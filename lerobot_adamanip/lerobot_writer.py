@@ -12,14 +12,17 @@ from __future__ import annotations
 import logging
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from lerobot.configs.video import DepthEncoderConfig
 from lerobot.datasets.compute_stats import aggregate_stats
 from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.io_utils import write_info, write_stats
 from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
+from lerobot.datasets.video_utils import StreamingVideoEncoder
 from lerobot.utils.utils import flatten_dict
 
 from lerobot_adamanip import files
@@ -27,6 +30,7 @@ from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS
 from lerobot_adamanip.hardware.session import BOARD
 
+_X265 = "x265-params"
 _FULL = 0.0
 """A file of this size is full [MB]: every episode begins another one."""
 _log = logging.getLogger(__name__)
@@ -88,10 +92,15 @@ class DurableWriter(DatasetWriter):
     """LeRobot's writer, which ends an episode's files when it saves the episode."""
 
     _batch_encoding_size: int
+    _depth_encoder: DepthEncoderConfig
+    _streaming_encoder: StreamingVideoEncoder | None
 
     def __init__(self, meta: LeRobotDatasetMetadata, *args: Any, **kwargs: Any) -> None:
         super().__init__(meta, *args, **kwargs)
         meta.__class__ = DurableMetadata  # the same data, written otherwise
+        self._depth_encoder = in_order(self._depth_encoder)
+        if self._streaming_encoder is not None:
+            self._streaming_encoder._depth_encoder = in_order(self._streaming_encoder._depth_encoder)
         if self._batch_encoding_size > 1:
             _log.warning(
                 "video_encoding_batch_size = %d would leave saved episodes without videos until so many are saved: it "
@@ -105,6 +114,19 @@ class DurableWriter(DatasetWriter):
         metadata: dict[str, Any] = super()._save_episode_data(episode_buffer)
         self.close_writer()
         return metadata
+
+
+def in_order(encoder: DepthEncoderConfig) -> DepthEncoderConfig:
+    """Returns an encoder of depth whose frames are stored as they come; another codec's as it is.
+
+    x265 otherwise looks ahead, and one time in three a video of one or two frames cannot be written ("pts/dts pair
+    unsupported"), which would end the session of who ends an episode as soon as it has begun.
+    """
+    given = str(encoder.extra_options.get(_X265, ""))
+    if encoder.vcodec not in ("hevc", "libx265") or "bframes" in given:
+        return encoder
+    options = {**encoder.extra_options, _X265: ":".join(filter(None, (given, "bframes=0")))}
+    return replace(encoder, extra_options=options)
 
 
 def _keep_calibrations(root: Path) -> None:

@@ -201,3 +201,29 @@ def test_a_lerobot_that_was_not_tested_stays_as_it_is(monkeypatch: pytest.Monkey
         monkeypatch.undo()
         lerobot_recording.apply()
         assert lerobot_dataset.DatasetWriter is not stock
+
+
+def test_depth_of_an_episode_that_ends_at_once_can_be_written(tmp_path: Path) -> None:
+    """Of LeRobot's own settings one video in three of one or two frames cannot be."""
+    from lerobot.configs.video import DepthEncoderConfig
+    from lerobot.datasets.video_utils import StreamingVideoEncoder
+
+    from lerobot_adamanip.lerobot_writer import in_order
+
+    encoder = StreamingVideoEncoder(30, depth_encoder=in_order(DepthEncoderConfig()), encoder_threads=1)
+    for number in range(30):
+        encoder.start_episode(["depth"], tmp_path, ["depth"])
+        for _ in range(1 + number % 2):
+            encoder.feed_frame("depth", np.full((32, 32, 1), 600 + number, np.uint16))
+        encoder.finish_episode()
+
+
+def test_settings_of_ones_own_are_kept() -> None:
+    from lerobot.configs.video import DepthEncoderConfig
+
+    from lerobot_adamanip.lerobot_writer import in_order
+
+    assert in_order(DepthEncoderConfig()).extra_options == {"x265-params": "lossless=1:bframes=0"}
+    for own in ({"x265-params": "lossless=1:bframes=2"}, {"x265-params": "bframes=0"}):
+        assert in_order(DepthEncoderConfig(extra_options=own)).extra_options == own
+    assert in_order(DepthEncoderConfig(extra_options={})).extra_options == {"x265-params": "bframes=0"}

@@ -153,7 +153,7 @@ def test_a_stream_is_followed_no_faster_than_its_limit(arm: SimulatedArm, make: 
     milliseconds, commanded = arm.poses("c")
     assert speeds(milliseconds, commanded).max() <= 1.01 * LIMIT
     # Planned anew again and again towards a target that rests, it went past that by half of what it takes to brake.
-    assert commanded[:, 0, 3].max() <= goal[0] + 0.001
+    assert commanded[:, 0, 3].max() <= goal[0] + 0.003
     assert commanded[-1][0, 3] == pytest.approx(goal[0], abs=0.001)
 
 
