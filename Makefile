@@ -36,12 +36,14 @@ pictures: .venv/.renders  ## see to a Vulkan device, for pictures; clouds do wit
 .venv/.browser: .venv/.installed scripts/setup_browser.sh
 	bash scripts/setup_browser.sh
 
-test: pictures  ## all tests but the nightly ones: first those without a simulator, then those with it
+test: pictures  ## all tests but the nightly ones: those without a simulator, those with it, those that use all cores
 	@status=0; \
-	echo "== 1/2  tests without the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
+	echo "== 1/3  tests without the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
 	$(PYTEST) -m "not sim and not nightly" || status=$$?; \
-	echo "== 2/2  tests with the simulator, $(JOBS) at a time: some 9 minutes on two cores"; \
-	$(PYTEST) -m "sim and not nightly" || status=$$?; \
+	echo "== 2/3  tests with the simulator, $(JOBS) at a time: some 9 minutes on two cores"; \
+	$(PYTEST) -m "sim and not nightly and not alone" || status=$$?; \
+	echo "== 3/3  every method of the benchmark, at its smallest: some 7 minutes on two cores"; \
+	$(BIN)/python -m pytest -m "alone and not nightly" || status=$$?; \
 	exit $$status
 
 nightly: pictures .venv/.browser  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more

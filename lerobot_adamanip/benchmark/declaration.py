@@ -61,6 +61,7 @@ class Method:
         train: further options of ``lerobot-train``; they win over the scale's.
         evaluate: further options of ``lerobot-eval``, likewise.
         steps: of its training, by scale, where they are not the scale's.
+        train_at: by scale, options of ``lerobot-train`` that win over ``train``.
         paper: what the paper calls it; empty if it is not in the paper.
         package: the distribution that declares it; empty for the declaration's own.
     """
@@ -72,6 +73,7 @@ class Method:
     train: tuple[str, ...] = ()
     evaluate: tuple[str, ...] = ()
     steps: Mapping[str, int] = field(default_factory=dict)
+    train_at: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     paper: str = ""
     package: str = ""
 
@@ -88,6 +90,8 @@ class Scale:
         save_every: steps between checkpoints; what is interrupted goes on from the last one. Decides no result.
         episodes: of an evaluation; ``environments`` run at once.
         device: of torch.
+        poses: of all scenes; empty for those of each set of demonstrations.
+        evaluate: options of ``lerobot-eval``; those of a method win.
     """
 
     objects: str
@@ -98,6 +102,8 @@ class Scale:
     episodes: int
     environments: int
     device: str
+    poses: str = ""
+    evaluate: tuple[str, ...] = ()
     categories: tuple[str, ...] = tuple(CATEGORIES)
     splits: tuple[str, ...] = ("seen", "unseen")
     seeds: tuple[int, ...] = (1000,)
@@ -226,8 +232,8 @@ def _check_names(made: Declaration) -> None:
 
 def _check_method(made: Declaration, name: str, method: Method) -> None:
     _one_of(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
-    for scale in method.steps:
-        _one_of(f"methods.{name}.steps", scale, made.scales)
+    for scale in (*method.steps, *method.train_at):
+        _one_of(f"methods.{name}.steps and train_at", scale, made.scales)
 
 
 def _one_of(name: str, got: str, names: Mapping[str, Any] | Sequence[str]) -> None:
@@ -253,6 +259,8 @@ _SCALE: Mapping[str, Check] = {
     "objects": text(r"[\w:,]{1,400}", "objects, as `adamanip collect --objects` takes them"),
     **dict.fromkeys(("demonstrations", "steps", "batch_size", "save_every", "episodes", "environments"), _COUNT),
     "device": text(r"[a-z]{1,10}(:\d{1,2})?", "a device of torch"),
+    "poses": choice(("", *POSES)),
+    "evaluate": _OPTIONS,
     "categories": _CATEGORIES,
     "splits": _SPLITS,
     "seeds": listing(integer(0, 2**31 - 1), 1, 100),
@@ -274,6 +282,7 @@ _METHOD: Mapping[str, Check] = {
     "train": _OPTIONS,
     "evaluate": _OPTIONS,
     "steps": mapping(NAME, _COUNT, 20),
+    "train_at": mapping(NAME, _OPTIONS, 20),
     "paper": choice(("", *SUCCESS)),
 }
 _TRIALS = table(

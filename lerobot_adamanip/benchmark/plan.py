@@ -81,12 +81,15 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> S
     """
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
     learnt = _demonstrations(cell, declaration)
+    like = learnt or Demonstrations()
+    like = replace(like, poses=scale.poses or like.poses)
     training = None
     if learnt is not None:
-        collected = _collection(cell, learnt, scale, code)
+        collected = _collection(cell, like, scale, code)
         steps = method.steps.get(scale_name, scale.steps)
-        training = _training(cell, method, replace(scale, steps=steps), collected, code)
-    return _evaluation(cell, method, scale, code, like=learnt or Demonstrations(), training=training)
+        last_word = (*method.train, *method.train_at.get(scale_name, ()))
+        training = _training(cell, replace(method, train=last_word), replace(scale, steps=steps), collected, code)
+    return _evaluation(cell, method, scale, code, like=like, training=training)
 
 
 def options_key(cell: Cell, declaration: Declaration, scale: str) -> str:
@@ -171,6 +174,7 @@ def _evaluation(
         f"--eval.batch_size={scale.environments}",
         f"--seed={TEST_SEED}",
         f"--output_dir={product}",
+        *scale.evaluate,
         *method.evaluate,
     )
     # A policy that is not trained has its code told here, for it has no training whose key would tell it.

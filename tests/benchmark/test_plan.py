@@ -151,6 +151,14 @@ def test_options_of_a_method_win() -> None:
     found = steps(declared(methods=methods))
     assert (option(found[TRAIN].command, "--batch_size"), option(found[TRAIN].command, "--steps")) == ("7", "3")
     assert option(found[EVALUATE].command, "--env.episode_length") == "15"
+    methods["ours"] |= {"train_at": {SCALE: ["--batch_size=9", "--policy.dim_model=8"], "other": ["--batch_size=5"]}}
+    scales = {**content()["scales"], "other": content()["scales"][SCALE]}
+    scales[SCALE]["evaluate"] = ["--env.episode_length=18", "--env.max_parallel_tasks=1"]
+    found = steps(declared(methods=methods, scales=scales))
+    command = found[TRAIN].command
+    assert (option(command, "--batch_size"), option(command, "--policy.dim_model")) == ("9", "8")
+    command = found[EVALUATE].command
+    assert (option(command, "--env.episode_length"), option(command, "--env.max_parallel_tasks")) == ("15", "1")
 
 
 def test_a_path_of_this_machine_is_refused_before_anything_runs(tmp_path: Path) -> None:
@@ -183,8 +191,8 @@ EVERYTHING, TRAINING, TEST = {COLLECT, TRAIN, EVALUATE}, {TRAIN, EVALUATE}, {EVA
     [
         ({"demonstrations": 7}, EVERYTHING), ({"objects": "0:3"}, EVERYTHING), ({"steps": 9}, TRAINING),
         ({"batch_size": 3}, TRAINING), ({"device": "cuda"}, TRAINING), ({"episodes": 6}, TEST),
-        ({"environments": 1}, TEST), ({"save_every": 1}, set()), ({"categories": ["door"]}, set()),
-        ({"seeds": [5, 6]}, set()),
+        ({"environments": 1}, TEST), ({"poses": "fixed"}, EVERYTHING), ({"evaluate": ["--x=1"]}, TEST),
+        ({"save_every": 1}, set()), ({"categories": ["door"]}, set()), ({"seeds": [5, 6]}, set()),
     ],
     ids=in_order,
 )  # fmt: skip
@@ -197,7 +205,7 @@ def test_keys_follow_the_scale(scale: dict[str, Any], kinds: set[str]) -> None:
     [
         ({"demonstrations": "static"}, EVERYTHING), ({"policy": "act"}, TRAINING), ({"train": ["--x=1"]}, TRAINING),
         ({"options": ["--policy.preset=fast"]}, TRAINING), ({"evaluate": ["--x=1"]}, TEST),
-        ({"title": "Other"}, set()), ({"paper": "ACT"}, set()),
+        ({"train_at": {SCALE: ["--x=1"]}}, TRAINING), ({"title": "Other"}, set()), ({"paper": "ACT"}, set()),
     ],
     ids=in_order,
 )  # fmt: skip

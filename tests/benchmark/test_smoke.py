@@ -1,4 +1,4 @@
-"""The smallest scale of the paper's table, run whole: every method collects, learns and is tested, by one command."""
+"""The smallest scale of the paper's table, run whole: what every method learns by heart it opens, by one command."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +15,39 @@ import pytest
 from lerobot_adamanip.benchmark.declaration import read_declaration
 
 SCALE = "smoke"
+UNSURE = ("sampling", "act", "dp3", "dp3_on_adaptive", "adaafford")
+"""What one draws is chance; the others would take more steps than there is time for, and may open nothing."""
+
+ABLATIONS = ("dp3_adaptive_without_history", "dp3_adaptive_on_commands")
+"""Left out: settings of a method that is there."""
 
 
 @pytest.mark.sim
-@pytest.mark.nightly
+@pytest.mark.alone
 @pytest.mark.timeout(1800)
-def test_every_method_learns_and_is_tested(tmp_path: Path) -> None:
+def test_every_method_learns_an_object_by_heart(tmp_path: Path) -> None:
+    """A method that makes one plan is right where it has guessed what is hidden, half of the time."""
+    declaration = read_declaration()
+    methods = [name for name in declaration.methods if name not in ABLATIONS]
     command = [str(Path(sys.executable).with_name("adamanip")), "benchmark", "--scale", SCALE, "--jobs", "2", "--json"]
-    done = subprocess.run([*command, "--out", str(tmp_path)], capture_output=True, text=True, check=False)
+    command += ["--methods", ",".join(methods), "--out", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-4000:]
     cells = json.loads(done.stdout)["cells"]
-    declaration = read_declaration()
     assert {cell["state"] for cell in cells} == {"done"}
-    assert {cell["method"] for cell in cells} == set(declaration.methods)
-    episodes = declaration.scale(SCALE).episodes
-    assert {cell["success"]["episodes"] for cell in cells} == {episodes}
+    assert {cell["method"] for cell in cells} == set(methods)
+    scale = declaration.scale(SCALE)
+    assert {cell["success"]["episodes"] for cell in cells} == {scale.episodes}
     trainings = sorted((tmp_path / SCALE / "steps").glob("train-*.log"))
     assert len(trainings) == len(cells), "no two methods learn the same"
     for log in trainings:
         losses = [float(value) for value in re.findall(r" loss:([0-9.]+)", log.read_text(errors="replace"))]
         assert len(losses) >= 10, log.name
         assert np.mean(losses[-3:]) < 0.9 * losses[0], f"{log.name}: {losses}"
+    opened: Counter[str] = Counter()
+    for cell in cells:
+        opened[cell["method"]] += cell["success"]["count"]
+    few = {method: count for method, count in opened.items() if count == 0 and method not in UNSURE}
+    assert not few, f"nothing opened by {few}: {opened}"
     table = (tmp_path / SCALE / "report" / "benchmark.md").read_text()
-    assert all(method.title in table for method in declaration.methods.values())
+    assert all(declaration.methods[name].title in table for name in methods)
