@@ -119,7 +119,7 @@ class DurableWriter(DatasetWriter):
 def in_order(encoder: DepthEncoderConfig) -> DepthEncoderConfig:
     """Returns an encoder of depth whose frames are stored as they come; another codec's as it is.
 
-    x265 otherwise looks ahead, and one time in three a video of one or two frames cannot be written ("pts/dts pair
+    x265 otherwise looks ahead, and one time in four a video of one or two frames cannot be written ("pts/dts pair
     unsupported"), which would end the session of who ends an episode as soon as it has begun.
     """
     given = str(encoder.extra_options.get(_X265, ""))

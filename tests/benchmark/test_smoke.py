@@ -15,8 +15,8 @@ import pytest
 from lerobot_adamanip.benchmark.declaration import read_declaration
 
 SCALE = "smoke"
-UNSURE = ("sampling", "act", "dp3", "dp3_on_adaptive", "adaafford")
-"""What one draws is chance; the others would take more steps than there is time for, and may open nothing."""
+UNSURE = ("sampling", "act", "dp3", "dp3_on_adaptive", "adaafford", "dp3_adaptive_on_static")
+"""What one draws is chance; the others would take more steps than there is time for, and open little or nothing."""
 
 ABLATIONS = ("dp3_adaptive_without_history", "dp3_adaptive_on_commands")
 """Left out: settings of a method that is there."""

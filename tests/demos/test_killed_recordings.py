@@ -204,7 +204,7 @@ def test_a_lerobot_that_was_not_tested_stays_as_it_is(monkeypatch: pytest.Monkey
 
 
 def test_depth_of_an_episode_that_ends_at_once_can_be_written(tmp_path: Path) -> None:
-    """Of LeRobot's own settings one video in three of one or two frames cannot be."""
+    """With LeRobot's own settings one video in four of one or two frames cannot be."""
     from lerobot.configs.video import DepthEncoderConfig
     from lerobot.datasets.video_utils import StreamingVideoEncoder
 
