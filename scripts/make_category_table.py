@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
-from pathlib import Path
+
+from check_common import ROOT, document_command
 
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.categories import CATEGORIES
@@ -13,7 +13,7 @@ from lerobot_adamanip.experts import EXPERTS
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, MECHANISM_PRESETS, RULES, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, Joint
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "categories.md"
+PAGE = ROOT / "docs" / "categories.md"
 INTRODUCTION = """# Categories
 
 Generated from the code by `python scripts/make_category_table.py`; a test compares the two. Counts of objects are the
@@ -118,15 +118,8 @@ def page() -> str:
 
 
 def main() -> int:
-    """Writes the page, or with --check says whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; status 1 if the page is out of date")
-    wanted = page()
-    if parser.parse_args().check:
-        return 0 if PAGE.exists() and PAGE.read_text(encoding="utf-8") == wanted else 1
-    PAGE.write_text(wanted, encoding="utf-8")
-    sys.stdout.write(f"{PAGE}\n")
-    return 0
+    """Writes the page, or says that it is not what it would be."""
+    return document_command(__doc__, lambda: {PAGE: page()})
 
 
 if __name__ == "__main__":
