@@ -23,6 +23,8 @@ from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
+IN_README = ("demo.json", "policies.json", "experts.json")
+"""Result files that the README may show; docs/results.md shows all."""
 PAGE, README, RESULTS = ROOT / "docs" / "results.md", ROOT / "README.md", ROOT / "results"
 
 
@@ -50,7 +52,8 @@ def drawn_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
 def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     """Returns document -> what it has to say."""
     results = read_results(folder)
-    readme = with_block(README.read_text(encoding="utf-8"), readme_block(results, present))
+    shown = {name: result for name, result in results.items() if name in IN_README}
+    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present))
     parts = (results_page(results, present), *drawn_pages(folder, present), *benchmark_pages(folder, present))
     return {PAGE: "\n".join(parts), README: readme}
 

@@ -11,7 +11,8 @@ with. One thing at a time: two cores are no more. For example, the default on va
 ``suite`` is one policy of all categories: their demonstrations merged, told what to do, each category counting alike.
 Models are chosen on ``--split validation``; ``test`` is for numbers that are reported. A table of all runs in ``--out``
 follows from their logs: ``python scripts/policy_runs.py --table``. ``--result FILE`` writes the runs of ``--name`` for
-docs/results.md; several settings (``--name default,wide``) stand side by side.
+docs/results.md; several settings (``--name default,wide``) stand side by side, and with ``--spread``, of settings that
+differ in their ``--seed`` alone, mean and spread.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ from lerobot_adamanip.files import write_atomically
 
 BIN = Path(sys.executable).parent
 SUITE = "suite"
+SAVE_EVERY = 4000
+"""Steps that an interrupted training loses at most."""
 SEVERAL_TASKS = ("--policy.use_instruction=true", "--policy.balance_tasks=true")
 OBJECTS = ("seen", "unseen", "novel")
 ENVIRONMENT = {**os.environ, "HF_HUB_OFFLINE": "1", "TOKENIZERS_PARALLELISM": "false"}
@@ -154,7 +157,7 @@ class Run:
             f"--dataset.root={data}",
             f"--batch_size={given.batch_size}",
             f"--steps={wanted}",
-            f"--save_freq={wanted}",
+            f"--save_freq={min(wanted, SAVE_EVERY)}",
             "--log_freq=200",
             "--num_workers=0",
             f"--seed={given.seed}",
@@ -225,7 +228,8 @@ def write_results(options: argparse.Namespace) -> None:
     if not records:
         raise SystemExit(f"nothing to write into {options.result}: no evaluation is finished")
     command = shlex.join(["python", "scripts/policy_runs.py", *sys.argv[1:]])
-    result = policy_result(rows, records, title=options.title, command=command)
+    kind = "seeds" if options.spread else "policy"
+    result = policy_result(rows, records, title=options.title, command=command, kind=kind)
     write_result(options.result, result)
     say(f"written: {options.result}")
 
@@ -293,6 +297,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--collect-only", action="store_true")
     parser.add_argument("--table", action="store_true", help="only print what is there")
     parser.add_argument("--result", type=Path, help="write a result file, for docs/results.md, of these runs")
+    parser.add_argument("--spread", action="store_true", help="the settings differ in --seed alone: mean and spread")
     parser.add_argument("--title", default="policies", help="of the result file, one line (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
     return parser.parse_args()

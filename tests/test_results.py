@@ -66,7 +66,9 @@ def test_documents_are_what_the_script_writes() -> None:
 
 def test_every_number_in_the_readme_is_of_the_present_fingerprint() -> None:
     now = present_fingerprints()
-    fresh = {name: each for name, each in script().read_results(ROOT / "results").items() if each.fingerprint in now}
+    module = script()
+    measured = {name: each for name, each in module.read_results(ROOT / "results").items() if name in module.IN_README}
+    fresh = {name: each for name, each in measured.items() if each.fingerprint in now}
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     block = text[text.index(START) : text.index(END) + len(END)]
     assert block == readme_block(fresh, now)
@@ -133,6 +135,22 @@ def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_
     assert lines[4] == "| ours | mean of 2 | 95.0 % | - |  |  |  |", "of unseen objects one category alone was measured"
     assert lines[5].startswith("| other | safe | 2/10")
     assert len(lines) == 6
+
+
+def test_trainings_that_differ_in_their_seed_alone_are_told_as_mean_and_spread() -> None:
+    counts = {"default": (90, 80), "seed1001": (96, 80), "seed1002": (99, 80)}
+    rows = [
+        ResultRow(name, "paper", "safe", objects, 100, count, wasted_tries=count / 100)
+        for name, both in counts.items()
+        for objects, count in zip(("seen", "unseen"), both, strict=True)
+    ]
+    rows.append(ResultRow("default", "paper", "lamp", "seen", 50, 49))
+    lines = result_table(result(kind="seeds", rows=tuple(rows))).splitlines()
+    assert lines[0] == "| category | trainings | seen objects | unseen objects | wasted tries |"
+    # Deviations of (90, 96, 99): 5, -1, -4 from 95; their squares' sum over n - 1 is 21.
+    assert lines[2].startswith("| safe | 3 | 95.0 % ± 4.6 (90, 96, 99) | 80.0 % ± 0.0 (80, 80, 80) | ")
+    assert lines[3] == "| lamp | 1 | 98.0 % (98) | - | - |"
+    assert readme_block({"seeds.json": result(kind="seeds", scenes="test")}, {NOW}) == readme_block({}, {NOW})
 
 
 def test_the_readme_has_no_numbers_that_a_policy_was_chosen_by() -> None:

@@ -19,7 +19,8 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.result_rows import ROW, ResultRow, parse_row
 from lerobot_adamanip.files import write_atomically
 
-KINDS = ("expert", "policy")
+KINDS = ("expert", "policy", "seeds")
+"""Experts; policies; trainings of one policy that differ in their seed alone."""
 MACHINE_PATH = r"(?<![\w.])/(?:home|root|work|tmp|Users|mnt|data)/|(?<![A-Za-z])[A-Za-z]:\\"
 """Pattern of how an absolute path of one machine begins."""
 PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")
@@ -31,7 +32,7 @@ class ResultFile:
     """A measurement.
 
     Attributes:
-        kind: ``expert`` or ``policy``.
+        kind: see `KINDS`.
         title: what was measured, one line.
         command: that measured it, as typed in the repository's root.
         commit: of the repository; None outside one. ``changed``: whether files differed from it.
@@ -117,6 +118,7 @@ def policy_result(
     *,
     title: str,
     command: str,
+    kind: str = "policy",
     seconds: float | None = None,
 ) -> ResultFile:
     """Returns the result of policies' evaluations: rows as of `rows_of_records`, and the records they are of.
@@ -135,7 +137,7 @@ def policy_result(
     (fingerprint, split) = made[0]
     return make_result(
         rows,
-        kind="policy",
+        kind=kind,
         title=title,
         command=command,
         fingerprint=fingerprint,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.categories import CATEGORIES
@@ -19,7 +20,8 @@ how an episode comes out (contract, mechanisms, objects, simulator; experts, whe
 present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
 success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
 either. *Failed tries repeated*: unchanged, of those that another try followed. *How failures ended*: without any try,
-without a joint that moved, with the other joint moved (knob, cap, lever), or ajar.
+without a joint that moved, with the other joint moved (knob, cap, lever), or ajar. Behind ± is the sample standard
+deviation of trainings that differ in their seed alone.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _CONTINUOUS = ("<", ">=")
@@ -60,7 +62,8 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
-    fresh = [result for result in fresh if result.kind == "policy"] or fresh
+    by_kind = {kind: [result for result in fresh if result.kind == kind] for kind in ("policy", "expert")}
+    fresh = by_kind["policy"] or by_kind["expert"]
     parts = [START]
     for result in fresh:
         parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result, brief=True)}\n")
@@ -78,12 +81,14 @@ def with_block(document: str, block: str) -> str:
 
 
 def result_table(result: ResultFile, *, brief: bool = False) -> str:
-    """Returns a result's table: a row per category for experts, a row per subject and category for policies.
+    """Returns a result's table: a row per category, and for policies one per subject and category.
 
     Args:
         result: what to tell.
         brief: without how failures ended and what was hidden.
     """
+    if result.kind == "seeds":
+        return _seeds_table(result.rows)
     return _expert_table(result.rows) if result.kind == "expert" else _policy_table(result.rows, brief)
 
 
@@ -176,6 +181,30 @@ def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
     last = len(titles) - (_LONG_TITLES if brief else 0)
     kept = [place for place in range(last) if any(line[place] not in ("-", "") for line in lines)]
     return markdown_table([titles[place] for place in kept], [[line[place] for place in kept] for line in lines])
+
+
+def _seeds_table(rows: Sequence[ResultRow]) -> str:
+    """Returns mean, spread and each training's success; of wasted tries the same, of all splits of objects together."""
+    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
+    lines = []
+    for category in dict.fromkeys(row.category for row in rows):
+        mine = [row for row in rows if row.category == category]
+        shares = [[100 * row.successes / row.episodes for row in mine if row.objects == split] for split in splits]
+        names = dict.fromkeys(row.subject for row in mine)
+        of_training = [[row for row in mine if row.subject == name] for name in names]
+        wasted = [float(text) for text in map(_wasted, of_training) if text != "-"]
+        cells = [_spread(values, ".1f", " %") for values in shares]
+        lines.append([category.replace("_", " "), str(len(of_training)), *cells, _spread(wasted, ".2f", "")])
+    return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
+
+
+def _spread(values: Sequence[float], digits: str, unit: str) -> str:
+    """Returns ``97.7 % ± 1.2 (97, 97, 99)``: mean, sample standard deviation, each; without it where there is one."""
+    if not values:
+        return "-"
+    deviation = f" ± {statistics.stdev(values):{digits}}" if len(values) > 1 else ""
+    each = ", ".join(f"{value:.4g}" for value in values)
+    return f"{statistics.mean(values):{digits}}{unit}{deviation} ({each})"
 
 
 def _mean_success(rows: Sequence[ResultRow], categories: int) -> str:

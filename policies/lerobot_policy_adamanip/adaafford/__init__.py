@@ -35,6 +35,7 @@ Deviations
 - **Taking hold anew** costs key frames, so that what is held is kept unless another place promises 0.1 more. Among the
   candidates are the last motion again, and the way back.
 - **The actor** is a conditional VAE that learns from tries, without z; the choice among its proposals is C's and G's.
+  Two nats of its divergence cost nothing (free bits, Kingma et al. 2016).
 - **Networks** are PointNets over 256 points and over the 32 around a place instead of one PointNet++ on 10,000 points
   per module; all modules are trained at once; AdamW with a cosine instead of Adam with steps. The success map learns by
   cross-entropy instead of L1, which lets it die at zero.

@@ -23,7 +23,7 @@ class AdaAffordConfig(AffordanceConfig):
     # Training only: actions per row whose outcome is asked for.
     num_candidates: int = 12
     # Size of what tells actions at one place apart.
-    latent_dim: int = 8
+    latent_dim: int = 4
 
     # Motions proposed for what is held.
     held_proposals: int = 48
@@ -38,8 +38,10 @@ class AdaAffordConfig(AffordanceConfig):
     # What is held is kept unless something else promises this much more success: taking hold costs five key frames.
     contact_margin: float = 0.1
 
-    # Weight of the proposals' divergence from their prior, beside an error in units of a typical motion.
-    divergence_weight: float = 0.002
+    # Weight of the proposals' divergence from their prior [nats], beside an error in units of a typical motion ...
+    divergence_weight: float = 0.3
+    # ... and how much of it costs nothing: enough to tell some seven actions apart.
+    free_divergence: float = 2.0
 
     def check(self) -> None:
         """Raises `ConfigurationError` for values that do not go together."""

@@ -95,7 +95,7 @@ class AdaAffordPolicy(AffordancePolicy):
             "success_loss": weighted_mean(errors[0] + errors[1], counts),
             "elsewhere_loss": weighted_mean(self._elsewhere_error(asked, features[2], z), counts),
             "information_loss": weighted_mean(information, counts * told.valid[:, 0]),
-            "actor_loss": weighted_mean(*self._actor_error(cloud, asked)),
+            "actor_loss": self._actor_error(cloud, asked),
             "map_loss": weighted_mean(self._map_error(cloud, held, elsewhere, z.detach()), counts),
         }
         return summed(losses)
@@ -141,10 +141,13 @@ class AdaAffordPolicy(AffordancePolicy):
         found = self.model.informs(features, prefix, actions, likely)
         return F.l1_loss(found.squeeze(1), gained.detach(), reduction="none")
 
-    def _actor_error(self, cloud: Tensor, asked: Interactions) -> tuple[Tensor, Tensor]:
-        """Returns ``KL + L1`` (B,) of a known interaction as a proposal, and weights (B,): reversals are not proposed.
+    def _actor_error(self, cloud: Tensor, asked: Interactions) -> Tensor:
+        """Returns ``L1 + KL`` () of known interactions as proposals, one a row; reversals are not proposed.
 
-        Half of them are proposed at the tool's own place, as motions of what is held are.
+        Half of them are proposed at the tool's own place, as motions of what is held are. A motion's numbers count
+        singly, for a turn is one of six. The divergence is of the mean, and costs nothing below a few nats (free bits,
+        Kingma et al. 2016): with less to pay, draws from the prior fall between what was tried, and with more, every
+        draw is its mean, which is no motion at all.
         """
         drawn = (torch.rand_like(asked.moved) + asked.tried).argmax(dim=1)
         row = torch.arange(len(drawn), device=drawn.device)
@@ -153,8 +156,10 @@ class AdaAffordPolicy(AffordancePolicy):
         place = torch.where(torch.rand_like(place[:, :1]) < 0.5, before[:, POSITION_DIMS], place)
         wanted = encode_proposal(before, command, opening, place)
         found, divergence = self.model.actor(wanted, self.model.actor_features(cloud, place[:, None]).squeeze(1))
-        error = error_by_group(found, wanted, (*GRASP_GROUPS, wanted.shape[-1] - GRASP_DIM))
-        return error + self.config.divergence_weight * divergence, asked.tried.any(dim=1).to(error.dtype)
+        counts = asked.tried.any(dim=1).to(found.dtype)
+        error = error_by_group(found, wanted, (*GRASP_GROUPS, *[1] * (wanted.shape[-1] - GRASP_DIM)))
+        beyond = weighted_mean(divergence, counts).clamp(min=self.config.free_divergence)
+        return weighted_mean(error, counts) + self.config.divergence_weight * beyond
 
     def _map_error(self, cloud: Tensor, held: Tensor, elsewhere: Tensor, z: Tensor) -> Tensor:
         """Returns the maps' errors (B,) where to take hold and elsewhere, proposals and scores as they are now.

@@ -17,7 +17,7 @@ from lerobot_adamanip.rotations import pose_from_vector
 from lerobot_policy_adamanip.adaafford.memory import Memory
 from lerobot_policy_adamanip.adaafford.modeling_adaafford import trimmed
 from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal
-from lerobot_policy_adamanip.plans import approach, let_go
+from lerobot_policy_adamanip.plans import GRASP_DIM, approach, let_go
 from lerobot_policy_adamanip.tool_frame import motion_between
 
 MakePolicy = Callable[..., tuple[Any, ...]]
@@ -156,6 +156,23 @@ def test_it_learns_from_what_was_felt(make: MakePolicy, batch_of: Any) -> None:
         features = policy.model.features(cloud, asked.before[..., :3])
         informed, blind = (policy._success_error(asked, features, each).mean() for each in (z, torch.zeros_like(z)))
     assert informed < 0.7 * blind
+
+
+def test_what_is_proposed_is_what_was_tried(make: MakePolicy, batch_of: Any) -> None:
+    """And not the mean of two directions, which is hardly a motion."""
+    policy, before, _, dataset = make()
+    labels = policy.labels
+    known = torch.nonzero(labels.candidates[:, 0] >= 0).flatten().tolist()
+    batch = batch_of(dataset, before, *known)
+    trained(policy, batch, 250)
+    cloud, _ = policy.observed(batch)
+    asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
+    with torch.no_grad():
+        given = policy.model.actor_features(cloud, asked.before[..., :3])
+        drawn = policy.model.actor.proposals(given, 64)[..., GRASP_DIM:]
+    tried = action_numbers(asked.before, asked.command)[asked.tried][:, None, 6:]
+    nearest = (drawn[asked.tried] - tried).abs().amax(dim=-1).amin(dim=1)
+    assert (nearest < 0.3 * tried.squeeze(1).abs().amax(dim=-1)).float().mean() > 0.8
 
 
 # Run time -----------------------------------------------------------------------------------------------------------
