@@ -64,7 +64,7 @@ def run_of(folder: Path, category: str = "door", **changes: Any) -> Run:
         "batch_size": 4, "seed": 3, "train": ["--policy.trunk_dim=64"], "split": "validation", "episodes": 5,
         "corrections": 0, "correction_steps": 4, "expert": "adaptive", "out": folder / "runs", "objects": ("seen",),
         "name": ("default",), "category": ("door",), "result": folder / "result.json", "title": "policies",
-        "corrected": (), "expert_preset": "paper", "correction_start": "new",
+        "corrected": (), "expert_preset": "paper", "correction_start": "new", "spread": False,
     }  # fmt: skip
     return Run(folder / "runs" / f"default-{category}", category, argparse.Namespace(**{**values, **changes}))
 
@@ -172,6 +172,10 @@ def test_a_result_file_holds_the_settings_side_by_side(tmp_path: Path, monkeypat
     told = [(row.subject, row.category, row.objects, row.successes, row.train_minutes) for row in found.rows]
     # Five episodes were asked for; what was not finished does not count.
     assert told == [("narrow", "door", "seen", 2, 2.0), ("wide", "door", "seen", 2, 3.0)]
+    assert found.kind == "policy"
+    options.spread = True
+    policy_runs.write_results(options)
+    assert read_result(options.result).kind == "seeds"
 
 
 def test_numbers_of_no_episode_are_no_success() -> None:

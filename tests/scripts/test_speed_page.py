@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 from bench_against import pair, summary
-from speed_page import PAGE, REPORT, page
+from speed_page import PAGE, POLICY, REPORT, page, read
 
 
 def test_the_page_is_made_of_the_report() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(json.loads(REPORT.read_text(encoding="utf-8")))
+    assert PAGE.read_text(encoding="utf-8") == page(read(REPORT), read(POLICY))
 
 
 def test_a_ratio_says_how_many_times_better_whichever_way_better_is() -> None:

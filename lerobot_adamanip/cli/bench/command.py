@@ -19,6 +19,7 @@ from typing import Any
 
 from lerobot_adamanip.cli.bench.timing import Limit, judge
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.origin import present_origin
 
 LIMITS: dict[str, Limit] = {
     "episodes_per_minute": (8.0, "least"),
@@ -93,7 +94,12 @@ class Bench:
             print(f"[{time.monotonic() - begin:5.0f} s] {text}", file=sys.stderr, flush=True)
             return measure()
 
-        results: Results = {"machine": describe_machine(), "settings": {"quick": self.quick, "device": self.device}}
+        commit = present_origin().commit
+        results: Results = {
+            "commit": commit,
+            "machine": describe_machine(),
+            "settings": {"quick": self.quick, "device": self.device},
+        }
         repeats, per_object = (3, 1) if self.quick else (7, 2)
         results["collection"] = stage(
             f"collecting {4 * per_object} episodes with {self.workers} workers",
@@ -105,9 +111,9 @@ class Bench:
             "simulator and observation", lambda: simulation.simulation(category=self.category, repeats=3 * repeats)
         )
         results["reader"] = stage("dataset reader", lambda: learning.reading(root, items=16, repeats=repeats))
-        presets = ("fast", "paper") if self.paper_training else ("fast",)
+        presets = ("fast", "diffusion", *(("paper",) if self.paper_training else ()))
         results["training"] = {
-            name: stage(f"training steps, {name}", partial(self._train, root, name, repeats if name == "fast" else 1))
+            name: stage(f"training steps, {name}", partial(self._train, root, name, repeats if name != "paper" else 1))
             for name in presets
         }
         results["levers"] = stage("training, plainly and fast in turns", partial(self._levers, root, repeats))
