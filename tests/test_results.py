@@ -130,8 +130,9 @@ def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_
     assert lines[0] == (
         "| policy | category | seen objects | unseen objects | wasted tries | failed tries repeated | trained |"
     )
-    # Weighted with successes: (9 * 0.5 + 10 * 1.4) / 19.
-    assert lines[2].endswith("| 0.97 | 3/15 | 10 min |")
+    assert lines[2].endswith("| 0.50, 1.40 | 1/10, 2/5 | 10 min |")
+    elsewhere = dataclasses.replace(rows[3], objects="unseen")
+    assert "| 0.50, - | 1/10, - |" in result_table(result(kind="policy", rows=(rows[0], elsewhere)))
     assert lines[4] == "| ours | mean of 2 | 95.0 % | - |  |  |  |", "of unseen objects one category alone was measured"
     assert lines[5].startswith("| other | safe | 2/10")
     assert len(lines) == 6

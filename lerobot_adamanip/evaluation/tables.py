@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
@@ -19,8 +19,9 @@ with which command, commit and seeds it was measured, and by which code: the *fi
 how an episode comes out (contract, mechanisms, objects, simulator; experts, where they acted). Only tables of the
 present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
 success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
-either. *Failed tries repeated*: unchanged, of those that another try followed. *How failures ended*: without any try,
-without a joint that moved, with the other joint moved (knob, cap, lever), or ajar. Behind ± is the sample standard
+either. *Failed tries repeated*: unchanged, of those that another try followed; both are told for the kinds of objects
+in the order of their columns. *How failures ended*: without any try, without a joint that moved, with the other joint
+moved (knob, cap, lever), or ajar. Behind ± is the sample standard
 deviation of trainings that differ in their seed alone.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
@@ -164,8 +165,8 @@ def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
                     name,
                     category.replace("_", " "),
                     *cells,
-                    _wasted(mine),
-                    _repeated(mine),
+                    _by_split(_wasted, by_split, splits),
+                    _by_split(_repeated, by_split, splits),
                     _minutes(mine),
                     _failures(mine),
                     _hidden(mine),
@@ -214,15 +215,21 @@ def _mean_success(rows: Sequence[ResultRow], categories: int) -> str:
 
 
 def _wasted(rows: Iterable[ResultRow]) -> str:
-    """Returns tries wasted per success, of all splits of objects together."""
+    """Returns tries wasted per success."""
     counted = [(row.wasted_tries, row.successes) for row in rows if row.wasted_tries is not None and row.successes]
     if not counted:
         return "-"
     return f"{sum(tries * successes for tries, successes in counted) / sum(each for _, each in counted):.2f}"
 
 
+def _by_split(told: Callable[[Iterable[ResultRow]], str], rows: Mapping[str, ResultRow], splits: Sequence[str]) -> str:
+    """Returns what is told of each split's row, in order; ``-`` if there is nothing to tell of any."""
+    each = [told([rows[split]]) if split in rows else "-" for split in splits]
+    return "-" if set(each) == {"-"} else ", ".join(each)
+
+
 def _repeated(rows: Iterable[ResultRow]) -> str:
-    """Returns how many failed tries were repeated unchanged, of all splits of objects together."""
+    """Returns how many failed tries were repeated unchanged."""
     counted = [row.repeated for row in rows if row.repeated is not None]
     return f"{sum(count for count, _ in counted)}/{sum(tries for _, tries in counted)}" if counted else "-"
 
