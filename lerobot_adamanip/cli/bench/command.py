@@ -94,12 +94,7 @@ class Bench:
             print(f"[{time.monotonic() - begin:5.0f} s] {text}", file=sys.stderr, flush=True)
             return measure()
 
-        commit = present_origin().commit
-        results: Results = {
-            "commit": commit,
-            "machine": describe_machine(),
-            "settings": {"quick": self.quick, "device": self.device},
-        }
+        results = self._header()
         repeats, per_object = (3, 1) if self.quick else (7, 2)
         results["collection"] = stage(
             f"collecting {4 * per_object} episodes with {self.workers} workers",
@@ -126,6 +121,10 @@ class Bench:
         )
         results["seconds"] = round(time.monotonic() - begin, 1)
         return results
+
+    def _header(self) -> Results:
+        settings = {"quick": self.quick, "device": self.device}
+        return {"commit": present_origin().commit, "machine": describe_machine(), "settings": settings}
 
     def _train(self, root: Path, preset: str, repeats: int) -> Any:
         from lerobot_adamanip.cli.bench import learning
