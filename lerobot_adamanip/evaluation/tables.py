@@ -21,8 +21,8 @@ present fingerprint stand in the README. Intervals are Wilson's, 95 %; in bracke
 success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
 either. *Failed tries repeated*: unchanged, of those that another try followed; both are told for the kinds of objects
 in the order of their columns. *How failures ended*: without any try, without a joint that moved, with the other joint
-moved (knob, cap, lever), or ajar. Behind ± is the sample standard
-deviation of trainings that differ in their seed alone.
+moved (knob, cap, lever), or ajar. Behind ± is the sample standard deviation of trainings that differ in their seed
+alone.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _CONTINUOUS = ("<", ">=")
@@ -193,7 +193,7 @@ def _seeds_table(rows: Sequence[ResultRow]) -> str:
         shares = [[100 * row.successes / row.episodes for row in mine if row.objects == split] for split in splits]
         names = dict.fromkeys(row.subject for row in mine)
         of_training = [[row for row in mine if row.subject == name] for name in names]
-        wasted = [float(text) for text in map(_wasted, of_training) if text != "-"]
+        wasted = [tries for tries in map(_mean_wasted, of_training) if tries is not None]
         cells = [_spread(values, ".1f", " %") for values in shares]
         lines.append([category.replace("_", " "), str(len(of_training)), *cells, _spread(wasted, ".2f", "")])
     return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
@@ -216,10 +216,16 @@ def _mean_success(rows: Sequence[ResultRow], categories: int) -> str:
 
 def _wasted(rows: Iterable[ResultRow]) -> str:
     """Returns tries wasted per success."""
+    tries = _mean_wasted(rows)
+    return "-" if tries is None else f"{tries:.2f}"
+
+
+def _mean_wasted(rows: Iterable[ResultRow]) -> float | None:
+    """Returns tries wasted per success, to two digits; None if nobody counted them, or nothing succeeded."""
     counted = [(row.wasted_tries, row.successes) for row in rows if row.wasted_tries is not None and row.successes]
     if not counted:
-        return "-"
-    return f"{sum(tries * successes for tries, successes in counted) / sum(each for _, each in counted):.2f}"
+        return None
+    return round(sum(tries * successes for tries, successes in counted) / sum(each for _, each in counted), 2)
 
 
 def _by_split(told: Callable[[Iterable[ResultRow]], str], rows: Mapping[str, ResultRow], splits: Sequence[str]) -> str:

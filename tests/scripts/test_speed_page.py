@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from bench_against import pair, summary
-from speed_page import PAGE, POLICY, REPORT, page, read
+from check_common import ROOT
+from speed_page import DEMO_STEPS, PAGE, POLICY, REPORT, page, read
 
 
 def test_the_page_is_made_of_the_report() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(read(REPORT), read(POLICY))
+
+
+def test_the_demo_trains_as_many_steps_as_the_page_says() -> None:
+    assert f"steps=${{STEPS:-{DEMO_STEPS['fast']}}}" in (ROOT / "scripts" / "demo.sh").read_text(encoding="utf-8")
 
 
 def test_a_ratio_says_how_many_times_better_whichever_way_better_is() -> None:
