@@ -10,6 +10,7 @@ from lerobot_adamanip import checked_json
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.failures import CAUSES, count_failures
 from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
+from lerobot_adamanip.evaluation.in_vain import IN_VAIN, count_in_vain
 from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
 from lerobot_adamanip.evaluation.origin import LINE
 from lerobot_adamanip.evaluation.record import EpisodeRecord
@@ -36,6 +37,7 @@ class ResultRow:
         repeated: failed tries that were repeated unchanged, and all that another try followed; None if not counted.
         train_minutes: that a policy was trained; None if not measured.
         failures: cause -> episodes, see `lerobot_adamanip.evaluation.failures`; None if not counted.
+        in_vain: kind -> failed tries of the successes, see `lerobot_adamanip.evaluation.in_vain`; None if not counted.
     """
 
     subject: str
@@ -51,6 +53,7 @@ class ResultRow:
     repeated: tuple[int, int] | None = None
     train_minutes: float | None = None
     failures: Mapping[str, int] | None = None
+    in_vain: Mapping[str, int] | None = None
 
 
 def parse_row(row: Mapping[str, Any]) -> ResultRow:
@@ -99,6 +102,7 @@ def rows_of_records(
                 (again.count, again.episodes),
                 train_minutes,
                 count_failures(chosen),
+                count_in_vain(chosen),
             )
         )
     return rows
@@ -124,5 +128,6 @@ ROW = checked_json.table(
         "repeated": checked_json.optional(checked_json.listing(_COUNT, 2, 2)),
         "train_minutes": checked_json.optional(checked_json.number(0, 10**6)),
         "failures": checked_json.optional(checked_json.mapping(checked_json.choice(CAUSES), _COUNT, len(CAUSES))),
+        "in_vain": checked_json.optional(checked_json.mapping(checked_json.choice(IN_VAIN), _COUNT, len(IN_VAIN))),
     }
 )

@@ -176,13 +176,14 @@ def parse_result(content: object) -> ResultFile:
 
 
 def _completed(content: object) -> object:
-    """Adds to a result of before what its rows lack: how failures had ended was not counted."""
+    """Adds to a result of before what its rows lack: how failures had ended, and what failed, was not counted."""
     rows = content.get("rows") if isinstance(content, dict) else None
     if not isinstance(content, dict) or not isinstance(rows, list):
         return content
-    return {**content, "rows": [{"failures": None, **row} if isinstance(row, dict) else row for row in rows]}
+    return {**content, "rows": [{**_NOT_COUNTED, **row} if isinstance(row, dict) else row for row in rows]}
 
 
+_NOT_COUNTED = {"failures": None, "in_vain": None}
 _RESULT = checked_json.table(
     {
         "schema": checked_json.integer(1, 1),

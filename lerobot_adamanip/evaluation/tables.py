@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
+from lerobot_adamanip.evaluation.in_vain import IN_VAIN
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
 from lerobot_adamanip.evaluation.results import ResultFile
@@ -20,15 +21,16 @@ how an episode comes out (contract, mechanisms, objects, simulator; experts, whe
 present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
 success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
 either. *Failed tries repeated*: unchanged, of those that another try followed; both are told for the kinds of objects
-in the order of their columns. *How failures ended*: without any try, without a joint that moved, with the other joint
-moved (knob, cap, lever), or ajar. Behind ± is the sample standard deviation of trainings that differ in their seed
-alone.
+in the order of their columns. *A success's failed tries*: at a part that opens and was held, at a key (knob, cap,
+lever) that did not turn that way, or where a joint that had gone this way went no further, as at its stop, which nobody
+sees. *How failures ended*: without any try, without a joint that moved, with the key moved, or ajar. Behind ± is the
+sample standard deviation of trainings that differ in their seed alone.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _CONTINUOUS = ("<", ">=")
-_POLICY_TITLES = ("wasted tries", "failed tries repeated", "trained", "how failures ended", "by what is hidden")
-_LONG_TITLES = 2
+_LONG_TITLES = ("a success's failed tries", "how failures ended", "by what is hidden")
 """Columns at the end of a policy's table that a brief one does without."""
+_POLICY_TITLES = ("wasted tries", "failed tries repeated", "trained", *_LONG_TITLES)
 
 
 def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
@@ -86,7 +88,7 @@ def result_table(result: ResultFile, *, brief: bool = False) -> str:
 
     Args:
         result: what to tell.
-        brief: without how failures ended and what was hidden.
+        brief: without what failed, how failures ended and what was hidden.
     """
     if result.kind == "seeds":
         return _seeds_table(result.rows)
@@ -168,6 +170,7 @@ def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
                     _by_split(_wasted, by_split, splits),
                     _by_split(_repeated, by_split, splits),
                     _minutes(mine),
+                    _in_vain(mine),
                     _failures(mine),
                     _hidden(mine),
                 ]
@@ -179,7 +182,7 @@ def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
             lines.append([name, f"mean of {len(categories)}", *means, *[""] * len(_POLICY_TITLES)])
     titles = ["policy", "category", *(f"{split} objects" for split in splits), *_POLICY_TITLES]
     # What nobody measured needs no column.
-    last = len(titles) - (_LONG_TITLES if brief else 0)
+    last = len(titles) - (len(_LONG_TITLES) if brief else 0)
     kept = [place for place in range(last) if any(line[place] not in ("-", "") for line in lines)]
     return markdown_table([titles[place] for place in kept], [[line[place] for place in kept] for line in lines])
 
@@ -244,6 +247,15 @@ def _minutes(rows: Iterable[ResultRow]) -> str:
     """Returns how long the policy was trained; its rows say the same."""
     known = [row.train_minutes for row in rows if row.train_minutes is not None]
     return f"{max(known):.0f} min" if known else "-"
+
+
+def _in_vain(rows: Iterable[ResultRow]) -> str:
+    """Returns what failed per success, of all splits of objects together."""
+    counted = [(row.in_vain, row.successes) for row in rows if row.in_vain is not None and row.successes]
+    successes = sum(each for _, each in counted)
+    found = {kind: sum(tries.get(kind, 0) for tries, _ in counted) for kind in IN_VAIN}
+    told = ", ".join(f"{kind} {count / successes:.2f}" for kind, count in found.items() if count)
+    return (told or "none") if counted else "-"
 
 
 def _failures(rows: Iterable[ResultRow]) -> str:
