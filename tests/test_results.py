@@ -112,7 +112,7 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
     told = "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] | -0.50 | 0/0 |"
     hidden = "direction +1 15/20, locked 5/10, unlocked 10/10"
     page = results_page(measured, {NOW})
-    assert f"{told} ajar 5 | {hidden} |" in page
+    assert f"{told} none | ajar 5 | {hidden} |" in page
     block = readme_block(measured, {NOW})
     assert told in block
     assert hidden not in block

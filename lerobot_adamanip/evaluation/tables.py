@@ -252,10 +252,11 @@ def _minutes(rows: Iterable[ResultRow]) -> str:
 def _in_vain(rows: Iterable[ResultRow]) -> str:
     """Returns what failed per success, of all splits of objects together."""
     counted = [(row.in_vain, row.successes) for row in rows if row.in_vain is not None and row.successes]
+    if not counted:
+        return "-"
     successes = sum(each for _, each in counted)
-    found = {kind: sum(tries.get(kind, 0) for tries, _ in counted) for kind in IN_VAIN}
-    told = ", ".join(f"{kind} {count / successes:.2f}" for kind, count in found.items() if count)
-    return (told or "none") if counted else "-"
+    means = {kind: sum(tries.get(kind, 0) for tries, _ in counted) / successes for kind in IN_VAIN}
+    return ", ".join(f"{kind} {mean:.2f}" for kind, mean in means.items() if mean >= 0.005) or "none"
 
 
 def _failures(rows: Iterable[ResultRow]) -> str:
