@@ -1,4 +1,4 @@
-"""What tries that failed were tried on: what costs a try, where nothing is repeated."""
+"""What tries that failed were made at: a part that was held, its key, or a joint at its end. Pure functions."""
 
 from __future__ import annotations
 
