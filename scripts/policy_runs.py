@@ -6,6 +6,7 @@ with. One thing at a time: two cores are no more. For example, the default on va
     python scripts/policy_runs.py --category door,lamp --name default --episodes 100
     python scripts/policy_runs.py --category door --name wide --train=--policy.trunk_dim=512
     python scripts/policy_runs.py --category door --name corrected --corrections 5
+    python scripts/policy_runs.py --category door --name again --after corrected --corrections 5
     python scripts/policy_runs.py --category suite --name one --steps 20000 --train=--policy.num_anchors=96
 
 ``suite`` is one policy of all categories: their demonstrations merged, told what to do, each category counting alike.
@@ -65,9 +66,15 @@ class Run:
     category: str
     options: argparse.Namespace
 
+    @property
+    def before(self) -> Path | None:
+        """Folder of the run whose corrected policy is corrected again here, and which learned from ``both`` there."""
+        after = self.options.after
+        return self.folder.parent / f"{after}-{self.category}" if after else None
+
     def collect(self) -> None:
         """Records the demonstrations, of all categories for the suite."""
-        if _recorded(self.data):
+        if self.before is not None or _recorded(self.data):
             return
         if self.category == SUITE:
             parts = [Run(self.folder.parent / category, category, self.options) for category in CATEGORIES]
@@ -81,7 +88,8 @@ class Run:
 
     def train(self) -> None:
         """Trains, on from the last checkpoint if there is one."""
-        self._train("train", self.data, self.options.steps, self._begin())
+        if self.before is None:
+            self._train("train", self.data, self.options.steps, self._begin())
 
     def _begin(self, policy: str = "--policy.type=dp3_adaptive") -> list[str]:
         begin = [policy, "--policy.device=cpu", "--policy.push_to_hub=false"]
@@ -135,6 +143,8 @@ class Run:
 
     def checkpoint(self, training: str) -> Path:
         """Folder of the last weights of a training."""
+        if training == "train" and self.before is not None:
+            return last_checkpoint(self.before / "retrain")
         return last_checkpoint(self.folder / training)
 
     def _recording(self, root: Path, episodes: int) -> list[str]:
@@ -166,7 +176,9 @@ class Run:
 
     @property
     def data(self) -> Path:
-        """Folder of the demonstrations."""
+        """Folder of the demonstrations, and of earlier corrections."""
+        if self.before is not None:
+            return self.before / "both"
         return Path(self.options.data.format(category=self.category)).absolute()
 
     def log(self, objects: str) -> Path:
@@ -223,7 +235,8 @@ def write_results(options: argparse.Namespace) -> None:
         run = Run(options.out / f"{name}-{category}", category, options)
         logs = [run.log(objects) for objects in options.objects if run.log(objects).with_suffix(".done").exists()]
         found = [record for log in logs for record in first_episodes(read_log(log), options.episodes)]
-        rows += rows_of_records(found, name, round(train_minutes(run.folder), 1))
+        minutes = sum(train_minutes(folder) for folder in (run.before, run.folder) if folder is not None)
+        rows += rows_of_records(found, name, round(minutes, 1))
         records += found
     if not records:
         raise SystemExit(f"nothing to write into {options.result}: no evaluation is finished")
@@ -284,6 +297,7 @@ def arguments() -> argparse.Namespace:
         "--train", action="append", default=[], help="one more option of lerobot-train, may be repeated"
     )
     parser.add_argument("--corrections", type=int, default=0, help="corrected episodes per object (%(default)s)")
+    parser.add_argument("--after", help="setting whose corrected policies are corrected again, one more round")
     parser.add_argument(
         "--corrected", type=list_of((*CATEGORIES, SUITE)), default=(), help="categories; all if left out"
     )
@@ -300,7 +314,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--spread", action="store_true", help="the settings differ in --seed alone: mean and spread")
     parser.add_argument("--title", default="policies", help="of the result file, one line (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print the table as JSON")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.after and not options.corrections:
+        parser.error("--after corrects a policy again: how often per object? (--corrections)")
+    return options
 
 
 def main() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import subprocess
 from pathlib import Path
@@ -65,6 +66,7 @@ def run_of(folder: Path, category: str = "door", **changes: Any) -> Run:
         "corrections": 0, "correction_steps": 4, "expert": "adaptive", "out": folder / "runs", "objects": ("seen",),
         "name": ("default",), "category": ("door",), "result": folder / "result.json", "title": "policies",
         "corrected": (), "expert_preset": "paper", "correction_start": "new", "spread": False,
+        "after": None,
     }  # fmt: skip
     return Run(folder / "runs" / f"default-{category}", category, argparse.Namespace(**{**values, **changes}))
 
@@ -128,6 +130,23 @@ def test_corrections_may_go_on_from_the_trained_weights(tmp_path: Path, commands
     assert "--policy.trunk_dim=64" in on
     recorded = [call for call in commands.called if call[1] == "collect"]
     assert all(call[call.index("--expert-preset") + 1] == "to_stop" for call in recorded)
+
+
+def test_a_corrected_policy_is_corrected_again(tmp_path: Path, commands: Commands) -> None:
+    all_of(run_of(tmp_path, corrections=3))
+    first = tmp_path / "runs" / "default-door"
+    again = dataclasses.replace(
+        run_of(tmp_path, corrections=7, correction_start="trained", after="default"),
+        folder=first.with_name("more-door"),
+    )
+    begun = len(commands.called)
+    for _ in range(2):
+        all_of(again)
+    collect, merge, train, evaluate = commands.called[begun:]
+    assert collect[collect.index("--policy") + 1].startswith(str(first / "retrain"))
+    assert merge[2:4] == [str(first / "both"), str(again.folder / "corrections")]
+    assert train[1].startswith(f"--policy.path={first / 'retrain'}")
+    assert evaluate[1].startswith(f"--policy.path={again.folder / 'retrain'}")
 
 
 def test_only_the_categories_that_were_named_are_corrected(tmp_path: Path, commands: Commands) -> None:
