@@ -68,9 +68,13 @@ class Run:
 
     @property
     def before(self) -> Path | None:
-        """Folder of the run whose corrected policy is corrected again here, and which learned from ``both`` there."""
+        """Folder of the run whose corrected policy is corrected again here, and which learned from ``both`` there.
+
+        A run with a training of its own follows none: settings of both kinds may stand in one result.
+        """
         after = self.options.after
-        return self.folder.parent / f"{after}-{self.category}" if after else None
+        begun_here = (self.folder / "train").exists()
+        return self.folder.parent / f"{after}-{self.category}" if after and not begun_here else None
 
     def collect(self) -> None:
         """Records the demonstrations, of all categories for the suite."""

@@ -83,12 +83,12 @@ def choices_page(reports: Mapping[str, Any], present: Container[str]) -> str:
     later = range(1, most + 1)
     columns = ["category", "opened", "tried before a failure", *(f"new after {failed} failed" for failed in later)]
     rows = []
-    for report in reports.values():
+    for name, report in reports.items():
         after = {row["failed"]: row for row in report["after"]}
         episodes, opened = (sum(each[part] for each in report["episodes"].values()) for part in (0, 1))
         rows.append(
             [
-                _category(report),
+                _told(name),
                 f"{opened}/{episodes}",
                 _shares(after[0]["draws"]) if 0 in after else "-",
                 *(_new(after.get(failed)) for failed in later),
@@ -107,8 +107,8 @@ def motions_page(reports: Mapping[str, Any], present: Container[str]) -> str:
     """Returns the part of docs/results.md that compares motions drawn with motions demonstrated."""
     columns = ("category", "phase", "rows", "demonstrated", "drawn", "nearest of the samples, off by")
     rows = [
-        [_category(report), phase, str(row["rows"]), *(_spread(row[name]) for name in _DISTRIBUTIONS)]
-        for report in reports.values()
+        [_told(name), phase, str(row["rows"]), *(_spread(row[kind]) for kind in _DISTRIBUTIONS)]
+        for name, report in reports.items()
         for phase, row in report["phases"].items()
     ]
     about = (
@@ -127,8 +127,9 @@ def motions_page(reports: Mapping[str, Any], present: Container[str]) -> str:
     )
 
 
-def _category(report: Mapping[str, Any]) -> str:
-    return str(report["category"]).replace("_", " ")
+def _told(name: str) -> str:
+    """A category may have several reports (``door_again.json``): what a row is called is the name of its file."""
+    return name.removesuffix(".json").replace("_", " ")
 
 
 def _tries(draws: Mapping[str, int]) -> dict[str, int]:

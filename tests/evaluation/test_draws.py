@@ -40,7 +40,8 @@ def motions(category: str = "lamp", **changes: Any) -> dict[str, Any]:
 
 def written(folder: Path, *reports: dict[str, Any]) -> Path:
     for number, report in enumerate(reports):
-        (folder / f"{number}.json").write_text(json.dumps(report))
+        again = "" if number == 0 else f"_{number}"
+        (folder / f"{report['category']}{again}.json").write_text(json.dumps(report))
     return folder
 
 
@@ -48,10 +49,16 @@ def test_choices_are_shares_of_what_tries_something(tmp_path: Path) -> None:
     reports = read_reports(written(tmp_path, choices("lamp"), choices("safe", after=[after(0, 0.0, pull=4)])), CHOICES)
     page = choices_page(reports, {NOW})
     lines = [line for line in page.splitlines() if line.startswith("|")]
-    assert lines[2] == "| safe | 19/20 | pull 100 % | - |", "the order is that of the categories"
+    assert lines[2] == "| safe 1 | 19/20 | pull 100 % | - |", "the order is that of the categories"
     assert lines[3] == "| lamp | 19/20 | push 75 %, turn 25 % | 87.5 % of 8 |"
     assert "not the present code's" not in page
     assert "not the present code's" in choices_page(reports, {BEFORE})
+
+
+def test_reports_of_one_category_stand_side_by_side_by_the_names_of_their_files(tmp_path: Path) -> None:
+    page = choices_page(read_reports(written(tmp_path, choices("lamp"), choices("lamp")), CHOICES), {NOW})
+    told = [line.split(" | ")[0] for line in page.splitlines() if line.startswith("|")]
+    assert told[2:] == ["| lamp", "| lamp 1"]
 
 
 def test_motions_stand_beside_what_was_demonstrated(tmp_path: Path) -> None:
@@ -76,7 +83,7 @@ def test_no_reports_are_no_part_of_the_page(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_report_is_one_error_with_its_name(tmp_path: Path, changes: dict[str, Any]) -> None:
-    with pytest.raises(DatasetError, match=r"0\.json"):
+    with pytest.raises(DatasetError, match=r"(lamp|teapot)\.json"):
         read_reports(written(tmp_path, choices(**changes)), CHOICES)
 
 

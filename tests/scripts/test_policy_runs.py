@@ -147,6 +147,8 @@ def test_a_corrected_policy_is_corrected_again(tmp_path: Path, commands: Command
     assert merge[2:4] == [str(first / "both"), str(again.folder / "corrections")]
     assert train[1].startswith(f"--policy.path={first / 'retrain'}")
     assert evaluate[1].startswith(f"--policy.path={again.folder / 'retrain'}")
+    assert again.before == first
+    assert dataclasses.replace(again, folder=first).before is None, "a run with a training of its own follows none"
 
 
 def test_only_the_categories_that_were_named_are_corrected(tmp_path: Path, commands: Commands) -> None:
