@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import os
 import random
@@ -174,8 +175,10 @@ def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, 
     begin = time.monotonic()
     run_all(benchmark(tmp_path / "timed", FakeRunner(tmp_path, pause=PAUSE), jobs=jobs))
     lasts, drawn, deaths, begun = time.monotonic() - begin, random.Random(0), 0, 0
+    roots = (tmp_path / f"benchmark-{number}" for number in itertools.count())
     while deaths < DEATHS:
-        root, runner = tmp_path / str(deaths), FakeRunner(tmp_path, pause=PAUSE)
+        # A benchmark may finish before its first death: each begins in a folder of its own, whatever the count of deaths.
+        root, runner = next(roots), FakeRunner(tmp_path, pause=PAUSE)
         root.mkdir()
         while deaths < DEATHS and killed(root, runner, seconds=drawn.uniform(0.01, lasts / 2), jobs=jobs):
             deaths += 1
