@@ -177,7 +177,7 @@ def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, 
     lasts, drawn, deaths, begun = time.monotonic() - begin, random.Random(0), 0, 0
     roots = (tmp_path / f"benchmark-{number}" for number in itertools.count())
     while deaths < DEATHS:
-        # A benchmark may finish before its first death: each begins in a folder of its own, whatever the count of deaths.
+        # One may finish before its first death: each has a folder of its own, whatever the count of deaths.
         root, runner = next(roots), FakeRunner(tmp_path, pause=PAUSE)
         root.mkdir()
         while deaths < DEATHS and killed(root, runner, seconds=drawn.uniform(0.01, lasts / 2), jobs=jobs):

@@ -25,12 +25,14 @@ class VatMartConfig(AffordanceConfig):
     # Size of what tells trajectories at one point apart.
     latent_dim: int = 8
 
-    # Weight of the proposals' divergence from their prior ...
-    divergence_weight: float = 0.2
-    # ... of the error of grasp and key frames (L1, offsets in units of 5, key frames of 15 cm) ...
-    trajectory_weight: float = 100.0
+    # Weight of the proposals' divergence from their prior [nats], beside an L1 error of key frames (unit 15 cm) ...
+    divergence_weight: float = 0.3
+    # ... so much of which costs nothing [nats] ...
+    free_divergence: float = 1.5
+    # ... of the error of the grasp (L1, offsets in units of 5 cm) ...
+    grasp_weight: float = 3.0
     # ... and of the angle between grasps [rad].
-    rotation_weight: float = 50.0
+    rotation_weight: float = 1.5
 
     def check(self) -> None:
         """Raises `ConfigurationError` for values that do not go together."""

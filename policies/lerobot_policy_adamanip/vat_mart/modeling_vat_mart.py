@@ -29,7 +29,7 @@ from lerobot_policy_adamanip.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, 
 from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 from lerobot_policy_adamanip.vat_mart.labels import PlanLabels, label_plans
-from lerobot_policy_adamanip.vat_mart.trajectory import encode_trajectory, key_frames, trajectory_dim
+from lerobot_policy_adamanip.vat_mart.trajectory import WAYPOINT_GROUPS, encode_trajectory, key_frames, trajectory_dim
 
 TURNED, SHIFTED = (0.2, 3.1), (0.01, 0.06)
 """A grasp that is turned [rad] or shifted [m] by this much does not hold."""
@@ -51,22 +51,28 @@ class VatMartNetwork(nn.Module):
         self.scorer = Score(numbers, features)
         self.actionability = Score(0, features)
 
-    def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns ``KL + L1 + geodesic`` (B,), weighted, and what the VAE makes of the trajectories (B, D).
+    def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns ``KL + L1 + geodesic`` (), weighted, and what the VAE makes of the trajectories (B, D).
+
+        Each key frame's position and rotation counts alike. The divergence is of the mean, and costs nothing below a
+        few nats (free bits, Kingma et al. 2016): with less to pay, draws from the prior fall between the demonstrated
+        trajectories, and with more, every draw is their mean.
 
         Args:
             cloud: (B, N, 3) [m].
             place: (B, 3) [m] where the trajectories take hold.
             trajectory: (B, D) demonstrated.
+            weight: (B,) of each.
         """
         config = self.config
         given = self.proposal_features(cloud, place[:, None]).squeeze(1)
         found, divergence = self.proposal(trajectory, given)
-        error = error_by_group(found, trajectory, (*GRASP_GROUPS, trajectory.shape[-1] - GRASP_DIM))
-        angle = angle_between(found[:, :6], trajectory[:, :6])
-        weights = config.divergence_weight, config.trajectory_weight, config.rotation_weight
-        loss = weights[0] * divergence + weights[1] * error + weights[2] * angle
-        return loss, found.detach()
+        grasp = error_by_group(found[:, :GRASP_DIM], trajectory[:, :GRASP_DIM], GRASP_GROUPS)
+        motion = error_by_group(found[:, GRASP_DIM:], trajectory[:, GRASP_DIM:], WAYPOINT_GROUPS * config.waypoints)
+        angle = config.rotation_weight * angle_between(found[:, :6], trajectory[:, :6])
+        beyond = weighted_mean(divergence, weight).clamp(min=config.free_divergence)
+        error = weighted_mean(config.grasp_weight * grasp + motion + angle, weight)
+        return error + config.divergence_weight * beyond, found.detach()
 
     def score(self, cloud: Tensor, places: Tensor, trajectories: Tensor) -> Tensor:
         """Returns logits (B, Q, ...) of C: trajectories (B, Q, ..., D) at places (B, Q, 3)."""
@@ -121,10 +127,10 @@ class VatMartPolicy(AffordancePolicy):
         trajectory = encode_trajectory(grasp, labels.waypoints[plan], place)
         elsewhere = points_away(cloud, grasp[:, None, POSITION_DIMS], ON_PART, 1)
         places = torch.cat([place[:, None], elsewhere], dim=1)
-        proposal, again = self.model.proposal_loss(cloud, place, trajectory)
+        proposal, again = self.model.proposal_loss(cloud, place, trajectory, weight * (share > 0))
         score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(cloud, places, again, share)
         losses = {
-            "proposal_loss": weighted_mean(proposal, weight * (share > 0)),
+            "proposal_loss": proposal,
             "score_loss": weighted_mean(score, weight),
             "actionability_loss": weighted_mean(self._actionability_loss(cloud, places), weight),
         }

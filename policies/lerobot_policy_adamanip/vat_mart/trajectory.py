@@ -9,7 +9,9 @@ from lerobot_adamanip.schema import POSITION_DIMS, ROTATION_DIMS
 from lerobot_policy_adamanip.plans import GRASP_DIM, approach, decode_grasp, encode_grasp
 from lerobot_policy_adamanip.rotations import matrix_from_6d
 
-WAYPOINT_DIM = 9
+WAYPOINT_GROUPS = (3, 6)
+"""Numbers of a key frame's position and of its rotation."""
+WAYPOINT_DIM = sum(WAYPOINT_GROUPS)
 WAYPOINT_UNIT = 0.15
 """Positions relative to the grasp are given in this unit [m]."""
 

@@ -14,7 +14,7 @@ from toy_demos import observed, toy_world, trained, turned_and_shifted
 from lerobot_adamanip import schema
 from lerobot_adamanip.keyframes import Goal, Phase
 from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_policy_adamanip.rotations import angle_between
+from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d
 from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import spoil
 from lerobot_policy_adamanip.vat_mart.trajectory import (
     decode_trajectory,
@@ -117,6 +117,30 @@ def test_what_it_is_shown_it_plans_again(make: MakePolicy, batch_of: Any) -> Non
     assert angle_between(plan[0, 1, 3:9], wanted[3:9]) < 0.1
     lifted = policy.labels.waypoints[policy.labels.plan_of[0], -1, 2] - wanted[2]
     assert plan[0, -1, 2] - plan[0, 1, 2] == pytest.approx(float(lifted), abs=0.008)
+
+
+def turns_of(grasps: torch.Tensor, waypoints: torch.Tensor) -> torch.Tensor:
+    """(..., K) [rad]: how far each key frame in contact is turned about the tool's axis, signed."""
+    held = matrix_from_6d(grasps[..., 3:9])[..., None, :, :]
+    turned = held.transpose(-1, -2) @ matrix_from_6d(waypoints[..., 3:9])
+    return torch.atan2(turned[..., 1, 0], turned[..., 0, 0])
+
+
+def test_what_is_proposed_was_shown_and_lies_not_between(make: MakePolicy, batch_of: Any) -> None:
+    """Both directions are drawn, and turned key frame by key frame as far as one demonstration does."""
+    policy, before, _, dataset = make()
+    batch = batch_of(dataset, before, *counting(policy))
+    trained(policy, batch, 250)
+    cloud, _ = policy.observed(batch)
+    labels = policy.labels
+    place = labels.grasps[labels.plan_of[batch["index"]], :3]
+    drawn, _ = policy.model.proposed(cloud, place[:, None], 64)
+    grasps, waypoints = decode_trajectory(drawn[:, 0], place[:, None].expand(-1, 64, -1))
+    found, shown = turns_of(grasps, waypoints).flatten(0, 1), turns_of(labels.grasps, labels.waypoints)
+    like = (found[:, None] - shown).abs().amax(dim=-1).amin(dim=1) < 0.15 * shown.abs().max()
+    assert like.float().mean() > 0.5
+    shares = [(torch.sign(found[like, -1]) == sign).float().mean() for sign in (-1, 1)]
+    assert min(shares) > 0.15
 
 
 def test_the_scorer_learns_the_share_that_opens_and_that_nothing_opens_elsewhere(
