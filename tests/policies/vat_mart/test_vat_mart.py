@@ -14,7 +14,7 @@ from toy_demos import observed, toy_world, trained, turned_and_shifted
 from lerobot_adamanip import schema
 from lerobot_adamanip.keyframes import Goal, Phase
 from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d
+from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d, rotation_vector
 from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import spoil
 from lerobot_policy_adamanip.vat_mart.trajectory import (
     decode_trajectory,
@@ -122,8 +122,7 @@ def test_what_it_is_shown_it_plans_again(make: MakePolicy, batch_of: Any) -> Non
 def turns_of(grasps: torch.Tensor, waypoints: torch.Tensor) -> torch.Tensor:
     """(..., K) [rad]: how far each key frame in contact is turned about the tool's axis, signed."""
     held = matrix_from_6d(grasps[..., 3:9])[..., None, :, :]
-    turned = held.transpose(-1, -2) @ matrix_from_6d(waypoints[..., 3:9])
-    return torch.atan2(turned[..., 1, 0], turned[..., 0, 0])
+    return rotation_vector(held.transpose(-1, -2) @ matrix_from_6d(waypoints[..., 3:9]))[..., 2]
 
 
 def test_what_is_proposed_was_shown_and_lies_not_between(make: MakePolicy, batch_of: Any) -> None:
