@@ -22,6 +22,8 @@ class AdaAffordConfig(AffordanceConfig):
     num_interactions: int = 16
     # Training only: actions per row whose outcome is asked for.
     num_candidates: int = 12
+    # Training only: proposals per row, away from where anybody has taken hold, that are taught to move nothing.
+    num_astray: int = 4
     # Size of what tells actions at one place apart.
     latent_dim: int = 4
 
@@ -38,6 +40,8 @@ class AdaAffordConfig(AffordanceConfig):
     # What is held is kept unless something else promises this much more success: taking hold costs five key frames.
     contact_margin: float = 0.1
 
+    # Weight of where a proposal takes hold beside the rest of it: a button that is missed by a centimetre stays as it is.
+    offset_weight: float = 3.0
     # Weight of the proposals' divergence from their prior [nats], beside an error in units of a typical motion ...
     divergence_weight: float = 0.3
     # ... and how much of it costs nothing: enough to tell some seven actions apart.
@@ -47,6 +51,6 @@ class AdaAffordConfig(AffordanceConfig):
         """Raises `ConfigurationError` for values that do not go together."""
         super().check()
         self.require_positive(
-            *("hidden_dim", "num_interactions", "num_candidates", "latent_dim"),
-            *("held_proposals", "contact_points", "contact_proposals"),
+            *("hidden_dim", "num_interactions", "num_candidates", "latent_dim", "num_astray"),
+            *("held_proposals", "contact_points", "contact_proposals", "offset_weight"),
         )

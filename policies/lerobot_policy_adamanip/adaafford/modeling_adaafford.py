@@ -32,6 +32,8 @@ from lerobot_policy_adamanip.plans import (
     with_gripper,
 )
 
+OFFSET = slice(GRASP_GROUPS[0], GRASP_GROUPS[0] + GRASP_GROUPS[1])
+"""Of a proposal's numbers: from a place in the cloud to where the tool takes hold."""
 BEST_SUCCESSES, BEST_INFORMATION = 3, 5
 """The maps are means of so many of the best proposals at a place."""
 
@@ -47,6 +49,15 @@ class Interactions:
     moved: Tensor
     tried: Tensor
     valid: Tensor
+
+
+@dataclass(frozen=True)
+class Astray:
+    """Actions where nobody has taken hold: places (B, E, 3) [m], numbers of actions (B, E, 12), and whether it is so."""
+
+    places: Tensor
+    actions: Tensor
+    away: Tensor
 
 
 class AdaAffordPolicy(AffordancePolicy):
@@ -82,9 +93,11 @@ class AdaAffordPolicy(AffordancePolicy):
         asked, told = self._interactions(trimmed(known)), self._interactions(trimmed(history))
         held = asked.before[..., POSITION_DIMS]
         elsewhere = points_away(cloud, held, ON_PART, 1)
+        astray = self._astray(cloud, asked, held, elsewhere)
         # At once: every call looks at the whole cloud.
-        places = torch.cat([told.before[..., POSITION_DIMS], held, elsewhere], dim=1)
-        features = self.model.features(cloud, places).split([told.valid.shape[1], asked.valid.shape[1], 1], dim=1)
+        places = torch.cat([told.before[..., POSITION_DIMS], held, astray.places], dim=1)
+        counted = [told.valid.shape[1], asked.valid.shape[1], astray.places.shape[1]]
+        features = self.model.features(cloud, places).split(counted, dim=1)
         tokens = self.model.tokens(told.before, told.command, told.after)
         latest = told.valid.sum(dim=1, keepdim=True).clamp(min=1) - 1
         before_it = told.valid.scatter(1, latest, False)
@@ -93,7 +106,7 @@ class AdaAffordPolicy(AffordancePolicy):
         information = self._information_error(told, features[0], latest, prefix, errors[1] - errors[0])
         losses = {
             "success_loss": weighted_mean(errors[0] + errors[1], counts),
-            "elsewhere_loss": weighted_mean(self._elsewhere_error(asked, features[2], z), counts),
+            "elsewhere_loss": weighted_mean(self._elsewhere_error(astray, features[2], z), counts),
             "information_loss": weighted_mean(information, counts * told.valid[:, 0]),
             "actor_loss": self._actor_error(cloud, asked),
             "map_loss": weighted_mean(self._map_error(cloud, held, elsewhere, z.detach()), counts),
@@ -112,15 +125,37 @@ class AdaAffordPolicy(AffordancePolicy):
         valid = asked.valid.to(logits.dtype)
         return (logistic_loss(logits, asked.moved) * valid).sum(dim=1) / valid.sum(dim=1).clamp(min=1)
 
-    def _elsewhere_error(self, asked: Interactions, features: Tensor, z: Tensor) -> Tensor:
-        """Returns ``BCE(C, 0) + |G|`` (B,) of a known action where nobody has taken hold: features (B, 1, F).
+    def _astray(self, cloud: Tensor, asked: Interactions, held: Tensor, elsewhere: Tensor) -> Astray:
+        """Returns actions (B, 1 + E) where nobody has taken hold: a known one, and proposals at E other points.
 
-        It moves nothing there, and tells nothing.
+        The known one alone would leave open what becomes of the actor's own there: it proposes hands turned as no
+        demonstration turns them, and where hardly any try fails, success is what the scorer says of everything new.
+
+        Args:
+            cloud: (B, N, 3) [m].
+            asked: interactions (B, K) whose outcome is known; the first is taken elsewhere.
+            held: (B, K, 3) [m] where they were.
+            elsewhere: (B, 1, 3) [m] where it is taken to.
         """
-        actions = action_numbers(asked.before[:, :1], asked.command[:, :1])
-        logits = self.model.succeeds(features, z, actions)
-        tells = self.model.informs(features.detach(), z.detach(), actions, logits.sigmoid().detach())
-        return (logistic_loss(logits, torch.zeros_like(logits)) + tells.abs()).squeeze(1)
+        points = points_away(cloud, held, ON_PART, self.config.num_astray)
+        grasps, commands = (each.squeeze(2) for each in self.model.proposals(cloud, points, 1))
+        places = torch.cat([elsewhere, grasps[..., POSITION_DIMS]], dim=1)
+        before = torch.cat([asked.before[:, :1], grasps], dim=1)
+        command = torch.cat([asked.command[:, :1], commands], dim=1)
+        # What is proposed from beside a part may well be a grasp of it.
+        away = (torch.cdist(places, held) > ON_PART).all(dim=-1)
+        away[:, 0] = True
+        return Astray(places, action_numbers(before, command), away)
+
+    def _elsewhere_error(self, astray: Astray, features: Tensor, z: Tensor) -> Tensor:
+        """Returns ``BCE(C, 0) + |G|`` (B,), the mean over actions where nobody has taken hold: features (B, 1 + E, F).
+
+        They move nothing there, and tell nothing.
+        """
+        logits = self.model.succeeds(features, z, astray.actions)
+        tells = self.model.informs(features.detach(), z.detach(), astray.actions, logits.sigmoid().detach())
+        errors, away = logistic_loss(logits, torch.zeros_like(logits)) + tells.abs(), astray.away.to(logits.dtype)
+        return (errors * away).sum(dim=1) / away.sum(dim=1)
 
     def _information_error(
         self, told: Interactions, features: Tensor, latest: Tensor, prefix: Tensor, gained: Tensor
@@ -158,6 +193,8 @@ class AdaAffordPolicy(AffordancePolicy):
         found, divergence = self.model.actor(wanted, self.model.actor_features(cloud, place[:, None]).squeeze(1))
         counts = asked.tried.any(dim=1).to(found.dtype)
         error = error_by_group(found, wanted, (*GRASP_GROUPS, *[1] * (wanted.shape[-1] - GRASP_DIM)))
+        offset = (found - wanted)[:, OFFSET].abs().mean(dim=-1)
+        error = error + (self.config.offset_weight - 1) * offset
         beyond = weighted_mean(divergence, counts).clamp(min=self.config.free_divergence)
         return weighted_mean(error, counts) + self.config.divergence_weight * beyond
 

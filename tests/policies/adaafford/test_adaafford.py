@@ -164,7 +164,7 @@ def test_what_is_proposed_is_what_was_tried(make: MakePolicy, batch_of: Any) -> 
     labels = policy.labels
     known = torch.nonzero(labels.candidates[:, 0] >= 0).flatten().tolist()
     batch = batch_of(dataset, before, *known)
-    trained(policy, batch, 250)
+    trained(policy, batch, 600)
     cloud, _ = policy.observed(batch)
     asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
     with torch.no_grad():
