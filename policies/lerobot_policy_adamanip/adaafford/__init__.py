@@ -31,7 +31,8 @@ Deviations
 - **Order**: an interaction's number is among what is told of it, since turning after pulling is not pulling after
   turning.
 - **The cloud** is the present one also for interactions that have been, instead of one cloud of an object at rest.
-- **Actions elsewhere**: at places where nobody has taken hold, success and information are taught to be none.
+- **Actions elsewhere**: at places where nobody has taken hold, success and information are taught to be none, of
+  actions that were made elsewhere and of what the actor proposes there.
 - **Taking hold anew** costs key frames, so that what is held is kept unless another place promises 0.1 more. Among the
   candidates are the last motion again, and the way back.
 - **The actor** is a conditional VAE that learns from tries, without z; the choice among its proposals is C's and G's.

@@ -40,7 +40,7 @@ class AdaAffordConfig(AffordanceConfig):
     # What is held is kept unless something else promises this much more success: taking hold costs five key frames.
     contact_margin: float = 0.1
 
-    # Weight of where a proposal takes hold beside the rest of it: a button that is missed by a centimetre stays as it is.
+    # Weight of where a proposal takes hold beside the rest of it: a button missed by a centimetre is not pressed.
     offset_weight: float = 3.0
     # Weight of the proposals' divergence from their prior [nats], beside an error in units of a typical motion ...
     divergence_weight: float = 0.3

@@ -6,7 +6,6 @@ the package's docstring.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -14,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from lerobot_adamanip.schema import POSITION_DIMS
+from lerobot_policy_adamanip.adaafford.asked import Astray, Interactions, trimmed
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
 from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
 from lerobot_policy_adamanip.adaafford.memory import Memory
@@ -36,28 +36,6 @@ OFFSET = slice(GRASP_GROUPS[0], GRASP_GROUPS[0] + GRASP_GROUPS[1])
 """Of a proposal's numbers: from a place in the cloud to where the tool takes hold."""
 BEST_SUCCESSES, BEST_INFORMATION = 3, 5
 """The maps are means of so many of the best proposals at a place."""
-
-
-@dataclass(frozen=True)
-class Interactions:
-    """Interactions (B, K) as tensors; see `InteractionLabels`. What is not ``valid`` is none."""
-
-    before: Tensor
-    command: Tensor
-    after: Tensor
-    opening: Tensor
-    moved: Tensor
-    tried: Tensor
-    valid: Tensor
-
-
-@dataclass(frozen=True)
-class Astray:
-    """Actions where nobody has taken hold: places (B, E, 3) [m], numbers of actions (B, E, 12), and whether it is so."""
-
-    places: Tensor
-    actions: Tensor
-    away: Tensor
 
 
 class AdaAffordPolicy(AffordancePolicy):
@@ -319,9 +297,3 @@ class AdaAffordPolicy(AffordancePolicy):
         if self._explores(memory) and float(tells.amax()) >= self.config.least_information:
             return likely + tells
         return likely
-
-
-def trimmed(numbers: Tensor) -> Tensor:
-    """Returns rows (B, K) of numbers that are followed by -1, as short as the longest of them; at least one each."""
-    longest = int((numbers >= 0).sum(dim=1).amax())
-    return numbers[:, : max(1, longest)]

@@ -14,8 +14,8 @@ from toy_demos import observed, toy_world, trained
 from lerobot_adamanip import schema
 from lerobot_adamanip.keyframes import Goal, Phase
 from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_policy_adamanip.adaafford.asked import trimmed
 from lerobot_policy_adamanip.adaafford.memory import Memory
-from lerobot_policy_adamanip.adaafford.modeling_adaafford import trimmed
 from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal
 from lerobot_policy_adamanip.plans import GRASP_DIM, approach, let_go
 from lerobot_policy_adamanip.tool_frame import motion_between
