@@ -4,57 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from doc_data import collect_fake_demos, write_asset_safe
+from documents import DOCUMENTS, ROOT, Block, blocks, commands
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import load
-
-ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")))
-
-
-class Block(NamedTuple):
-    document: str
-    number: int
-    language: str
-    mark: str
-    code: str
-
-
-def blocks(language: str) -> list[Block]:
-    """Fenced blocks of a language; ``mark`` is what a comment `<!-- test: ... -->` right above says."""
-    found = []
-    for document in DOCUMENTS:
-        text = (ROOT / document).read_text(encoding="utf-8")
-        pattern = r"(?:<!-- (?:test: )?([^>]*) -->\n)?^```(\w+)\n(.*?)^```$"
-        for number, match in enumerate(re.finditer(pattern, text, re.MULTILINE | re.DOTALL)):
-            if match[2] == language:
-                found.append(Block(document, number, language, match[1] or "", match[3]))
-    return found
-
-
-def commands(prefix: str) -> list[Any]:
-    """Command lines of the bash blocks that start with ``prefix``, as argument lists, shell variables put in."""
-    found = []
-    for block in blocks("bash"):
-        variables: dict[str, str] = {}
-        for line in block.code.replace("\\\n", " ").splitlines():
-            for name, value in variables.items():
-                line = line.replace(f'"${name}"', shlex.quote(value))  # noqa: PLW2901
-            words = shlex.split(line, comments=True)
-            if len(words) == 1 and re.match(r"[A-Z_]+=", words[0]):
-                name, _, value = words[0].partition("=")
-                variables[name] = value
-            elif words and words[0].startswith(prefix):
-                found.append(pytest.param(words, id=f"{block.document}: {' '.join(words)[:70]}"))
-    return found
 
 
 def python_blocks() -> list[Any]:
@@ -81,6 +41,10 @@ def test_adamanip_commands_parse(words: list[str]) -> None:
     tyro.cli(load(words[1]), args=words[2:], config=(tyro.conf.FlagCreatePairsOff,))
 
 
+DOWNLOADED = {"lerobot/smolvla_base": "smolvla", "lerobot/pi0_base": "pi0"}
+"""Checkpoints of the Hub that the documents name, and the kinds of their policies."""
+
+
 def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
     """The configuration class of a LeRobot command, and its arguments less those that need a checkpoint on disk."""
     from lerobot.configs.eval import EvalPipelineConfig
@@ -88,7 +52,8 @@ def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
 
     kinds: dict[str, type] = {"lerobot-train": TrainPipelineConfig, "lerobot-eval": EvalPipelineConfig}
     files = ("--policy.path=", "--config_path=")
-    return kinds[words[0]], [word for word in words[1:] if not word.startswith(files)]
+    downloaded = [f"--policy.type={kind}" for path, kind in DOWNLOADED.items() if f"--policy.path={path}" in words]
+    return kinds[words[0]], [*downloaded, *(word for word in words[1:] if not word.startswith(files))]
 
 
 @pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval")])
@@ -111,7 +76,7 @@ def test_lerobot_commands_parse(words: list[str], tmp_path: Path, monkeypatch: p
         if key == "env.type":
             assert env.type == value
         if key == "policy.input_features":
-            check_input_features(policy.input_features)
+            check_input_features(policy.input_features, env.image_size)
 
 
 def test_training_on_several_gpus_parses() -> None:
@@ -134,9 +99,9 @@ def test_job_scripts_are_bash() -> None:
         assert done.returncode == 0, done.stderr
 
 
-def check_input_features(features: dict[str, Any]) -> None:
-    """What the documents tell ACT and diffusion to look at exists, in LeRobot's shape (channels first)."""
-    table = schema.dataset_features()
+def check_input_features(features: dict[str, Any], image_size: int) -> None:
+    """What the documents tell policies to look at exists, as large as their environment's, channels first."""
+    table = schema.dataset_features(image_size=image_size)
     for key, feature in features.items():
         shape = tuple(table[key]["shape"])
         assert tuple(feature.shape) == ((shape[2], *shape[:2]) if key == schema.FRONT_IMAGE else shape)

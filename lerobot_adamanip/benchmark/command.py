@@ -53,26 +53,40 @@ class _Process:
         return self.process.poll()
 
     def stop(self) -> None:
-        if self.process.poll() is None:
-            self.process.terminate()
-            try:
-                self.process.wait(_STOP_SECONDS)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
+        ended(self.process)
+
+
+def ended(process: subprocess.Popen[bytes]) -> None:
+    """Ends a process if it still runs: in order, if it does so soon."""
+    if process.poll() is None:
+        process.terminate()
+        try:
+            process.wait(_STOP_SECONDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def command_environment(threads: int) -> dict[str, str]:
+    """Returns the environment of a command that may compute with so many threads; 0 for as many as it likes."""
+    limit = {_THREADS: str(threads)} if threads else {}
+    return {**_DEFAULTS, **limit, **os.environ}
 
 
 def run_command(command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0) -> Running:
     """Begins a program of this installation; see `Runner`."""
     line = [find_program(command[0]), *command[1:]]
-    limit = {_THREADS: str(threads)} if threads else {}
-    environment = {**_DEFAULTS, **limit, **os.environ}
     with log.open("ab") as said:
-        return _Process(
-            subprocess.Popen(
-                line, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said, pass_fds=(lock,)
-            )
+        process = subprocess.Popen(
+            line,
+            cwd=folder,
+            env=command_environment(threads),
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            pass_fds=(lock,),
         )
+    return _Process(process)
 
 
 def find_program(name: str) -> str:

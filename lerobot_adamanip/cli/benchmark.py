@@ -9,7 +9,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,10 +34,6 @@ from lerobot_adamanip.evaluation.tables import interval_text
 from lerobot_adamanip.files import write_atomically
 
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
-_ON_THE_CLUSTER = (
-    "The cluster collects demonstrations. Trainings and evaluations run on this machine, one after the other: for "
-    "several machines give each other --methods or --categories, and copy their cells/*.json into one folder."
-)
 
 
 @dataclass
@@ -83,7 +79,8 @@ class Benchmark:
     one after the other on two."""
 
     cluster: str | None = None
-    """Ray cluster that collects the demonstrations: HOST:PORT, auto or local. The rest runs on this machine."""
+    """Ray cluster that collects, trains and evaluates: HOST:PORT, auto or local. Its nodes have to share --out; --jobs
+    is how many commands run on it at once."""
 
     insecure_cluster: bool = False
     """Use a cluster that demands no token: whoever reaches its ports runs code on it."""
@@ -106,7 +103,7 @@ class Benchmark:
         with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
             made = self._benchmark(declaration)
             try:
-                states = [made.state(cell) for cell in cells] if self._runs_nothing() else run_cells(made, cells)
+                states = [made.state(cell) for cell in cells] if self._runs_nothing() else self._run_cells(made, cells)
             except KeyboardInterrupt:
                 command = shlex.join(["adamanip", *sys.argv[1:]])
                 print(f"Interrupted. What is done is kept. To go on:\n  {command}")
@@ -133,8 +130,6 @@ class Benchmark:
         from lerobot_env_adamanip.fingerprint import environment_fingerprint, present_fingerprint
 
         policies = find_policies(declaration.methods)
-        if self.cluster is not None:
-            print(_ON_THE_CLUSTER)
         return BenchmarkRun(
             declaration=declaration,
             scale=self.scale,
@@ -147,6 +142,16 @@ class Benchmark:
             jobs=self.jobs,
             say=lambda text: print(text, flush=True),
         )
+
+    def _run_cells(self, made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
+        if self.cluster is None:
+            return run_cells(made, cells)
+        from lerobot_adamanip.benchmark.cluster_command import cluster_commands
+
+        gpu = made.declaration.scale(self.scale).device.startswith("cuda")
+        with cluster_commands(self.cluster, made.folder.root, insecure=self.insecure_cluster, gpu=gpu) as commands:
+            machine = {"cores": commands.cores, "gpu": gpu}
+            return run_cells(replace(made, machine=machine, runner=commands), cells)
 
     def _collect_options(self) -> tuple[str, ...]:
         cluster = () if self.cluster is None else (f"--cluster={self.cluster}",)

@@ -7,7 +7,6 @@ import importlib.util
 import json
 import os
 import pickle
-import secrets
 import signal
 import subprocess
 import sys
@@ -20,6 +19,7 @@ import numpy as np
 import pytest
 from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes
 from jobs_helpers import session
+from two_nodes import TOKEN, TwoNodes
 
 from lerobot_adamanip.demos.collect import collect
 from lerobot_adamanip.demos.collection import CollectionPaths
@@ -27,11 +27,6 @@ from lerobot_adamanip.demos.record import RecordingJob, recording_session
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.jobs import JobResult, WorkerError
 
-# Ray reads these when it is imported. Loopback then stays loopback, and the cluster answers nobody without the token.
-TOKEN = secrets.token_hex(16)
-os.environ.update(
-    RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=TOKEN, RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER="0", RAY_USAGE_STATS_ENABLED="0"
-)
 DEATHS = 20
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
 SCRIPT = """
@@ -43,42 +38,6 @@ if __name__ == "__main__":
     root, address = sys.argv[1:]
     collect(Path(root), make_spec(), fakes(delay=0.2), patiently(workers=2, cluster=address))
 """
-
-
-class TwoNodes:
-    """A cluster whose head runs nothing; nodes have a home, a folder for temporary files and a working one each."""
-
-    def __init__(self, folder: Path) -> None:
-        from ray.cluster_utils import Cluster
-
-        self.folder, self.nodes, self.count = folder, [], 0
-        quick = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 200, "health_check_failure_threshold": 3}
-        head = {"num_cpus": 0, "include_dashboard": False, "_system_config": quick}
-        self.cluster = Cluster(initialize_head=True, head_node_args=head)
-        self.address = str(self.cluster.address)
-        self.fill()
-
-    def fill(self) -> None:
-        """Brings the nodes to two."""
-        before, here = dict(os.environ), Path.cwd()
-        while len(self.nodes) < 2:
-            self.count += 1
-            own = self.folder / f"node-{self.count}"
-            for name in ("home", "tmp", "work"):
-                (own / name).mkdir(parents=True)
-            path = os.pathsep.join([HERE, *filter(None, sys.path)])
-            os.environ.update(HOME=str(own / "home"), TMPDIR=str(own / "tmp"), PYTHONPATH=path)
-            os.chdir(own / "work")
-            try:
-                self.nodes.append(self.cluster.add_node(num_cpus=1))
-            finally:
-                os.chdir(here)
-                os.environ.clear()
-                os.environ.update(before)
-
-    def power_cut(self) -> None:
-        """Ends a node without a word to anybody."""
-        self.cluster.remove_node(self.nodes.pop(0), allow_graceful=False)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,103 @@
+"""What docs/lerobot_policies.md says of LeRobot's own policies: its commands run, on data of our columns."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from doc_data import collect_fake_demos
+from documents import ROOT, blocks, commands
+
+PAGE = "docs/lerobot_policies.md"
+MODULES = {"lerobot-train": "lerobot.scripts.lerobot_train", "lerobot-eval": "lerobot.scripts.lerobot_eval"}
+
+
+def documented(program: str, mark: str) -> list[str]:
+    """The page's command of a program that says ``mark``."""
+    found = [param.values[0] for param in commands(program) if param.id.startswith(PAGE)]
+    (words,) = (words for words in found if any(mark in word for word in words))
+    return words
+
+
+def run(words: list[str], folder: Path, *changes: str, path: Path | None = None) -> str:
+    """Runs a command with some of its options changed, as a user starts it; returns what it said."""
+    changed = {change.partition("=")[0] for change in changes}
+    kept = [word for word in words[1:] if word.partition("=")[0] not in changed]
+    paths = [*([str(path)] if path else []), str(ROOT), str(ROOT / "envs"), str(ROOT / "policies")]
+    done = subprocess.run(
+        [sys.executable, "-m", MODULES[words[0]], *kept, *changes],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "HF_HUB_OFFLINE": "1"},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    return done.stdout + done.stderr
+
+
+@pytest.fixture
+def demos(tmp_path: Path) -> Path:
+    """A folder in which the page's ``outputs/demos`` are."""
+    collect_fake_demos(tmp_path / "outputs" / "demos")
+    return tmp_path
+
+
+def test_vqbet_trains_its_codes_and_itself(demos: Path) -> None:
+    words = documented("lerobot-train", "type=vqbet")
+    picture = '{"type": "VISUAL", "shape": [3, 64, 64]}'
+    inputs = f'{{"observation.images.front": {picture}, "observation.state": {{"type": "STATE", "shape": [24]}}}}'
+    small = ("--policy.gpt_n_layer=1", "--policy.gpt_hidden_dim=32", "--policy.gpt_n_head=2", "--policy.device=cpu")
+    short = ("--dataset.root=outputs/demos", "--batch_size=2", "--steps=4", "--log_freq=1", "--num_workers=0")
+    said = run(words, demos, *small, *short, "--policy.n_vqvae_training_steps=2", f"--policy.input_features={inputs}")
+    losses = [float(loss) for loss in re.findall(r" loss:([0-9.]+)", said)]
+    assert len(losses) == 4
+    assert "classification_loss" in said
+    assert (demos / "outputs" / "vqbet" / "checkpoints" / "last" / "pretrained_model").exists()
+
+
+def install_stand_in(folder: Path) -> Path:
+    """Puts a distribution with a policy ``dp3`` into a folder, as pip would; returns the folder."""
+    shutil.copytree(ROOT / "tests" / "helpers" / "stand_in_dp3", folder / "lerobot_policy_stand_in")
+    told = folder / "lerobot_policy_stand_in-1.0.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: lerobot_policy_stand_in\nVersion: 1.0\n")
+    return folder
+
+
+def untrained(folder: Path, site: Path) -> None:
+    """Runs the page's block that saves an untrained ``dp3``."""
+    (block,) = (block for block in blocks("python") if block.document == PAGE)
+    code = f"import sys; sys.path.insert(0, {str(site)!r}); import lerobot_policy_stand_in\n{block.code}"
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.sim
+def test_a_policy_that_reads_what_lerobots_dp3_reads_is_trained_and_evaluated(demos: Path) -> None:
+    """The cloud comes under its name, in metres, and in as many steps as the state; the checkpoint keeps the rename."""
+    site = install_stand_in(demos / "site")
+    untrained(demos, site)
+    short = ("--batch_size=2", "--steps=3", "--log_freq=1", "--policy.device=cpu")
+    said = run(documented("lerobot-train", "dp3_untrained"), demos, *short, path=site)
+    farthest = [float(value) for value in re.findall(r"farthest:([0-9.]+)", said)]
+    assert len(farthest) == 3
+    assert all(0 < value < 3 for value in farthest), "metres, not normalised"
+    checkpoint = demos / "outputs" / "dp3" / "checkpoints" / "last" / "pretrained_model"
+    (rename,) = (
+        step["config"]["rename_map"]
+        for step in json.loads((checkpoint / "policy_preprocessor.json").read_text())["steps"]
+        if "rename_map" in step.get("config", {})
+    )
+    assert rename == {"observation.point_cloud": "observation.pointcloud"}
+    few = ("--eval.n_episodes=1", "--eval.batch_size=1", "--env.episode_length=3", "--policy.device=cpu")
+    run(documented("lerobot-eval", "dp3"), demos, *few, path=site)
+    (record,) = (demos / "outputs" / "dp3.jsonl").read_text().splitlines()
+    assert json.loads(record)["key_frames"] == 3
