@@ -113,7 +113,9 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
     hidden = "direction +1 15/20, locked 5/10, unlocked 10/10"
     page = results_page(measured, {NOW})
     assert f"{told} none | ajar 5 | {hidden} |" in page
-    block = readme_block(measured, {NOW})
+    assert "(test scenes): 15/20: 75 % [53.1, 88.8]\n" in readme_block(measured, {NOW})
+    another = ResultRow("dp3_adaptive", "paper", "lamp", "seen", 10, 9)
+    block = readme_block({"p.json": result(kind="policy", rows=(*rows, another), scenes="test")}, {NOW})
     assert told in block
     assert hidden not in block
 

@@ -61,7 +61,7 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
     """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
 
     What policies were chosen by is no number to show there: validation scenes stand on the page alone. So do experts,
-    once a policy was measured.
+    once a policy was measured. A single number needs no table.
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
@@ -69,7 +69,8 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
     fresh = by_kind["policy"] or by_kind["expert"]
     parts = [START]
     for result in fresh:
-        parts.append(f"{_heading(result)} ({_scenes(result)}):\n\n{result_table(result, brief=True)}\n")
+        told = f" {_success(result.rows[0])}" if len(result.rows) == 1 else f"\n\n{result_table(result, brief=True)}"
+        parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if fresh else NOTHING)
     return "\n".join([*parts, END])
 
