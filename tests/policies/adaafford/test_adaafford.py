@@ -17,7 +17,7 @@ from lerobot_adamanip.rotations import pose_from_vector
 from lerobot_policy_adamanip.adaafford.asked import trimmed
 from lerobot_policy_adamanip.adaafford.memory import Memory
 from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal
-from lerobot_policy_adamanip.plans import GRASP_DIM, approach, let_go
+from lerobot_policy_adamanip.plans import GRASP_DIM, ON_PART, approach, let_go
 from lerobot_policy_adamanip.tool_frame import motion_between
 
 MakePolicy = Callable[..., tuple[Any, ...]]
@@ -173,6 +173,33 @@ def test_what_is_proposed_is_what_was_tried(make: MakePolicy, batch_of: Any) -> 
     tried = action_numbers(asked.before, asked.command)[asked.tried][:, None, 6:]
     nearest = (drawn[asked.tried] - tried).abs().amax(dim=-1).amin(dim=1)
     assert (nearest < 0.3 * tried.squeeze(1).abs().amax(dim=-1)).float().mean() > 0.8
+
+
+def test_what_it_proposes_where_nobody_has_taken_hold_is_taught_to_fail(
+    make: MakePolicy, batch_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not only what demonstrations did elsewhere; and not what, from beside a part, is a grasp of it."""
+    policy, before, _, dataset = make(num_astray=40)
+    labels = policy.labels
+    batch = batch_of(dataset, before, *torch.nonzero(labels.candidates[:, 0] >= 0).flatten().tolist())
+    cloud, _ = policy.observed(batch)
+    asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
+    held = asked.before[..., :3]
+    policy.model.actor.decoder[-1].bias.data[6:9] = torch.tensor([0.6, 0.0, 0.0])  # 3 cm from the points it starts at
+    astray = policy._astray(cloud, asked, held, held[:, :1] + 1.0)
+    torch.testing.assert_close(astray.places[:, :1], held[:, :1] + 1.0)
+    torch.testing.assert_close(astray.actions[:, :1], action_numbers(asked.before, asked.command)[:, :1])
+    near = (torch.cdist(astray.places[:, 1:], held) <= ON_PART).any(dim=-1)
+    assert near.any()
+    assert not near.all()
+    assert astray.away[:, 0].all()
+    assert (astray.away[:, 1:] == ~near).all()
+    logits = torch.zeros(astray.away.shape, requires_grad=True)
+    monkeypatch.setattr(policy.model, "succeeds", lambda *_: logits)
+    monkeypatch.setattr(policy.model, "informs", lambda *_: torch.zeros(logits.shape))
+    policy._elsewhere_error(astray, torch.zeros(1), torch.zeros(1)).sum().backward()
+    assert logits.grad is not None
+    assert ((logits.grad > 0) == astray.away).all()
 
 
 # Run time -----------------------------------------------------------------------------------------------------------
