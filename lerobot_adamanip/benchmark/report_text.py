@@ -57,6 +57,7 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
     yield "Success within a number of key frames", _budgets(report)
     yield "Failed tries per success beyond the best possible", _wasted(report)
     yield "After a try that failed", _recovery(report)
+    yield "Given the luckiest hidden value", _lucky(report)
     yield "By what is hidden", _hidden(report)
     yield "What it took", _costs(report)
 
@@ -189,6 +190,22 @@ def _recovery(report: BenchmarkReport) -> str:
             cells = [interval_text(recovered.repeated), "-" if new is None else interval_text(new)]
             rows.append([_name(row), *cells])
     return markdown_table(["", "the same again", "something new after one that failed"], rows)
+
+
+def _lucky(report: BenchmarkReport) -> str:
+    told = (
+        "What is opened of the episodes with the hidden value with which a method opens most. Whoever plans once opens "
+        "these at best, and none of the others. All splits of objects together."
+    )
+    return f"{_by_category(report, _lucky_cell)}\n\n{told}"
+
+
+def _lucky_cell(numbers: Numbers) -> str:
+    counts = {name: count for name, count in numbers.hidden.items() if not is_half_of_range(name) and count[1]}
+    if not counts:
+        return "-"
+    name = max(sorted(counts), key=lambda each: counts[each][0] / counts[each][1])
+    return f"{counts[name][0]}/{counts[name][1]} ({name})"
 
 
 def _hidden(report: BenchmarkReport) -> str:

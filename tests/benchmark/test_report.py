@@ -128,6 +128,19 @@ def test_hidden_values_and_tries_are_told(cells: Path) -> None:
     assert "Ours" in rows_of(page, "After a try that failed")
 
 
+def test_the_luckiest_hidden_value_is_the_one_with_which_most_is_opened(cells: Path) -> None:
+    page = benchmark_page(report_of(cells))
+    hidden, titles = rows_of(page, "By what is hidden"), rows_of(page, "By what is hidden")[""]
+    lucky = rows_of(page, "Given the luckiest hidden value")
+    place = titles.index("Ours")
+    counts = [tuple(map(int, hidden[f"bottle: {name}"][place].split("/"))) for name in ("direction +1", "direction -1")]
+    best = max(count / episodes for count, episodes in counts)
+    told = re.fullmatch(r"(\d+)/(\d+) \((direction [+-]1)\)", lucky["Ours"][lucky[""].index("bottle")])
+    assert told is not None
+    assert int(told[1]) / int(told[2]) == best
+    assert f"{told[1]}/{told[2]}" == hidden[f"bottle: {told[3]}"][place]
+
+
 def test_a_missing_cell_is_marked_and_never_guessed(cells: Path) -> None:
     for name in ("ours_on_static-bottle-seen-1", "ours_on_static-bottle-seen-2", "ours-safe-seen-2"):
         (cells / f"{name}.json").unlink()
