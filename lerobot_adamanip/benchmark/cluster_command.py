@@ -40,7 +40,7 @@ class ClusterCommands:
     gpu: bool = False
 
     def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int) -> Running:
-        """Begins a command; see `command.Runner`. Ray ends it with the worker that began it, and with this process."""
+        """Begins a command; see `Runner`. Ray ends it with the worker that began it, and with this process."""
         if command[0] == LOCAL_PROGRAM:
             return run_command(command, folder=folder, log=log, lock=lock, threads=threads)
         import ray
@@ -89,14 +89,14 @@ def _require_nodes(folder: Path, *, gpu: bool) -> int:
     mark = folder / f".shared-{secrets.token_hex(8)}"
     mark.write_bytes(b"")
     try:
-        greetings = {
+        greetings = [
             ray.remote(_greet)
             .options(num_cpus=0, scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=False))
-            .remote(node["NodeID"], str(mark)): node
+            .remote(node["NodeID"], str(mark))
             for node in nodes
-        }
+        ]
         here = node_facts("driver")
-        for facts, sees in ray.get(list(greetings), timeout=_GREETING_SECONDS):
+        for facts, sees in _answers(greetings):
             require_equal_versions(here, facts)
             if not sees:
                 raise ConfigurationError(
@@ -108,6 +108,22 @@ def _require_nodes(folder: Path, *, gpu: bool) -> int:
     finally:
         mark.unlink(missing_ok=True)
     return min(int(node["Resources"]["CPU"]) for node in nodes)
+
+
+def _answers(greetings: Sequence[Any]) -> list[tuple[NodeFacts, bool]]:
+    import ray
+    from ray.exceptions import RayError
+
+    try:
+        answers: list[tuple[NodeFacts, bool]] = ray.get(list(greetings), timeout=_GREETING_SECONDS)
+    except RayError as error:
+        raise ConfigurationError(
+            "A node of the cluster does not answer.",
+            got=f"{type(error).__name__}: {' '.join(str(error).split())[:400]}",
+            allowed=f"an answer from every node within {_GREETING_SECONDS:g} s, with this package installed on it",
+            hint="ray status; the same packages on every node (pip install -c constraints.txt)",
+        ) from error
+    return answers
 
 
 def _greet(node: str, mark: str) -> tuple[NodeFacts, bool]:

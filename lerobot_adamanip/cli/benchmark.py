@@ -150,7 +150,8 @@ class Benchmark:
 
         gpu = made.declaration.scale(self.scale).device.startswith("cuda")
         with cluster_commands(self.cluster, made.folder.root, insecure=self.insecure_cluster, gpu=gpu) as commands:
-            machine = {"cores": commands.cores, "gpu": gpu}
+            # No command computes with more than the smallest node has.
+            machine = {"cores": min(commands.cores, commands.smallest * self.jobs), "gpu": gpu}
             return run_cells(replace(made, machine=machine, runner=commands), cells)
 
     def _collect_options(self) -> tuple[str, ...]:
