@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -116,15 +117,38 @@ def test_a_cell_that_fails_is_told_and_the_status_is_one(
     assert "failed       lerobot-train ended with status 7: steps/train-" in capsys.readouterr().out
 
 
-def test_a_cluster_collects_and_it_is_said_what_it_does_not(
+def test_commands_are_begun_on_the_cluster_and_collecting_is_told_of_it(
+    runner: FakeRunner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three nodes of four CPUs: two commands at once have four each, the most that a node has."""
+    there = FakeRunner(Path("there").absolute())
+    asked = []
+
+    @contextlib.contextmanager
+    def connected(address: str, folder: Path, *, insecure: bool, gpu: bool) -> Iterator[Any]:
+        asked.append((address, folder.relative_to(Path.cwd()).as_posix(), insecure, gpu))
+        there.cores, there.smallest = 12, 4  # type: ignore[attr-defined]
+        yield there
+
+    monkeypatch.setattr(command, "require_usable", lambda address, insecure: None)  # Ray is an extra
+    monkeypatch.setattr("lerobot_adamanip.benchmark.cluster_command.cluster_commands", connected)
+    assert main(["benchmark", *SMALL, "--cluster", "local", "--workers", "0", "--jobs", "2"]) == 0
+    assert asked == [("local", "outputs/benchmark/smoke", False, False)]
+    assert runner.called == []
+    for called in there.called:
+        assert ("--cluster=local" in called) == (called[0] == "adamanip")
+    assert there.called[0][-2:] == ["--workers=0", "--cluster=local"]
+    assert set(there.threads) == {4}
+
+
+def test_a_list_asks_no_cluster(
     runner: FakeRunner, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "require_usable", lambda address, insecure: None)  # Ray is an extra
-    assert main(["benchmark", *SMALL, "--cluster", "local", "--workers", "0"]) == 0
-    assert "Trainings and evaluations run on this machine" in capsys.readouterr().err
-    for called in runner.called:
-        assert ("--cluster=local" in called) == (called[0] == "adamanip")
-    assert runner.called[0][-2:] == ["--workers=0", "--cluster=local"]
+    monkeypatch.setattr(command, "require_usable", lambda address, insecure: None)
+    monkeypatch.setattr(
+        "lerobot_adamanip.benchmark.cluster_command.cluster_commands", lambda *_, **__: pytest.fail("asked")
+    )
+    assert states(printed(capsys, "--list", "--cluster", "local"))["dp3"] == "missing"
 
 
 def test_ctrl_c_says_how_to_go_on(
