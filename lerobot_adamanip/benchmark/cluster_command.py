@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.benchmark.command import Running, command_environment, ended, find_program, run_command
+from lerobot_adamanip.benchmark.command import Running, begun, ended, run_command
 from lerobot_adamanip.demos.cluster import connected
 from lerobot_adamanip.demos.node import NodeFacts, node_facts, require_equal_versions
 from lerobot_adamanip.errors import ConfigurationError
@@ -31,7 +30,8 @@ class ClusterCommands:
     """Begins commands on the nodes of the cluster that this process is connected to; a `command.Runner`.
 
     Attributes:
-        cores: CPUs of the cluster, and of its smallest node.
+        cores: CPUs of the cluster.
+        smallest: CPUs of its smallest node, the most that a command gets.
         gpu: each command gets a GPU of its own.
     """
 
@@ -114,12 +114,14 @@ def _answers(greetings: Sequence[Any]) -> list[tuple[NodeFacts, bool]]:
     import ray
     from ray.exceptions import RayError
 
+    from lerobot_adamanip.demos.ray_crew import reason
+
     try:
         answers: list[tuple[NodeFacts, bool]] = ray.get(list(greetings), timeout=_GREETING_SECONDS)
     except RayError as error:
         raise ConfigurationError(
             "A node of the cluster does not answer.",
-            got=f"{type(error).__name__}: {' '.join(str(error).split())[:400]}",
+            got=reason(error),
             allowed=f"an answer from every node within {_GREETING_SECONDS:g} s, with this package installed on it",
             hint="ray status; the same packages on every node (pip install -c constraints.txt)",
         ) from error
@@ -133,16 +135,7 @@ def _greet(node: str, mark: str) -> tuple[NodeFacts, bool]:
 
 def _run(command: Sequence[str], folder: str, log: str, threads: int) -> int:
     """Runs a command on the node that Ray has chosen, and returns its exit status."""
-    line = [find_program(command[0]), *command[1:]]
-    with Path(log).open("ab") as said:
-        process = subprocess.Popen(
-            line,
-            cwd=folder,
-            env=command_environment(threads),
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-        )
+    process = begun(command, folder=Path(folder), log=Path(log), threads=threads)
     try:
         while (status := process.poll()) is None:
             time.sleep(_POLL_SECONDS)  # a wait that cannot be interrupted would outlast Ray's `cancel`
@@ -163,12 +156,14 @@ class _RemoteCommand:
         import ray
         from ray.exceptions import RayError
 
+        from lerobot_adamanip.demos.ray_crew import reason
+
         if self.status is None and ray.wait([self.reference], timeout=0)[0]:
             try:
                 self.status = int(ray.get(self.reference))
             except RayError as error:
                 with self.log.open("a", encoding="utf-8") as said:
-                    said.write(f"The command was lost: {type(error).__name__}: {str(error).strip()}\n")
+                    said.write(f"The command was lost: {reason(error)}\n")
                 self.status = LOST
         return self.status
 

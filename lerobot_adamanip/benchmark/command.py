@@ -67,26 +67,22 @@ def ended(process: subprocess.Popen[bytes]) -> None:
             process.wait()
 
 
-def command_environment(threads: int) -> dict[str, str]:
-    """Returns the environment of a command that may compute with so many threads; 0 for as many as it likes."""
+def begun(
+    command: Sequence[str], *, folder: Path, log: Path, threads: int, pass_fds: Sequence[int] = ()
+) -> subprocess.Popen[bytes]:
+    """Returns the process of a program of this installation; arguments are those of `Runner`."""
+    line = [find_program(command[0]), *command[1:]]
     limit = {_THREADS: str(threads)} if threads else {}
-    return {**_DEFAULTS, **limit, **os.environ}
+    environment = {**_DEFAULTS, **limit, **os.environ}
+    with log.open("ab") as said:
+        return subprocess.Popen(
+            line, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said, pass_fds=pass_fds
+        )
 
 
 def run_command(command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0) -> Running:
     """Begins a program of this installation; see `Runner`."""
-    line = [find_program(command[0]), *command[1:]]
-    with log.open("ab") as said:
-        process = subprocess.Popen(
-            line,
-            cwd=folder,
-            env=command_environment(threads),
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-            pass_fds=(lock,),
-        )
-    return _Process(process)
+    return _Process(begun(command, folder=folder, log=log, threads=threads, pass_fds=(lock,)))
 
 
 def find_program(name: str) -> str:

@@ -1,4 +1,6 @@
-"""A crew of actors on a Ray cluster. Only this module and `lerobot_adamanip.demos.cluster` import Ray.
+"""A crew of actors on a Ray cluster.
+
+Ray is imported here, in `lerobot_adamanip.demos.cluster` and in `lerobot_adamanip.benchmark.cluster_command` alone.
 
 An actor is what a worker of `lerobot_adamanip.jobs.WorkerPool` is here: it holds what a session makes from item to
 item. Items go to it and results come back; nothing is read from or written to a folder that machines would share.
@@ -165,7 +167,7 @@ class RayCrew[Item]:
             if call.death is not None:
                 self._node_died(call, queue)
             else:
-                self._died(call, _reason(error))
+                self._died(call, reason(error))
             return
         if call.death is not None:
             yield from self._actor_died(call, queue)
@@ -235,7 +237,7 @@ def _kill(actor: _Actor) -> None:
         ray.kill(actor.handle, no_restart=True)
 
 
-def _reason(error: RayError) -> str:
+def reason(error: RayError) -> str:
     """Returns what Ray says of a death, in one line."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {' '.join(lines)[:400]}"
