@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import json
 import os
+import platform
 import random
 import signal
 import sys
@@ -304,6 +305,37 @@ def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(
         program = Path(sys.executable).name
         assert waited(run_command([program, "-c", code], folder=tmp_path, log=log, lock=lock, threads=threads)) == 3
     assert log.read_text() == f"{tmp_path} 1 {told}\n"
+
+
+ALLOCATES = """
+import ctypes, resource
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+before = faults()
+for _ in range(100):
+    block = libc.malloc(2**24)
+    ctypes.memset(block, 1, 2**24)
+    libc.free(block)
+print(faults() - before)
+"""
+"""Takes 16 MB a hundred times, which are 4,096 pages, and says how often a page had to be had from the system."""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another libc keeps memory as it likes")
+@pytest.mark.parametrize(("own", "kept"), [(None, True), ("glibc.malloc.mmap_threshold=100000", False)])
+def test_a_program_keeps_the_memory_that_it_will_need_again_unless_the_user_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None, kept: bool
+) -> None:
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    if own is not None:
+        monkeypatch.setenv("GLIBC_TUNABLES", own)
+    log = tmp_path / "log"
+    with files.locked(tmp_path, "busy", "") as lock:
+        command = [Path(sys.executable).name, "-c", ALLOCATES]
+        assert waited(run_command(command, folder=tmp_path, log=log, lock=lock)) == 0
+    faults = int(log.read_text())
+    assert (faults < 2 * 4096) == kept, faults
 
 
 def test_a_program_is_stopped_even_if_it_will_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
