@@ -13,6 +13,7 @@ from lerobot_adamanip.benchmark.paper import (
     reported_mean,
 )
 from lerobot_adamanip.benchmark.report import BenchmarkReport, Entry, Row, words
+from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.tables import duration_text, interval_text, is_half_of_range, markdown_table
 from lerobot_adamanip.schema import MAX_KEY_FRAMES
@@ -230,10 +231,8 @@ def _costs(report: BenchmarkReport) -> str:
         f"- {_KINDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {len(found)} times"
         for kind, found in costs.items()
     ]
-    machines = {(each.machine["cores"], each.machine["gpu"]) for found in costs.values() for each in found}
-    lines.append(
-        "- on " + "; ".join(f"{cores} cores, {'a GPU' if gpu else 'no GPU'}" for cores, gpu in sorted(machines))
-    )
+    machines = {machine_text(each.machine) for found in costs.values() for each in found}
+    lines.append(f"- on {'; '.join(sorted(machines))}")
     for what, values in (
         (
             "commit",

@@ -40,6 +40,12 @@ def machine_class() -> dict[str, int | bool]:
     return {"cores": len(os.sched_getaffinity(0)), "gpu": torch.cuda.is_available()}
 
 
+def machine_text(machine: Mapping[str, int | bool]) -> str:
+    """Returns what `machine_class` tells in words: ``2 cores, no GPU``."""
+    cores = machine["cores"]
+    return f"{cores} {'core' if cores == 1 else 'cores'}, {'a GPU' if machine['gpu'] else 'no GPU'}"
+
+
 def _commit() -> tuple[str | None, bool]:
     """Commit of the repository this file stands in, and whether its tracked files differ from it."""
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
 from lerobot_adamanip.evaluation.in_vain import IN_VAIN
+from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
 from lerobot_adamanip.evaluation.results import ResultFile
@@ -100,11 +101,10 @@ def source_line(name: str, result: ResultFile) -> str:
     """Returns what a table was measured with."""
     commit = "no commit" if result.commit is None else f"commit {result.commit[:10]}"
     commit += " with changes" if result.changed else ""
-    cores, gpu = result.machine["cores"], "a GPU" if result.machine["gpu"] else "no GPU"
     taken = "" if result.seconds is None else f", {duration_text(result.seconds)}"
     made = f"{commit}, version {result.version}, fingerprint `{result.fingerprint}`"
     scenes = f"{_scenes(result)}, seeds {result.seeds[0]} to {result.seeds[1]}"
-    return f"`{result.command}`; {made}; {scenes}; {cores} cores, {gpu}{taken}. From `results/{name}`."
+    return f"`{result.command}`; {made}; {scenes}; {machine_text(result.machine)}{taken}. From `results/{name}`."
 
 
 def _heading(result: ResultFile) -> str:

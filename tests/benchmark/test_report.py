@@ -21,6 +21,7 @@ from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import difference, rate
 
 TRIALS = {
@@ -198,7 +199,10 @@ def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
     # Demonstrations: two sets of two categories, and two trials. Trainings: two methods of two categories and seeds,
     # and two trials of two seeds. Tests: two objects of three methods, two categories, two seeds, and those two trials.
     assert counts == {"collect": 4 + 1, "train": 8 + 2, "evaluate": 20 + 2}
-    assert "collecting: " in benchmark_page(report_of(cells))
+    page = benchmark_page(report_of(cells))
+    assert "collecting: " in page
+    assert "- on 2 cores, no GPU\n" in page
+    assert machine_text({"cores": 1, "gpu": True}) == "1 core, a GPU"
 
 
 def test_no_result_is_no_table(tmp_path: Path) -> None:
