@@ -231,8 +231,10 @@ def _costs(report: BenchmarkReport) -> str:
         f"- {_KINDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {len(found)} times"
         for kind, found in costs.items()
     ]
-    machines = {machine_text(each.machine) for found in costs.values() for each in found}
-    lines.append(f"- on {'; '.join(sorted(machines))}")
+    machines = sorted(
+        (each.machine for found in costs.values() for each in found), key=lambda m: (m["cores"], m["gpu"])
+    )
+    lines.append(f"- on {'; '.join(dict.fromkeys(map(machine_text, machines)))}")
     for what, values in (
         (
             "commit",
