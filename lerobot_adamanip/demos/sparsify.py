@@ -140,8 +140,9 @@ def _late_ends(
     late, last = set[int](), len(stay_end) - 1
     for t in given_up:
         for end in stay_end[t : t + 1 + _SPRINGS].tolist():
-            near = end >= 0 and distance(trajectory.pose[t], trajectory.pose[end]) <= options.same_place
-            if near and (is_open[t : end + 1] == is_open[t]).all():
+            # All the while: of samples that were kept before, the next but one may be where an arm has come back to.
+            stays = (distance(trajectory.pose[t], pose) <= options.same_place for pose in trajectory.pose[t : end + 1])
+            if end >= 0 and all(stays) and (is_open[t : end + 1] == is_open[t]).all():
                 late.add(end)
     return late - {last}
 

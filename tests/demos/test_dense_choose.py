@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_helpers import STOPS, WALL, Stop, dense_episode, jumped
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lerobot_adamanip.demos.dense.choose import DenseEpisode, choose_key_frames
@@ -49,6 +49,7 @@ def test_the_last_row_stays_where_the_tool_is() -> None:
     assert chosen.rows[-1] == len(episode) - 1
 
 
+@example([(1, 0, False, 8), (0, 0, True, 8), (1, 0, True, 8), (0, 0, False, 8)], 0)  # there, and back again
 @settings(max_examples=15, deadline=None)
 @given(
     st.lists(
