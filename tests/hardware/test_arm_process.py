@@ -230,6 +230,28 @@ def test_in_lockstep_each_target_takes_its_share_of_time_and_nothing_else_does()
         assert ended.reading.outcome is Outcome.REACHED
 
 
+def test_in_lockstep_a_reset_is_seen_at_once_and_begins_time_anew() -> None:
+    """Nothing ticks between a reset and the next observation; and steps before it leave no part of a tick behind."""
+    with fake_arm(LOCKSTEP, speed=1.0) as arm:
+        start = arm.status().reading
+        assert start is not None
+        for steps_before in (1, 2, 3):
+            for _ in range(steps_before):
+                arm.send(pose_ahead(arm, 0.2), Execution.STREAM)
+            moved = arm.status().reading
+            assert moved is not None
+            assert moved.tcp_in_base[0, 3] > start.tcp_in_base[0, 3] + 0.01
+            arm.request("reset", {"seed": 7})
+            again = arm.status().reading
+            assert again is not None
+            np.testing.assert_array_equal(again.tcp_in_base, start.tcp_in_base)
+            arm.send(pose_ahead(arm, 0.2), Execution.STREAM)
+            stepped = arm.status().reading
+            assert stepped is not None
+            assert stepped.robot_time - again.robot_time == pytest.approx(0.02)  # one tick of the 33 ms, 13 are owed
+            arm.request("reset", {"seed": 7})
+
+
 RECORDER = """
 import sys, time
 sys.path.insert(0, {helpers!r})

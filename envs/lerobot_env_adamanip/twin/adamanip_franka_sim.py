@@ -12,6 +12,7 @@ from lerobot_adamanip import files
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.served import RESET
 from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.hardware.session import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
@@ -138,7 +139,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     def put_up(self, seed: int) -> None:
         """Puts up the scene of a seed, with the arm at its start. Raises `RobotError`."""
         assert self._client is not None
-        told = self._client.request("reset", {"seed": seed}, time_limit=RESET_TIME)
+        told = self._client.request(RESET, {"seed": seed}, time_limit=RESET_TIME)
         details = self._session.details
         details.pop(OPERATOR_SUCCESS, None)
         details.update(told)

@@ -12,7 +12,10 @@ from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 Handler = Callable[[dict[str, Any]], dict[str, Any]]
 """Answers one request: JSON-able values in, JSON-able values out; raises `AdaManipError` or ValueError for a refusal.
 It runs between two ticks, in the one thread that calls the backend, and may take as long as it needs: no tick, and no
-watchdog, runs meanwhile."""
+watchdog, runs meanwhile. The status that the recorder sees next is of after it."""
+
+RESET = "reset"
+"""The request that puts scene and arm up anew: what is measured after it depends on nothing before it."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,7 @@ class Served:
 
     Attributes:
         backend: moves the arm.
-        handlers: request -> what answers it, e.g. ``reset``. `server.OWN_REQUESTS` are the server's own.
+        handlers: request -> what answers it, e.g. `RESET`. `server.OWN_REQUESTS` are the server's own.
         describe: told once, right after `connect`: what the recorder should know (JSON-able).
     """
 

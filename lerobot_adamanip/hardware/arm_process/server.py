@@ -44,7 +44,7 @@ from lerobot_adamanip.hardware.arm_process.messages import (
 )
 from lerobot_adamanip.hardware.arm_process.options import Start, parse_start
 from lerobot_adamanip.hardware.arm_process.parent import ended_with, killed_with_parent
-from lerobot_adamanip.hardware.arm_process.served import BackendFactory, Handler, Served
+from lerobot_adamanip.hardware.arm_process.served import RESET, BackendFactory, Handler, Served
 from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
 
 REST_SPEED = 0.005
@@ -70,7 +70,8 @@ class ArmServer:
         self._backend, self._connection, self._options = served.backend, connection, start.server
         self._command, self._status = boxes[COMMAND], boxes[STATUS]
         own: dict[str, Handler] = {"step": self._step, "stop": self._hold, "recover": self._recover}
-        self._handlers = {**served.handlers, **own}
+        asked = {name: self._followed(name, handler) for name, handler in served.handlers.items()}
+        self._handlers = {**asked, **own}
         self._parent, self._ended = os.getppid(), False
         self._reading: ArmReading | None = None
         self._accepted = self._faults = 0
@@ -206,6 +207,23 @@ class ArmServer:
                 self._backend.stop()
 
     # Requests --------------------------------------------------------------------------------------------------------
+
+    def _followed(self, ask: str, handler: Handler) -> Handler:
+        """Returns the handler of a backend, followed by a look at what it has changed: no tick may come before the next
+        observation.
+        """
+
+        def answer(values: dict[str, Any]) -> dict[str, Any]:
+            began = time.perf_counter()
+            told = handler(values)
+            self._advanced += time.perf_counter() - began  # the arm could not move on
+            if ask == RESET:
+                self._owed = 0.0
+            self._try(self._read)
+            self._publish()
+            return told
+
+        return answer
 
     def _hold(self, _: dict[str, Any]) -> dict[str, Any]:
         self._holding = True

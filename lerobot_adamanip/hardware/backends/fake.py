@@ -19,7 +19,7 @@ import numpy as np
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
-from lerobot_adamanip.hardware.arm_process.served import Served
+from lerobot_adamanip.hardware.arm_process.served import RESET, Served
 from lerobot_adamanip.keyframes import Outcome
 from lerobot_adamanip.rotations import (
     matrix_from_rotation_vector,
@@ -253,4 +253,4 @@ def serve_fake(options: dict[str, Any]) -> Served:
     if found.log and not Path(found.log).parent.is_dir():
         raise ValueError(f"no folder for the log {found.log!r}")
     backend = FakeBackend(found)
-    return Served(backend, {"inject": backend.inject, "reset": backend.reset, "targets": backend.targets}, dict)
+    return Served(backend, {"inject": backend.inject, RESET: backend.reset, "targets": backend.targets}, dict)

@@ -8,7 +8,7 @@ from typing import Any
 
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.served import BackendFactory, Served
+from lerobot_adamanip.hardware.arm_process.served import RESET, BackendFactory, Served
 from lerobot_adamanip.hardware.arm_process.server import run_server
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.pointcloud import Workspace
@@ -34,7 +34,7 @@ def _sapien(options: dict[str, Any], boxes: Mapping[str, Mailbox]) -> Served:
     environment = found.pop("environment")
     environment["workspace"] = Workspace(**_WORKSPACE("workspace", environment["workspace"]))
     backend = SapienBackend(TwinOptions(environment=EnvironmentOptions(**environment), **found), boxes)
-    handlers = {"reset": backend.reset, "look": backend.look, "episode": backend.episode}
+    handlers = {RESET: backend.reset, "look": backend.look, "episode": backend.episode}
     return Served(backend, handlers, backend.describe)
 
 
