@@ -20,7 +20,7 @@ from lerobot_adamanip.errors import ConfigurationError
 def test_the_papers_declaration_has_every_method_of_the_paper() -> None:
     found = read_declaration()
     assert {method.paper for method in found.methods.values()} - {""} == set(SUCCESS)
-    assert set(found.scales) == {"smoke", "cpu", "full"}
+    assert set(found.scales) == {"smoke", "overfit", "cpu", "full"}
     assert found.scale("cpu").categories == tuple(CATEGORIES)
     assert found.scale("cpu").episodes >= 50
     assert found.trials is not None
