@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 import shlex
 import subprocess
 import sys
@@ -33,6 +32,7 @@ from typing import Any
 
 from check_common import ROOT, count, list_of
 
+from lerobot_adamanip.benchmark.command import environment
 from lerobot_adamanip.benchmark.training import last_checkpoint, resuming, trained_steps
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
@@ -49,7 +49,6 @@ SAVE_EVERY = 4000
 """Steps that an interrupted training loses at most."""
 SEVERAL_TASKS = ("--policy.use_instruction=true", "--policy.balance_tasks=true")
 OBJECTS = ("seen", "unseen", "novel")
-ENVIRONMENT = {**os.environ, "HF_HUB_OFFLINE": "1", "TOKENIZERS_PARALLELISM": "false"}
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ class Run:
         begin = time.perf_counter()
         with (self.folder / f"{step}.log").open("ab") as told:
             done = subprocess.run(
-                [str(BIN / command), *arguments], cwd=ROOT, env=ENVIRONMENT, stdout=told, stderr=told, check=False
+                [str(BIN / command), *arguments], cwd=ROOT, env=environment(), stdout=told, stderr=told, check=False
             )
         if done.returncode:
             raise SystemExit(f"{command} failed with {done.returncode}: {self.folder / f'{step}.log'}")

@@ -82,12 +82,26 @@ def begun(
 ) -> subprocess.Popen[bytes]:
     """Returns the process of a program of this installation; arguments are those of `Runner`."""
     line = [find_program(command[0]), *command[1:]]
-    limit = {_THREADS: str(threads)} if threads else {}
-    environment = {**_DEFAULTS, **limit, **os.environ}
     with log.open("ab") as said:
         return subprocess.Popen(
-            line, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=said, stderr=said, pass_fds=pass_fds
+            line,
+            cwd=folder,
+            env=environment(threads),
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=said,
+            pass_fds=pass_fds,
         )
+
+
+def environment(threads: int = 0) -> dict[str, str]:
+    """Returns the environment of commands: this process's, and where that says nothing, what suits long work.
+
+    Args:
+        threads: of a command at most; 0 for no limit.
+    """
+    limit = {_THREADS: str(threads)} if threads else {}
+    return {**_DEFAULTS, **limit, **os.environ}
 
 
 def run_command(command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0) -> Running:
