@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
+from lerobot_adamanip.hardware.arm_process.program import run_server
 from lerobot_adamanip.hardware.arm_process.served import BackendFactory, Served
-from lerobot_adamanip.hardware.arm_process.server import run_server
 
 
 def _fake(options: dict[str, Any], _: Mapping[str, Mailbox]) -> Served:

@@ -1,7 +1,6 @@
 """What runs in the arm's process: targets in, states out, and what stops the arm when one of the two ends.
 
-A program of this kind is a few lines: a table of backends, and ``sys.exit(run_server(BACKENDS, sys.argv[1]))``. One
-thread does everything. A tick, every `ArmBackend.period` seconds:
+Begun by `program`. One thread does everything. A tick, every `ArmBackend.period` seconds:
 
 1. requests are answered (`OWN_REQUESTS` and the backend's handlers);
 2. the newest target, if there is a new one, is passed on to an arm that is well: `begin_keyframe` or `stream`;
@@ -22,9 +21,8 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -42,9 +40,8 @@ from lerobot_adamanip.hardware.arm_process.messages import (
     unpack_request,
     unpack_target,
 )
-from lerobot_adamanip.hardware.arm_process.options import Start, parse_start
-from lerobot_adamanip.hardware.arm_process.parent import ended_with, killed_with_parent
-from lerobot_adamanip.hardware.arm_process.served import RESET, BackendFactory, Handler, Served
+from lerobot_adamanip.hardware.arm_process.options import Start
+from lerobot_adamanip.hardware.arm_process.served import RESET, Handler, Served
 from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
 
 REST_SPEED = 0.005
@@ -278,37 +275,3 @@ class ArmServer:
                     return
                 if self._options.lockstep_fps is None:
                     time.sleep(self._backend.period)
-
-
-def run_server(backends: Mapping[str, BackendFactory], argument: str) -> int:
-    """Runs an arm's process to its end and returns its exit status.
-
-    Args:
-        backends: name -> factory: the closed table of this program.
-        argument: `Start` as JSON, from the client.
-    """
-    start = parse_start(argument)
-    connection = Connection(start.socket)
-    try:
-        boxes = SharedMailboxes(start.mailboxes(), start.memory)
-        if start.backend not in backends:
-            raise ValueError(f"unknown backend {start.backend!r}; known are {', '.join(backends)}")
-        served = backends[start.backend](start.options, {name: boxes[name] for name in start.frames})
-        with killed_with_parent():
-            served.backend.connect()
-    except (AdaManipError, ValueError) as error:
-        with contextlib.suppress(OSError):
-            connection.send_bytes(pack_reply(Reply(0, str(error) or type(error).__name__)))
-        return 1
-    try:
-        with contextlib.suppress(OSError):
-            connection.send_bytes(pack_reply(Reply(0, None, served.describe())))
-        ArmServer(served, connection, boxes, start).run()
-    except Exception as error:
-        with contextlib.suppress(OSError):
-            connection.send_bytes(pack_reply(Reply(0, f"the arm's process failed: {ended_with(error)}")))
-        raise
-    finally:
-        served.backend.close()
-    sys.stdout.flush()
-    return 0

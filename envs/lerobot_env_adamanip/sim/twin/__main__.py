@@ -8,8 +8,8 @@ from typing import Any
 
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
+from lerobot_adamanip.hardware.arm_process.program import run_server
 from lerobot_adamanip.hardware.arm_process.served import RESET, BackendFactory, Served
-from lerobot_adamanip.hardware.arm_process.server import run_server
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.pointcloud import Workspace
 
