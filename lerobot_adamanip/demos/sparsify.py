@@ -138,12 +138,16 @@ def _late_ends(
     One that leaned on something springs back when its goal is given up, and may stay again right after that.
     """
     late, last = set[int](), len(stay_end) - 1
+
+    def near(a: int, b: int) -> bool:
+        return distance(trajectory.pose[a], trajectory.pose[b]) <= options.same_place
+
     for t in given_up:
-        for end in stay_end[t : t + 1 + _SPRINGS].tolist():
-            # All the while: of samples that were kept before, the next but one may be where an arm has come back to.
-            stays = (distance(trajectory.pose[t], pose) <= options.same_place for pose in trajectory.pose[t : end + 1])
-            if end >= 0 and all(stays) and (is_open[t : end + 1] == is_open[t]).all():
-                late.add(end)
+        # All the while: of samples that were kept before, the next but one may be where an arm has come back to.
+        left = t + 1
+        while left <= last and is_open[left] == is_open[t] and near(t, left):
+            left += 1
+        late.update(end for end in stay_end[t : t + 1 + _SPRINGS].tolist() if 0 <= end < left)
     return late - {last}
 
 

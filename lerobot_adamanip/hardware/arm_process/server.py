@@ -83,8 +83,7 @@ class ArmServer:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder gets it as well, and ends this process in order
         signal.signal(signal.SIGTERM, lambda *_: self._end())
         lockstep = self._options.lockstep_fps is not None
-        self._try(self._read)
-        self._publish()
+        self._look()
         due = time.perf_counter()
         while not self._ended:
             due += self._backend.period
@@ -153,8 +152,12 @@ class ArmServer:
             self._hold({})
 
     def _tick(self) -> None:
-        """Advances and reads the backend, looks for trouble, publishes."""
+        """Advances the backend by a tick, and looks at it."""
         self._try(self._backend.tick)
+        self._look()
+
+    def _look(self) -> None:
+        """Reads the backend, looks for trouble, publishes."""
         self._try(self._read)
         self._publish()
 
@@ -216,8 +219,7 @@ class ArmServer:
             self._advanced += time.perf_counter() - began  # the arm could not move on
             if ask == RESET:
                 self._owed = 0.0
-            self._try(self._read)
-            self._publish()
+            self._look()
             return told
 
         return answer
