@@ -16,6 +16,10 @@ from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import CellResult, StepCost
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.rates import Difference, difference
+from lerobot_adamanip.schema import MAX_KEY_FRAMES
+
+BUDGETS = (5, 10, 15, 25, MAX_KEY_FRAMES)
+"""Key frames within which success is told."""
 
 type Place = tuple[str, int | None, str, str]
 """Method, trials (None in the table), category, split of objects: where a number stands."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.benchmark.numbers import pooled
 from lerobot_adamanip.benchmark.paper import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
-from lerobot_adamanip.benchmark.report import BenchmarkReport, Row, words
+from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Row, words
 from lerobot_adamanip.evaluation.plots import heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.schema import MAX_KEY_FRAMES
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _COLUMNS = 3
+_FEW = BUDGETS[2]
 
 
 def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
@@ -125,7 +126,7 @@ def _plot_wasted(report: BenchmarkReport, folder: Path) -> Path:
 
 
 def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
-    """Success against failed trials in the demonstrations, with intervals, beside the paper's."""
+    """Success against failed trials in the demonstrations, with intervals, beside the paper's, and within a budget."""
     figure = new_figure(6.5, 4.0)
     axes = figure.subplots()
     curves = sorted({(place[0], place[2], place[3]) for place in report.entries if place[1] is not None})
@@ -134,7 +135,12 @@ def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
         points = [(k, each.numbers.success) for k, each in found if each is not None]
         heights, errors = heights_and_errors([success for _, success in points])
         label = f"{category.replace('_', ' ')}, {objects} objects"
-        axes.errorbar([k for k, _ in points], heights, errors, marker="o", capsize=3, label=label)
+        drawn = axes.errorbar([k for k, _ in points], heights, errors, marker="o", capsize=3, label=label)
+        within = [100 * (each.numbers.opened_within(_FEW).rate or 0.0) for _, each in found if each is not None]
+        axes.plot(
+            [k for k, _ in points], within, ":", marker=".", color=drawn[0].get_color(),
+            label=f"{label}, within {_FEW} key frames",
+        )  # fmt: skip
     axes.plot(
         range(len(SUCCESS_BY_TRIALS)), SUCCESS_BY_TRIALS, "--", color="black", label=f"{TRIALS_CATEGORY}, the paper"
     )

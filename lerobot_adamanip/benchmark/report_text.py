@@ -12,16 +12,13 @@ from lerobot_adamanip.benchmark.paper import (
     reported,
     reported_mean,
 )
-from lerobot_adamanip.benchmark.report import BenchmarkReport, Entry, Row, words
+from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, Row, words
 from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.tables import duration_text, interval_text, is_half_of_range, markdown_table
-from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
-BUDGETS = (5, 10, 15, 25, MAX_KEY_FRAMES)
-"""Key frames within which success is told."""
 _LEGEND = (
     "Successes, episodes, and Wilson's 95 % interval, the episodes of all trainings of a method together (how much "
     "trainings differ is not in it); the mean counts categories alike, and is told where there are all of them. Rows "
@@ -151,7 +148,11 @@ def _trials(report: BenchmarkReport) -> str:
     for method, category, objects in curves:
         found = [report.entry(method, category, objects, trials) for trials in report.trials]
         cells = [NOT_RUN if each is None else interval_text(each.numbers.success) + _mark(each) for each in found]
-        rows.append([f"{_title(report, method)}, {words(category)}, {objects} objects", *cells])
+        curve = f"{_title(report, method)}, {words(category)}, {objects} objects"
+        rows.append([curve, *cells])
+        for budget in BUDGETS[1:-1]:
+            within = [NOT_RUN if each is None else interval_text(each.numbers.opened_within(budget)) for each in found]
+            rows.append([f"{curve}, within {budget} key frames", *within])
     values = dict(enumerate(SUCCESS_BY_TRIALS))
     papers = [f"*{values[trials]:.1f}*" if trials in values else "-" for trials in report.trials]
     rows.append([f"*the paper, {TRIALS_CATEGORY}*", *papers])

@@ -113,6 +113,13 @@ def test_curves_over_trials_and_key_frames(cells: Path) -> None:
     assert table is not None
     assert one is not None
     assert one.numbers == table.numbers, "one trial is what the table has"
+    for budget in (10, 15, 25):
+        told = trials[f"Ours, bottle, seen objects, within {budget} key frames"]
+        assert [cell.split("/")[0] for cell in told] == [
+            str(each.numbers.opened_within(budget).count)
+            for k in range(3)
+            if (each := report.entry("ours", "bottle", "seen", trials=k))
+        ]
     budgets = rows_of(page, "Success within a number of key frames")
     assert budgets["mean over the categories"] == ["objects", "5", "10", "15", "25", "45"]
     within = [table.numbers.opened_within(k).count for k in range(46)]
