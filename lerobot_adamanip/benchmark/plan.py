@@ -24,6 +24,8 @@ FOLDERS: Mapping[str, str] = {COLLECT: "demonstrations", TRAIN: "trainings", EVA
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
 """Of an evaluation's first scene, and of a policy's draws in it: the same for all methods and trainings."""
+_ATTEMPTS = 25
+"""Of an episode of demonstrations: with six failed trials each, safes that take many key frames run out of time."""
 _KEY = "{key}"
 _LENGTH = 16
 
@@ -127,7 +129,8 @@ def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) ->
         f"--mechanism-preset={wanted.mechanism_preset}",
         f"--root={FOLDERS[COLLECT]}/{_KEY}",
     )
-    return _step(COLLECT, command, code.demonstrations)
+    # Attempts of an episode end with the first success, so that a larger bound changes no dataset that is ever made.
+    return _step(COLLECT, command, code.demonstrations, aside=(f"--max-attempts={_ATTEMPTS}",))
 
 
 def _training(cell: Cell, method: Method, scale: Scale, collected: Step, code: Code) -> Step:

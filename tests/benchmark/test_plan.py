@@ -93,14 +93,16 @@ def test_unknown_names_are_one_error(selection: Selection, message: str) -> None
 @pytest.mark.parametrize("name", ["act", "dp3_adaptive_on_static", "dp3_adaptive"])
 def test_collecting_is_a_command_of_ours(name: str) -> None:
     declaration = read_declaration()
-    command = steps_of(declaration, name)[COLLECT].command
-    made = tyro.cli(Collect, args=command[2:], config=(tyro.conf.FlagCreatePairsOff,))
+    step = steps_of(declaration, name)[COLLECT]
+    made = tyro.cli(Collect, args=[*step.command[2:], *step.aside], config=(tyro.conf.FlagCreatePairsOff,))
     wanted = declaration.demonstrations[declaration.methods[name].demonstrations]
     assert (made.expert, made.trials, made.late_starts) == (wanted.expert, wanted.trials, wanted.late_starts)
     assert made.images == bool(wanted.image_size)
     objects = len(made.spec().objects)
     assert 0 <= made.episodes_per_object * objects - declaration.scale("cpu").demonstrations < objects
     assert not made.root.is_absolute()
+    assert made.max_attempts > Collect.max_attempts, "a scene that is hard to demonstrate in is no reason to stop"
+    assert not any("attempts" in word for word in step.command), "they decide nothing, and so are in no key"
 
 
 def steps_of(declaration: Declaration, name: str) -> dict[str, Step]:
