@@ -135,12 +135,11 @@ def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
         points = [(k, each.numbers.success) for k, each in found if each is not None]
         heights, errors = heights_and_errors([success for _, success in points])
         label = f"{category.replace('_', ' ')}, {objects} objects"
-        drawn = axes.errorbar([k for k, _ in points], heights, errors, marker="o", capsize=3, label=label)
+        trials = [k for k, _ in points]
+        drawn = axes.errorbar(trials, heights, errors, marker="o", capsize=3, label=label)
         within = [100 * (each.numbers.opened_within(_FEW).rate or 0.0) for _, each in found if each is not None]
-        axes.plot(
-            [k for k, _ in points], within, ":", marker=".", color=drawn[0].get_color(),
-            label=f"{label}, within {_FEW} key frames",
-        )  # fmt: skip
+        style = {"marker": ".", "color": drawn[0].get_color(), "label": f"{label}, within {_FEW} key frames"}
+        axes.plot(trials, within, ":", **style)
     axes.plot(
         range(len(SUCCESS_BY_TRIALS)), SUCCESS_BY_TRIALS, "--", color="black", label=f"{TRIALS_CATEGORY}, the paper"
     )
