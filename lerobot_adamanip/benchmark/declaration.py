@@ -12,7 +12,7 @@ from typing import Any
 from lerobot_adamanip import schema
 from lerobot_adamanip.benchmark.paper import SUCCESS
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.checked_json import Check, choice, integer, listing, mapping, number, table, text
+from lerobot_adamanip.checked_json import Check, choice, flag, integer, listing, mapping, number, table, text
 from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, LIMITS
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.experts import EXPERT_KINDS
@@ -92,6 +92,8 @@ class Scale:
         device: of torch.
         poses: of all scenes; empty for those of each set of demonstrations.
         evaluate: options of ``lerobot-eval``; those of a method win.
+        note: what its numbers say, for its report; ``beside_paper``: whether the paper's stand beside them there.
+            Neither decides a result.
     """
 
     objects: str
@@ -107,6 +109,8 @@ class Scale:
     categories: tuple[str, ...] = tuple(CATEGORIES)
     splits: tuple[str, ...] = ("seen", "unseen")
     seeds: tuple[int, ...] = (1000,)
+    note: str = ""
+    beside_paper: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,6 +268,8 @@ _SCALE: Mapping[str, Check] = {
     "categories": _CATEGORIES,
     "splits": _SPLITS,
     "seeds": listing(integer(0, 2**31 - 1), 1, 100),
+    "note": text(r"[^\r\n|*`<>]{0,300}", "a line of plain text"),
+    "beside_paper": flag,
 }
 _DEMONSTRATIONS: Mapping[str, Check] = {
     "expert": choice(EXPERT_KINDS),

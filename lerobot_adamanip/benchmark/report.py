@@ -31,7 +31,7 @@ class Row:
 
     Attributes:
         name, title: as declared, or as its results say where it is declared no more.
-        paper: what the paper calls it; empty if it is not in the paper.
+        paper: what the paper calls it; empty if it is not in the paper, or its numbers do not stand beside the scale's.
         package: that declares it; empty for the declaration itself.
     """
 
@@ -66,6 +66,8 @@ class BenchmarkReport:
 
     Attributes:
         scale: name.
+        note: what its numbers say; empty if the tables speak for themselves.
+        beside_paper: whether the paper's numbers stand beside them.
         reference: method that the others are compared with.
         rows: declared ones first.
         categories, splits: in the order of the tables.
@@ -77,6 +79,8 @@ class BenchmarkReport:
     """
 
     scale: str
+    note: str
+    beside_paper: bool
     reference: str
     rows: tuple[Row, ...]
     categories: tuple[str, ...]
@@ -134,6 +138,7 @@ class BenchmarkReport:
         paper_names = {row.name: row.paper for row in self.rows}
         return {
             "scale": self.scale,
+            "note": self.note,
             "reference": self.reference,
             "methods": [
                 {**asdict(row), "means": self._means(row.name), "paper_mean": reported_mean(row.paper, self.categories)}
@@ -184,7 +189,7 @@ def make_report(
         unavailable: method -> why it cannot be run here, if that has been asked.
         stale: cells whose key is another one now, if that has been asked: a fingerprint does not tell of policies.
     """
-    cells = all_cells(declaration, scale)
+    cells, declared = all_cells(declaration, scale), declaration.scale(scale)
     options = {cell: options_key(cell, declaration, scale) for cell in cells}
     other_options = {each.cell for each in results if options.get(each.cell, each.options) != each.options}
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
@@ -192,8 +197,10 @@ def make_report(
     places = {_place(cell) for cell in (*cells, *there)}
     return BenchmarkReport(
         scale=scale,
+        note=declared.note,
+        beside_paper=declared.beside_paper,
         reference=declaration.reference,
-        rows=tuple(_rows(declaration, results)),
+        rows=tuple(_rows(declaration, declared.beside_paper, results)),
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
         trials=tuple(sorted({place[1] for place in places if place[1] is not None})),
@@ -232,9 +239,9 @@ def _place(cell: Cell) -> Place:
     return cell.method, cell.trials, cell.category, cell.objects
 
 
-def _rows(declaration: Declaration, results: Iterable[CellResult]) -> Iterable[Row]:
+def _rows(declaration: Declaration, beside_paper: bool, results: Iterable[CellResult]) -> Iterable[Row]:
     for name, method in declaration.methods.items():
-        yield Row(name=name, title=method.title, paper=method.paper, package=method.package)
+        yield Row(name=name, title=method.title, paper=method.paper if beside_paper else "", package=method.package)
     others = {
         result.cell.method: Row(name=result.cell.method, title=result.title, package=result.package)
         for result in results

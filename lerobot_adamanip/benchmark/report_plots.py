@@ -49,7 +49,8 @@ def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
         axes.set(ylabel=f"success [%], {objects} objects", ylim=(0, 103))
     _legend_of_all(figure, report.rows)
     path = folder / "success.png"
-    save_figure(figure, "Success with 95 % Wilson intervals; dashes: in the paper", path)
+    dashes = "; dashes: in the paper" if report.beside_paper else ""
+    save_figure(figure, f"Success with 95 % Wilson intervals{dashes}", path)
     return path
 
 
@@ -140,9 +141,9 @@ def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
         within = [100 * (each.numbers.opened_within(_FEW).rate or 0.0) for _, each in found if each is not None]
         style = {"marker": ".", "color": drawn[0].get_color(), "label": f"{label}, within {_FEW} key frames"}
         axes.plot(trials, within, ":", **style)
-    axes.plot(
-        range(len(SUCCESS_BY_TRIALS)), SUCCESS_BY_TRIALS, "--", color="black", label=f"{TRIALS_CATEGORY}, the paper"
-    )
+    if report.beside_paper:
+        label = f"{TRIALS_CATEGORY}, the paper"
+        axes.plot(range(len(SUCCESS_BY_TRIALS)), SUCCESS_BY_TRIALS, "--", color="black", label=label)
     axes.set(xlabel="failed trials in the demonstrations", ylabel="success [%]", ylim=(0, 103))
     axes.legend(frameon=False, fontsize=8)
     path = folder / "trials.png"

@@ -21,9 +21,11 @@ NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
 _LEGEND = (
     "Successes, episodes, and Wilson's 95 % interval, the episodes of all trainings of a method together (how much "
-    "trainings differ is not in it); the mean counts categories alike, and is told where there are all of them. Rows "
-    "in italics are the paper's, mean ± deviation in %, on its own objects and in its own simulator; over what they "
-    "deviate it does not say."
+    "trainings differ is not in it); the mean counts categories alike, and is told where there are all of them."
+)
+_PAPER_LEGEND = (
+    "Rows in italics are the paper's, mean ± deviation in %, on its own objects and in its own simulator; over what "
+    "they deviate it does not say."
 )
 _MARKS = {
     OTHER_CODE: "of other code than the present: not what it would give",
@@ -62,7 +64,13 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
 
 def _extent(report: BenchmarkReport) -> str:
     """What was reached and what was not, with reasons."""
-    lines = [f"{len(report.results)} results. {_LEGEND}"]
+    legends = [
+        report.note,
+        f"{len(report.results)} results.",
+        _LEGEND,
+        _PAPER_LEGEND * report.beside_paper,
+    ]
+    lines = [" ".join(filter(None, legends))]
     marks = [
         f"{mark}: {meaning}"
         for mark, meaning in _MARKS.items()
@@ -153,9 +161,10 @@ def _trials(report: BenchmarkReport) -> str:
         for budget in BUDGETS[1:-1]:
             within = [NOT_RUN if each is None else interval_text(each.numbers.opened_within(budget)) for each in found]
             rows.append([f"{curve}, within {budget} key frames", *within])
-    values = dict(enumerate(SUCCESS_BY_TRIALS))
-    papers = [f"*{values[trials]:.1f}*" if trials in values else "-" for trials in report.trials]
-    rows.append([f"*the paper, {TRIALS_CATEGORY}*", *papers])
+    if report.beside_paper:
+        values = dict(enumerate(SUCCESS_BY_TRIALS))
+        papers = [f"*{values[trials]:.1f}*" if trials in values else "-" for trials in report.trials]
+        rows.append([f"*the paper, {TRIALS_CATEGORY}*", *papers])
     return markdown_table(["", *map(str, report.trials)], rows)
 
 

@@ -84,6 +84,16 @@ def test_the_table_stands_beside_the_papers(cells: Path) -> None:
     assert "*Ours*" not in unseen, "the paper tests on the objects it trains on"
 
 
+def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
+    scale = {**content()["scales"][SCALE], "note": "One object, learnt by heart.", "beside_paper": False}
+    report = make_report(read_cells(cells), declared(scales={SCALE: scale}, trials=TRIALS), SCALE, {CODE.episodes})
+    page = benchmark_page(report)
+    assert "One object, learnt by heart. " in page
+    assert "*Ours*" not in page
+    assert "the paper" not in page.lower()
+    assert not any(entry["paper"] for entry in report.to_json()["entries"])
+
+
 def test_the_order_of_the_means_stands_beside_the_papers(cells: Path) -> None:
     report = report_of(cells)
     means = {title: report.mean(name, "seen") for name, title in (("untrained", "Untrained"), ("ours", "Ours"))}
