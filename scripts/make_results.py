@@ -15,8 +15,8 @@ from pathlib import Path
 from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import read_declaration
-from lerobot_adamanip.benchmark.report import make_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
+from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.evaluation.draws import CHOICES, MOTIONS, choices_page, motions_page, read_reports
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
@@ -33,12 +33,12 @@ def read_results(folder: Path) -> dict[str, ResultFile]:
     return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
 
 
-def benchmark_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
-    """Yields the part of docs/results.md of each scale that the paper's declaration has results of."""
+def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[BenchmarkReport]:
+    """Yields the report of each scale that the paper's declaration has results of."""
     declaration = read_declaration()
     for scale in declaration.scales:
         if results := read_cells(folder / "benchmark" / scale):
-            yield benchmark_page(make_report(results, declaration, scale, present), level=2)
+            yield make_report(results, declaration, scale, present)
 
 
 def drawn_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
@@ -53,8 +53,11 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     """Returns document -> what it has to say."""
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
-    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present))
-    parts = (results_page(results, present), *drawn_pages(folder, present), *benchmark_pages(folder, present))
+    reports = list(benchmark_reports(folder, present))
+    means = filter(None, (means_line(report) for report in reports if report.beside_paper))
+    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, means))
+    pages = (benchmark_page(report, level=2) for report in reports)
+    parts = (results_page(results, present), *drawn_pages(folder, present), *pages)
     return {PAGE: "\n".join(parts), README: readme}
 
 

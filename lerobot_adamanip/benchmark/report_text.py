@@ -43,6 +43,23 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
     return "\n".join(parts)
 
 
+def means_line(report: BenchmarkReport) -> str:
+    """Returns the means over the categories in one line, best first; empty unless all cells are there and fresh."""
+    doubtful = any(each.other_code or each.other_options for each in report.entries.values())
+    if not report.results or report.missing or doubtful:
+        return ""
+    best = sorted(report.rows, key=lambda row: -(report.mean(row.name, report.splits[0]) or 0.0))
+    means = {row: [report.mean(row.name, objects) for objects in report.splits] for row in best}
+    told = [
+        f"{_name(row)} {', '.join(f'{100 * mean:.1f}' for mean in found if mean is not None)}"
+        for row, found in means.items()
+    ]
+    return (
+        f"All methods of the paper's table (`adamanip benchmark --scale {report.scale}`; mean success in % over "
+        f"{len(report.categories)} categories, {' and '.join(report.splits)} objects): {'; '.join(told)}."
+    )
+
+
 def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
     """Yields title and body of what there is to say."""
     if not report.results:

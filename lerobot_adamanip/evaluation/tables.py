@@ -58,11 +58,11 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
     return "\n".join(parts)
 
 
-def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
+def readme_block(results: Mapping[str, ResultFile], present: Container[str], more: Iterable[str] = ()) -> str:
     """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
 
     What policies were chosen by is no number to show there: validation scenes stand on the page alone. So do experts,
-    once a policy was measured. A single number needs no table.
+    once a policy was measured. A single number needs no table. ``more`` are further lines to show.
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
@@ -72,7 +72,8 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
     for result in fresh:
         told = f" {_success(result.rows[0])}" if len(result.rows) == 1 else f"\n\n{result_table(result, brief=True)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
-    parts.append("Commands, commits and hidden values: [results](docs/results.md)." if fresh else NOTHING)
+    parts += [f"{line}\n" for line in more]
+    parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
     return "\n".join([*parts, END])
 
 

@@ -18,7 +18,7 @@ from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.numbers import Numbers, pooled
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.origin import machine_text
@@ -82,6 +82,22 @@ def test_the_table_stands_beside_the_papers(cells: Path) -> None:
     assert rows["*Sampling*"] == ["*17.4 ± 9.7*", "*15.7 ± 11.9*", "*16.5*"]
     unseen = rows_of(benchmark_page(report_of(cells)), "Success on unseen objects")
     assert "*Ours*" not in unseen, "the paper tests on the objects it trains on"
+
+
+def test_the_means_in_one_line_are_of_a_whole_table_alone(cells: Path) -> None:
+    report = report_of(cells)
+    line = means_line(report)
+    titles = {"untrained": "Untrained", "ours_on_static": "Ours on static", "ours": "Ours"}
+    for name, title in titles.items():
+        means = [100 * (report.mean(name, objects) or 0.0) for objects in report.splits]
+        assert f" {title} {means[0]:.1f}, {means[1]:.1f}" in line
+    places = {name: line.index(f" {title} ") for name, title in titles.items()}
+    assert [report.mean(name, "seen") for name in sorted(places, key=places.__getitem__)] == sorted(
+        (report.mean(name, "seen") for name in titles), reverse=True
+    )
+    assert means_line(make_report(read_cells(cells), wide(), SCALE, set())) == "", "of other code"
+    next(iter(sorted(cells.glob("ours-*.json")))).unlink()
+    assert means_line(report_of(cells)) == ""
 
 
 def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
