@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
+from lerobot_adamanip.benchmark.declaration import Declaration
+from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.benchmark.paper import SUCCESS
+from lerobot_adamanip.benchmark.declaration_fields import DECLARATION, DEMONSTRATIONS, METHOD, SCALE, TRIALS
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.checked_json import Check, choice, flag, integer, listing, mapping, number, table, text
-from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, LIMITS
+from lerobot_adamanip.checked_json import Check, choice, table
+from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS
 from lerobot_adamanip.errors import ConfigurationError, require_choice
-from lerobot_adamanip.experts import EXPERT_KINDS
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, MECHANISM_PRESETS
-from lerobot_adamanip.options import IMAGE_SIZES, POSES
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
+from lerobot_adamanip.options import POSES
 
-OBJECT_SPLITS = ("seen", "unseen", "novel")
 PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
 """The declaration that is used where no other is given."""
 METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
@@ -168,16 +166,16 @@ def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
 
 def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     """Returns the declaration in decoded TOML; raises ValueError that names what is wrong with it."""
-    found = _DECLARATION("the declaration", {"trials": {}, **content})
-    curve = TrialsCurve(**_TRIALS("trials", found["trials"])) if found["trials"] else None
+    found = DECLARATION("the declaration", {"trials": {}, **content})
+    curve = TrialsCurve(**TRIALS("trials", found["trials"])) if found["trials"] else None
     made = Declaration(
         reference=found["reference"],
-        scales={name: _made(Scale, _SCALE, f"scales.{name}", each) for name, each in found["scales"].items()},
+        scales={name: _made(Scale, SCALE, f"scales.{name}", each) for name, each in found["scales"].items()},
         demonstrations={
-            name: _made(Demonstrations, _DEMONSTRATIONS, f"demonstrations.{name}", each)
+            name: _made(Demonstrations, DEMONSTRATIONS, f"demonstrations.{name}", each)
             for name, each in found["demonstrations"].items()
         },
-        methods={name: _made(Method, _METHOD, f"methods.{name}", each) for name, each in found["methods"].items()},
+        methods={name: _made(Method, METHOD, f"methods.{name}", each) for name, each in found["methods"].items()},
         trials=curve,
     )
     _check_names(made)
@@ -197,7 +195,7 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
     try:
         if point.name in declaration.methods:
             raise ValueError("the declaration has a method of that name")
-        method = _made(Method, _METHOD, point.name, dict(point.load()))
+        method = _made(Method, METHOD, point.name, dict(point.load()))
         _check_method(declaration, point.name, method)
     except Exception as error:  # whatever a package of somebody's does when it is imported
         raise ConfigurationError(
@@ -242,62 +240,3 @@ def _check_method(made: Declaration, name: str, method: Method) -> None:
 
 def _one_of(name: str, got: str, names: Mapping[str, Any] | Sequence[str]) -> None:
     choice(tuple(names))(name, got)
-
-
-NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
-TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
-_COUNT = integer(1, 10**8)
-_CATEGORIES, _SPLITS = (listing(choice(tuple(names)), 1, len(names)) for names in (CATEGORIES, OBJECT_SPLITS))
-_OPTIONS = listing(text(r"--[a-z][\w.]*=[^\r\n`]{0,400}", "an option --NAME=VALUE"), 0, 60)
-_ANYTHING = mapping(NAME, lambda _, value: value, 60)
-_DECLARATION = table(
-    {
-        "reference": NAME,
-        "scales": mapping(NAME, _ANYTHING, 20),
-        "demonstrations": mapping(NAME, _ANYTHING, 60),
-        "methods": mapping(NAME, _ANYTHING, 200),
-        "trials": _ANYTHING,
-    }
-)
-_SCALE: Mapping[str, Check] = {
-    "objects": text(r"[\w:,]{1,400}", "objects, as `adamanip collect --objects` takes them"),
-    **dict.fromkeys(("demonstrations", "steps", "batch_size", "save_every", "episodes", "environments"), _COUNT),
-    "device": text(r"[a-z]{1,10}(:\d{1,2})?", "a device of torch"),
-    "poses": choice(("", *POSES)),
-    "evaluate": _OPTIONS,
-    "categories": _CATEGORIES,
-    "splits": _SPLITS,
-    "seeds": listing(integer(0, 2**31 - 1), 1, 100),
-    "note": text(r"[^\r\n|*`<>]{0,300}", "a line of plain text"),
-    "beside_paper": flag,
-}
-_DEMONSTRATIONS: Mapping[str, Check] = {
-    "expert": choice(EXPERT_KINDS),
-    "trials": integer(*LIMITS["trials"]),
-    "late_starts": number(0, 1),
-    "num_points": integer(1, 16_384),
-    "image_size": integer(0, IMAGE_SIZES[1]),
-    "poses": choice(POSES),
-    "mechanism_preset": choice(tuple(MECHANISM_PRESETS)),
-}
-_METHOD: Mapping[str, Check] = {
-    "title": TITLE,
-    "policy": NAME,
-    "options": listing(text(r"--policy\.[a-z][\w.]*=[^\r\n`]{0,400}", "an option --policy.NAME=VALUE"), 0, 60),
-    "demonstrations": text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or nothing"),
-    "train": _OPTIONS,
-    "evaluate": _OPTIONS,
-    "steps": mapping(NAME, _COUNT, 20),
-    "train_at": mapping(NAME, _OPTIONS, 20),
-    "paper": choice(("", *SUCCESS)),
-}
-_TRIALS = table(
-    {
-        "method": NAME,
-        "numbers": listing(integer(0, LIMITS["trials"][1]), 1, 30),
-        "none": NAME,
-        "categories": _CATEGORIES,
-        "splits": _SPLITS,
-        "scales": listing(NAME, 1, 20),
-    }
-)

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
+from lerobot_adamanip.benchmark.declaration import Declaration
+from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.numbers import Numbers, pooled
 from lerobot_adamanip.benchmark.paper import reported, reported_mean
 from lerobot_adamanip.benchmark.plan import options_key

@@ -15,7 +15,8 @@ from lerobot_adamanip.benchmark.paper import (
 from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, Row, words
 from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import Difference
-from lerobot_adamanip.evaluation.tables import duration_text, interval_text, is_half_of_range, markdown_table
+from lerobot_adamanip.evaluation.tables import is_half_of_range
+from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table
 
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"

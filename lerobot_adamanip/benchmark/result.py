@@ -11,7 +11,7 @@ from typing import Any
 
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.declaration import NAME, OBJECT_SPLITS, TITLE
+from lerobot_adamanip.benchmark.declaration_fields import NAME, OBJECT_SPLITS, TITLE
 from lerobot_adamanip.benchmark.numbers import Numbers
 from lerobot_adamanip.benchmark.plan import FOLDERS, Step
 from lerobot_adamanip.categories import CATEGORIES

@@ -30,7 +30,7 @@ from lerobot_adamanip.demos.cluster import require_usable
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.origin import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate
-from lerobot_adamanip.evaluation.tables import interval_text
+from lerobot_adamanip.evaluation.texts import interval_text
 from lerobot_adamanip.files import write_atomically
 
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143

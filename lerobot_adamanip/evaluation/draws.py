@@ -14,7 +14,7 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.checked_json import choice, integer, listing, mapping, number, optional, table, text
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.results import check_command
-from lerobot_adamanip.evaluation.tables import markdown_table
+from lerobot_adamanip.evaluation.texts import markdown_table
 from lerobot_adamanip.keyframes import Phase
 
 NO_TRY = "no try"

@@ -9,9 +9,10 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
 from lerobot_adamanip.evaluation.in_vain import IN_VAIN
 from lerobot_adamanip.evaluation.origin import machine_text
-from lerobot_adamanip.evaluation.rates import Rate, rate
+from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
 from lerobot_adamanip.evaluation.results import ResultFile
+from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table
 
 START, END = "<!-- results -->", "<!-- /results -->"
 INTRODUCTION = """# Results
@@ -114,17 +115,6 @@ def _heading(result: ResultFile) -> str:
 
 def _scenes(result: ResultFile) -> str:
     return "scenes of no split" if result.scenes is None else f"{result.scenes} scenes"
-
-
-def duration_text(seconds: float) -> str:
-    """Returns ``90 s``, ``45 min`` or ``3.2 h``."""
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 120
-        else f"{seconds / 60:.0f} min"
-        if seconds < 7200
-        else f"{seconds / 3600:.1f} h"
-    )
 
 
 def _expert_table(rows: Sequence[ResultRow]) -> str:
@@ -268,13 +258,6 @@ def _failures(rows: Iterable[ResultRow]) -> str:
     return failures_text({cause: count for cause, count in found.items() if count}) if counted else "-"
 
 
-def interval_text(share: Rate) -> str:
-    """Returns ``36/40: 90 % [76.9, 96.0]``; ``-`` of no episodes."""
-    if share.rate is None:
-        return "-"
-    return f"{share.count}/{share.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
-
-
 def _success(row: ResultRow) -> str:
     return interval_text(rate(row.successes, row.episodes))
 
@@ -293,8 +276,3 @@ def _hidden(rows: Iterable[ResultRow]) -> str:
                 before = counts.get(name, (0, 0))
                 counts[name] = (before[0] + count, before[1] + episodes)
     return ", ".join(f"{name} {count}/{episodes}" for name, (count, episodes) in sorted(counts.items())) or "-"
-
-
-def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table of Markdown."""
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ["---"] * len(titles), *rows))
