@@ -54,7 +54,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
-    means = filter(None, (means_line(report) for report in reports if report.beside_paper))
+    means = map(means_line, reports)
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, means))
     pages = (benchmark_page(report, level=2) for report in reports)
     parts = (results_page(results, present), *drawn_pages(folder, present), *pages)

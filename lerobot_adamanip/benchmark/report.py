@@ -231,11 +231,6 @@ def _entries(
     }
 
 
-def words(category: str) -> str:
-    """Returns how tables and pictures call a category: ``coffee maker``."""
-    return category.replace("_", " ")
-
-
 def _place(cell: Cell) -> Place:
     return cell.method, cell.trials, cell.category, cell.objects
 

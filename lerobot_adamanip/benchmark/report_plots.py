@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.benchmark.numbers import pooled
 from lerobot_adamanip.benchmark.paper import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
-from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Row, words
+from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Row
 from lerobot_adamanip.evaluation.plots import heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate
+from lerobot_adamanip.evaluation.texts import words
 from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
         found = [(k, report.entry(method, category, objects, k)) for k in report.trials]
         points = [(k, each.numbers.success) for k, each in found if each is not None]
         heights, errors = heights_and_errors([success for _, success in points])
-        label = f"{category.replace('_', ' ')}, {objects} objects"
+        label = f"{words(category)}, {objects} objects"
         trials = [k for k, _ in points]
         drawn = axes.errorbar(trials, heights, errors, marker="o", capsize=3, label=label)
         within = [100 * (each.numbers.opened_within(_FEW).rate or 0.0) for _, each in found if each is not None]

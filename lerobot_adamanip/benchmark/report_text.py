@@ -12,11 +12,11 @@ from lerobot_adamanip.benchmark.paper import (
     reported,
     reported_mean,
 )
-from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, Row, words
+from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, Row
 from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.tables import is_half_of_range
-from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table
+from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table, words
 
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
@@ -45,16 +45,17 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
 
 
 def means_line(report: BenchmarkReport) -> str:
-    """Returns the means over the categories in one line, best first; empty unless all cells are there and fresh."""
+    """Returns the means over the categories in one line, best first.
+
+    Empty unless all cells are there and of the present code, and where the paper's numbers do not stand beside them.
+    """
     doubtful = any(each.other_code or each.other_options for each in report.entries.values())
-    if not report.results or report.missing or doubtful:
+    if not report.beside_paper or not report.results or report.missing or doubtful:
         return ""
-    best = sorted(report.rows, key=lambda row: -(report.mean(row.name, report.splits[0]) or 0.0))
-    means = {row: [report.mean(row.name, objects) for objects in report.splits] for row in best}
-    told = [
-        f"{_name(row)} {', '.join(f'{100 * mean:.1f}' for mean in found if mean is not None)}"
-        for row, found in means.items()
-    ]
+    found = [(_name(row), [report.mean(row.name, objects) for objects in report.splits]) for row in report.rows]
+    means = [(name, [mean for mean in each if mean is not None]) for name, each in found if None not in each]
+    best = sorted(means, key=lambda item: -item[1][0])
+    told = [f"{name} {', '.join(f'{100 * mean:.1f}' for mean in each)}" for name, each in best]
     return (
         f"All methods of the paper's table (`adamanip benchmark --scale {report.scale}`; mean success in % over "
         f"{len(report.categories)} categories, {' and '.join(report.splits)} objects): {'; '.join(told)}."

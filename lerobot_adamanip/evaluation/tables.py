@@ -12,7 +12,7 @@ from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
 from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table
+from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table, words
 
 START, END = "<!-- results -->", "<!-- /results -->"
 INTRODUCTION = """# Results
@@ -63,7 +63,7 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], mor
     """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
 
     What policies were chosen by is no number to show there: validation scenes stand on the page alone. So do experts,
-    once a policy was measured. A single number needs no table. ``more`` are further lines to show.
+    once a policy was measured. A single number needs no table. ``more`` are further lines to show, unless empty.
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
@@ -73,7 +73,7 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], mor
     for result in fresh:
         told = f" {_success(result.rows[0])}" if len(result.rows) == 1 else f"\n\n{result_table(result, brief=True)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
-    parts += [f"{line}\n" for line in more]
+    parts += [f"{line}\n" for line in more if line]
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
     return "\n".join([*parts, END])
 
@@ -127,7 +127,7 @@ def _expert_table(rows: Sequence[ResultRow]) -> str:
     ]
     if len(names) > 1:
         lines.append(("all", [_cell(rows, column) for column in columns]))
-    return markdown_table(["", *titles], [[name.replace("_", " "), *cells] for name, cells in lines])
+    return markdown_table(["", *titles], [[words(name), *cells] for name, cells in lines])
 
 
 def _cell(rows: Iterable[ResultRow], column: tuple[str, str, str]) -> str:
@@ -157,7 +157,7 @@ def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
             lines.append(
                 [
                     name,
-                    category.replace("_", " "),
+                    words(category),
                     *cells,
                     _by_split(_wasted, by_split, splits),
                     _by_split(_repeated, by_split, splits),
@@ -190,7 +190,7 @@ def _seeds_table(rows: Sequence[ResultRow]) -> str:
         of_training = [[row for row in mine if row.subject == name] for name in names]
         wasted = [tries for tries in map(_mean_wasted, of_training) if tries is not None]
         cells = [_spread(values, ".1f", " %") for values in shares]
-        lines.append([category.replace("_", " "), str(len(of_training)), *cells, _spread(wasted, ".2f", "")])
+        lines.append([words(category), str(len(of_training)), *cells, _spread(wasted, ".2f", "")])
     return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
 
 

@@ -1,10 +1,15 @@
-"""How tables tell things: durations, shares with intervals, and tables of Markdown themselves."""
+"""How tables tell things: categories, durations, shares with intervals, and tables of Markdown themselves."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
 from lerobot_adamanip.evaluation.rates import Rate
+
+
+def words(category: str) -> str:
+    """Returns how tables and pictures call a category: ``coffee maker``."""
+    return category.replace("_", " ")
 
 
 def duration_text(seconds: float) -> str:

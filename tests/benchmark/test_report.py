@@ -108,6 +108,7 @@ def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
     assert "*Ours*" not in page
     assert "the paper" not in page.lower()
     assert not any(entry["paper"] for entry in report.to_json()["entries"])
+    assert means_line(report) == ""
 
 
 def test_the_order_of_the_means_stands_beside_the_papers(cells: Path) -> None:
