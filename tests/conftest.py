@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +52,8 @@ def _seed_everything() -> None:
         sys.modules["torch"].manual_seed(SEED)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _scratch() -> Iterator[None]:
-    yield
+def pytest_unconfigure() -> None:
+    """Removes the scratch folder: in runs that only collect and in the controller of xdist, too."""
     shutil.rmtree(_SCRATCH, ignore_errors=True)
 
 
