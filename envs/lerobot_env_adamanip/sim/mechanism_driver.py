@@ -44,8 +44,9 @@ class MechanismDriver:
     From reset on every joint is *held*: its limits are closed around where it stands, whatever the hidden draw, as the
     latch, detent or friction of a real one holds it below its break-away torque. So the simulator is the same to the
     bit under every hidden state. A joint is released for the rest of the episode when a closed hand that touches what
-    it carries is sent somewhere else: when it is tried. Until then nothing shows, neither on the way to a part, nor in
-    touching it, nor in closing the fingers on it. A *detent* holds the released ones, too, while a key frame does
+    it carries is sent somewhere else, or when a hand, whatever its fingers do, is sent against it in the direction in
+    which it moves (`HandTouch.pushed`): when it is tried. Until then nothing shows, neither on the way to a part, nor
+    in touching it, nor in closing the fingers on it. A *detent* holds the released ones, too, while a key frame does
     nothing but close the fingers: these close unevenly, and would move what is free before it is tried anew.
 
     Args:

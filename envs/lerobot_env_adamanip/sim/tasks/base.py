@@ -94,9 +94,8 @@ class AdaManipTask(BaseEnv):
         self.randomization = randomization(poses)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
-        self._image_size, self._depth_size, self._shader = image_size, depth_size, shader
-        self._cloud_source, self._workspace = resolve_cloud_source(cloud_source), workspace
-        self._renderer = render_backend
+        self._image_size, self._depth_size, self._shader, self._workspace = image_size, depth_size, shader, workspace
+        self._cloud_source, self._renderer = resolve_cloud_source(cloud_source), render_backend
         kwargs.setdefault("reconfiguration_freq", 1)
         device = device_for(self._cloud_source, render_backend, kwargs)
         super().__init__(
@@ -243,8 +242,7 @@ class AdaManipTask(BaseEnv):
         state = self._rules.draw(1, generator, overrides or None)
         arm, target = self.agent.robot._objs[0], self._objects.articulation._objs[0]
         self.mechanism_driver = MechanismDriver(self._rules, state, target, hold=self.holds_the_untried)
-        system = self.scene.sub_scenes[0].physx_system
-        self._touch = HandTouch(system, arm, target)
+        self._touch = HandTouch(system := self.scene.sub_scenes[0].physx_system, arm, target, self.obj)
         self._control_tick = ControlTick(system, arm, steps=self._sim_steps_per_control)
         self._arm = KeyframeDriver(
             self._kinematics,
@@ -278,11 +276,14 @@ class AdaManipTask(BaseEnv):
         self.mechanism_driver.apply()
 
     def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
-        """One control tick of a key frame. What is held is decided before it, see `MechanismDriver`."""
+        """One control tick of a key frame. What is held in it is decided before it, see `MechanismDriver`."""
         driver = self.mechanism_driver
-        trying = self._arm.moving_closed and driver.untried
-        driver.update(detent=self._arm.closing, tried=self._touch.joints() if trying else ())
+        closing, grasped = self._arm.closing, self._arm.moving_closed
+        driver.update(detent=closing, tried=self._touch.joints() if grasped and driver.untried else ())
         self._control_tick.run(target, velocity, finger)
+        if driver.untried:
+            pushed = self._touch.pushed(*map(self._kinematics.tcp_in_base, (target, self.arm_state().qpos)))
+            driver.update(detent=closing, tried=() if grasped or closing else pushed)
         driver.apply()
 
     # Outcome ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,125 @@
+"""What counts as a push, on contacts that are a few numbers: no simulator."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_env_adamanip.sim.touch import PUSH_LAG, PUSH_TURN_LAG, HandTouch
+
+STEP = 0.005
+AWAY = transform((0.0, 0.0, 0.0))
+
+
+class Body:
+    """A link, its body and its entity in one."""
+
+    def __init__(self, name: str, joint: Any = None) -> None:
+        self.name, self.entity, self.joint, self.parent = name, self, joint, None
+
+
+class Joint:
+    """Moves along x, or turns about it through the origin."""
+
+    dof = 1
+    global_pose = SimpleNamespace(to_transformation_matrix=lambda: np.eye(4, dtype=np.float32))
+
+    def __init__(self, kind: str) -> None:
+        self.type, self.name = kind, "scene-0-thing_part"
+
+
+class Scene:
+    """A finger at a part whose joint may go from 0 to 1."""
+
+    timestep = STEP
+
+    def __init__(self, kind: str = "prismatic", place: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        self.finger, self.part, self.place = Body("panda_leftfinger"), Body("part", Joint(kind)), place
+        self.contacts: list[Any] = []
+        arm: Any = SimpleNamespace(links=[self.finger])
+        target: Any = SimpleNamespace(
+            links=[self.part], active_joints=[self.part.joint], get_qpos=lambda: np.array([0.0])
+        )
+        joint = SimpleNamespace(name="part", limits=(0.0, 1.0))
+        self.touch = HandTouch(self, arm, target, SimpleNamespace(links=[SimpleNamespace(joint=joint)]))  # type: ignore[arg-type]
+
+    def get_contacts(self) -> list[Any]:
+        return self.contacts
+
+    def press(self, *force: float, hand_first: bool = False) -> None:
+        """The finger acts on the part with a force [N]."""
+        bodies = [self.finger, self.part] if hand_first else [self.part, self.finger]
+        impulse = np.array(force) * STEP * (-1.0 if hand_first else 1.0)
+        point = SimpleNamespace(impulse=impulse, position=np.array(self.place))
+        self.contacts = [SimpleNamespace(bodies=bodies, points=[point])]
+
+    def goes(self, *ways: Any, actual: Any = AWAY) -> set[str]:
+        """Sends the hand to one pose after the other; what it pushes at the last."""
+        found: set[str] = set()
+        for way in ways:
+            found = self.touch.pushed(way if np.ndim(way) == 2 else transform(way), actual)
+        return found
+
+
+@pytest.mark.parametrize("hand_first", [False, True])
+def test_a_hand_that_is_sent_on_where_the_part_moves_pushes_it(hand_first: bool) -> None:
+    scene = Scene()
+    scene.press(5.0, 0.0, 0.0, hand_first=hand_first)
+    assert scene.goes((0.0, 0.0, 0.0), (0.002, 0.0, 0.0)) == set()  # a touch
+    assert scene.goes((0.004, 0.0, 0.0)) == {"part"}
+
+
+@pytest.mark.parametrize(
+    ("force", "goal"),
+    [
+        ((0.5, 0.0, 0.0), (0.010, 0.0, 0.0)),  # a brush
+        ((0.0, 50.0, 0.0), (0.0, 0.010, 0.0)),  # leans on it where it does not move
+        ((-5.0, 0.0, 0.0), (-0.010, 0.0, 0.0)),  # against the end that it stands at
+        ((5.0, 50.0, 0.0), (0.004, 0.030, 0.0)),  # on its way past it
+        ((5.0, 0.0, 0.0), (-0.010, 0.0, 0.0)),  # turned aside while it is drawn back
+    ],
+)
+def test_what_is_no_push(force: tuple[float, ...], goal: tuple[float, ...]) -> None:
+    scene = Scene()
+    scene.press(*force)
+    assert scene.goes((0.0, 0.0, 0.0), goal) == set()
+
+
+def test_a_hand_that_slides_along_is_not_held_back() -> None:
+    scene = Scene()
+    scene.press(5.0, 0.0, 0.0)
+    there = transform((0.010, 0.0, 0.0))
+    assert scene.goes((0.0, 0.0, 0.0), there, actual=transform((0.010 - 0.9 * PUSH_LAG, 0.0, 0.0))) == set()
+
+
+def test_a_way_counts_from_the_touch_on() -> None:
+    scene = Scene()
+    scene.press(5.0, 0.0, 0.0)
+    assert scene.goes((0.0, 0.0, 0.0)) == set()
+    scene.contacts = []
+    assert scene.goes((0.004, 0.0, 0.0)) == set()
+    scene.press(5.0, 0.0, 0.0)
+    assert scene.goes((0.005, 0.0, 0.0), (0.007, 0.0, 0.0)) == set()
+    assert scene.goes((0.009, 0.0, 0.0)) == {"part"}
+
+
+def test_a_part_turns_by_a_hand_that_turns_about_its_axis() -> None:
+    scene = Scene("revolute", place=(0.0, 0.02, 0.0))  # 0.1 rad are 2 mm here
+    scene.press(0.0, 0.0, 5.0)
+    turned = [transform((0.0, 0.0, 0.0), rotation_about((1.0, 0.0, 0.0), angle)) for angle in (0.0, 0.02, 0.1)]
+    assert scene.goes(turned[0], turned[1]) == set()
+    assert scene.goes(turned[2]) == {"part"}
+    follows = transform((0.0, 0.0, 0.0), rotation_about((1.0, 0.0, 0.0), 0.1 - 0.9 * PUSH_TURN_LAG))
+    assert scene.goes(turned[2], actual=follows) == set()
+
+
+def test_two_fingers_that_clamp_a_part_push_it_nowhere() -> None:
+    scene = Scene()
+    scene.press(40.0, 0.0, 0.0)
+    other = SimpleNamespace(impulse=np.array([-39.5 * STEP, 0.0, 0.0]), position=np.zeros(3))
+    scene.contacts[0].points.append(other)
+    assert scene.goes((0.0, 0.0, 0.0), (0.010, 0.0, 0.0)) == set()
