@@ -11,6 +11,7 @@ lerobot-train. Scripts of one's own call `apply`. The other places that change L
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -18,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip import lerobot_version
+from lerobot_adamanip import UNSCALED_POSES, lerobot_version
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.pose_statistics import flat_names, unscaled_poses
 from lerobot_adamanip.schema import ACTION, LATEST_ONLY, POINT_CLOUD, POSE_NAMES, SKIP_VIDEOS
 
 TESTED = {"0.6.1": "e594c630a264f01d"}
@@ -29,9 +32,7 @@ _stock: type[Any] | None = None  # LeRobot's own reader, while it is replaced
 
 def is_ours(features: Mapping[str, Any]) -> bool:
     """Whether a dataset's features follow this project's contract: a point cloud, and poses by name as actions."""
-    names = (features.get(ACTION) or {}).get("names")
-    flat = [name for group in names.values() for name in group] if isinstance(names, Mapping) else list(names or ())
-    return POINT_CLOUD in features and flat == list(POSE_NAMES)
+    return POINT_CLOUD in features and flat_names(features.get(ACTION)) == list(POSE_NAMES)
 
 
 def is_tested() -> bool:
@@ -48,12 +49,20 @@ def _built_on() -> tuple[Any, ...]:
 def apply() -> bool:
     """Makes `LeRobotDataset` read our datasets with the faster reader, and all others as before. Idempotent.
 
+    Where `UNSCALED_POSES` is set, the metadata of our datasets has fixed ranges of rotation and gripper.
+
     Returns False, and warns once, for a LeRobot it was not tested with.
+
+    Raises:
+        ConfigurationError: `UNSCALED_POSES` is set, and this LeRobot was not tested.
     """
     global _stock  # noqa: PLW0603  (what LeRobot had is remembered once per process)
     if _stock is not None:
         return True
+    unscaled = os.environ.get(UNSCALED_POSES, "") not in ("", "0")
     if not is_tested():
+        if unscaled:
+            raise _cannot_leave_unscaled()
         lerobot_version.warn_untested(_log, TESTED, "its own, slower dataset reader stays")
         return False
     from lerobot.datasets import lerobot_dataset
@@ -64,13 +73,28 @@ def apply() -> bool:
     stock = lerobot_dataset.DatasetReader
 
     def make_reader(meta: Any, *args: Any, **kwargs: Any) -> Any:
-        return (FastDatasetReader if is_ours(meta.features) else stock)(meta, *args, **kwargs)
+        if not is_ours(meta.features):
+            return stock(meta, *args, **kwargs)
+        if unscaled and meta.stats:
+            meta.stats = unscaled_poses(meta.stats, meta.features)  # of which policies' normalisers are made
+        return FastDatasetReader(meta, *args, **kwargs)
 
     _stock = stock
     lerobot_dataset.DatasetReader = make_reader
     lerobot_batches.register()
     lerobot_offline.register(is_ours)
     return True
+
+
+def _cannot_leave_unscaled() -> ConfigurationError:
+    import lerobot
+
+    return ConfigurationError(
+        f"{UNSCALED_POSES} has no effect with this LeRobot.",
+        got=f"lerobot {lerobot.__version__}",
+        allowed=", ".join(TESTED),
+        hint=f"pip install 'lerobot=={next(iter(TESTED))}', or {UNSCALED_POSES}=0",
+    )
 
 
 def restore() -> None:

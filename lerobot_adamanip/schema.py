@@ -103,8 +103,9 @@ def dataset_features(
 def fix_pose_statistics(stats: Statistics) -> Statistics:
     """Returns dataset statistics with rotation 6D and gripper ranges set to [-1, 1] in state and action.
 
-    A dimension that hardly varies in the demonstrations explodes under LeRobot's MIN_MAX normalisation (its
-    denominator is the measured range); the true range of these dimensions is known, so it is written instead.
+    For normalising alone: ``meta/stats.json`` holds the statistics of the data. A dimension that hardly varies in the
+    demonstrations explodes under LeRobot's normalisation (its denominator is the measured range or deviation); the
+    true range of these dimensions is known and needs no scaling.
     """
     fixed = {key: dict(value) for key, value in stats.items()}
     dims = list(FIXED_RANGE_DIMS)

@@ -15,10 +15,14 @@ from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.observation import Observation, observation_columns
 
 Action = NDArray[np.float32]
+_ACTING = ("config.json", "model.safetensors", "policy_*processor*")
+"""Files of a checkpoint that decide how it acts."""
 
 
 def policy_hash(path: Path) -> str:
-    """Returns a hash of a checkpoint's weights and configuration: which policy it is, wherever it lies.
+    """Returns a hash of a checkpoint: weights, configuration, and both pipelines with what they normalise by.
+
+    Two checkpoints that act differently have different hashes, wherever they lie. How they were trained is left out.
 
     Raises:
         ConfigurationError: there is no checkpoint.
@@ -32,7 +36,10 @@ def policy_hash(path: Path) -> str:
                 allowed="the folder pretrained_model of a checkpoint",
                 hint="--policy outputs/.../checkpoints/last/pretrained_model",
             )
-        made.update((path / name).read_bytes())
+    names = {file.name for pattern in _ACTING for file in path.glob(pattern)}
+    for name in sorted(names):
+        content = (path / name).read_bytes()
+        made.update(f"{name} {len(content)}\n".encode() + content)
     return made.hexdigest()[:32]
 
 

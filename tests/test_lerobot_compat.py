@@ -16,10 +16,13 @@ import torch
 from lerobot.datasets import lerobot_dataset
 from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.policies.factory import make_policy_config, make_pre_post_processors
+from lerobot.utils.feature_utils import dataset_to_policy_features
 from readers import FPS, assert_same, opened
 
-from lerobot_adamanip import columns, lerobot_compat, lerobot_version, schema
+from lerobot_adamanip import UNSCALED_POSES, columns, lerobot_compat, lerobot_version, schema
 from lerobot_adamanip.columns import ColumnStore
+from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.lerobot_reader import FastDatasetReader
 
 LENGTHS = (5, 8, 2)
@@ -288,3 +291,38 @@ print(loaded is not None, getattr(getattr(loaded, "DatasetReader", None), "__nam
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[-2:] == [str(with_datasets), str(with_datasets and module == "lerobot_env_adamanip")]
+
+
+@pytest.mark.parametrize("kind", ["act", "diffusion"])
+def test_rotation_and_gripper_stay_unscaled_by_lerobots_policies_where_that_is_asked_for(
+    root: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """An environment variable, for LeRobot's commands make a policy's normaliser of the dataset's metadata."""
+    draw = torch.randn(5, schema.ACTION_DIM)
+    scaled = _normalised(root, kind, draw)
+    monkeypatch.setenv(UNSCALED_POSES, "1")
+    unscaled = _normalised(root, kind, draw)
+    torch.testing.assert_close(unscaled[:, 3:], draw[:, 3:], rtol=0, atol=1e-6)
+    assert torch.equal(unscaled[:, :3], scaled[:, :3])
+    assert (scaled[:, 3:] - draw[:, 3:]).abs().min() > 0
+
+
+def _normalised(root: Path, kind: str, actions: torch.Tensor) -> torch.Tensor:
+    """Actions (B, 10) as a policy of LeRobot is given them in a training on the dataset."""
+    lerobot_compat.restore()
+    meta = opened(root, lerobot_compat.apply).meta
+    config = make_policy_config(kind, device="cpu")
+    features = dataset_to_policy_features(meta.features)
+    config.output_features = {schema.ACTION: features[schema.ACTION]}
+    config.input_features = {schema.STATE: features[schema.STATE]}
+    before, _ = make_pre_post_processors(config, dataset_stats=meta.stats)
+    batch = {schema.STATE: torch.zeros(len(actions), 4), schema.ACTION: actions.clone()}
+    return torch.as_tensor(before(batch)[schema.ACTION])
+
+
+def test_an_untested_lerobot_says_that_it_cannot_leave_poses_unscaled(monkeypatch: pytest.MonkeyPatch) -> None:
+    lerobot_compat.restore()
+    monkeypatch.setenv(UNSCALED_POSES, "1")
+    monkeypatch.setattr(lerobot_compat, "TESTED", {"0.0.1": "no such source"})
+    with pytest.raises(ConfigurationError, match=UNSCALED_POSES):
+        lerobot_compat.apply()

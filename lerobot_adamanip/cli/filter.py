@@ -21,7 +21,7 @@ class Filter:
     A condition compares what is known of an episode: failed_tries>=1, recoveries>0, success=true, late=false,
     key_frames<=30, hidden.locked=true, category=safe, object_split=seen, object_id=safe_000,safe_003,
     episode_index=0:100 (100 left out). An unknown name lists the known ones. Rows, pictures and the columns of
-    episodes are kept as they are, and so are the known ranges of poses among the statistics.
+    episodes are kept as they are.
     """
 
     root: tyro.conf.Positional[Path]

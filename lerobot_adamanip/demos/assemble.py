@@ -30,7 +30,7 @@ from lerobot_adamanip.demos.prepare import (
     video_encoder,
 )
 from lerobot_adamanip.demos.shards import read_shard
-from lerobot_adamanip.demos.statistics import fix_statistics
+from lerobot_adamanip.demos.statistics import sort_statistics
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.jobs import JobResult, WorkerError
 from lerobot_adamanip.pointcloud import Workspace
@@ -220,7 +220,7 @@ def _box(workspace: Workspace | None) -> dict[str, Any]:
 
 
 def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:
-    fix_statistics(root)
+    sort_statistics(root)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [_json(record[key]) for record in records] for key in JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))

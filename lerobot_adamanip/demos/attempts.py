@@ -13,6 +13,8 @@ from lerobot_adamanip.demos.collection import CollectionPaths, EpisodeSpec
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, AttemptCounts
 from lerobot_adamanip.errors import DatasetError
 
+SUCCESS = "success"
+"""Reason of an attempt that succeeded."""
 NO_LAYOUT = "(no layout)"
 """Stands for the hidden state of an attempt for which no reachable layout was found."""
 
@@ -43,6 +45,11 @@ class AttemptRecord:
     key_frames: int
     late: bool
 
+    @property
+    def success(self) -> bool:
+        """Whether it succeeded: a policy's episodes that an expert corrects are kept without that, too."""
+        return self.reason == SUCCESS
+
 
 def all_attempts(
     paths: CollectionPaths, items: Iterable[EpisodeSpec], records: Iterable[Mapping[str, Any]]
@@ -63,7 +70,7 @@ def all_attempts(
 def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
     """An expert's episodes are kept if they succeed, a policy's that an expert corrects always."""
     facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
-    return {**facts, "reason": "success" if record["success"] else "corrected without success"}
+    return {**facts, "reason": SUCCESS if record["success"] else "corrected without success"}
 
 
 def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]:
@@ -108,15 +115,20 @@ def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, i
 
     A share that differs from value to value shows where successes alone would mislead.
     """
+    groups = grouped_by_hidden_value(attempts)
+    return {label: (sum(attempt.kept for attempt in group), len(group)) for label, group in groups.items()}
+
+
+def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
+    """Returns what was hidden -> attempts. An attempt is in a group for each of its hidden values."""
     listed = list(attempts)
     names = sorted({name for attempt in listed for name in attempt.hidden_state or {}})
-    table: dict[str, tuple[int, int]] = {}
+    table: dict[str, list[AttemptRecord]] = {}
     for name in names:
         mine = [attempt for attempt in listed if name in (attempt.hidden_state or {})]
-        for label, group in _groups(name, mine).items():
-            table[label] = (sum(attempt.kept for attempt in group), len(group))
+        table |= _groups(name, mine)
     if unplaced := [attempt for attempt in listed if attempt.hidden_state is None]:
-        table[NO_LAYOUT] = (0, len(unplaced))
+        table[NO_LAYOUT] = unplaced
     return table
 
 

@@ -8,10 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.assets import is_asset_id
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.categories import ALL
-from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_path, by_hidden_value, read_attempts
-from lerobot_adamanip.demos.collection import CollectionSpec, manifest_path
+from lerobot_adamanip.demos.attempts import (
+    SUCCESS,
+    AttemptRecord,
+    attempts_path,
+    grouped_by_hidden_value,
+    read_attempts,
+)
+from lerobot_adamanip.demos.collect_command import collect_command
+from lerobot_adamanip.demos.collection import manifest_path
+from lerobot_adamanip.demos.editing.selection import Selection, read_selection, selection_path
 from lerobot_adamanip.demos.loading import episode_records
 from lerobot_adamanip.demos.manifest import Manifest, read_manifest
 from lerobot_adamanip.fingerprint import combined
@@ -61,8 +70,16 @@ def read_dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path 
     path = manifest_path(folder)
     manifest = read_manifest(path, assets) if path.exists() else None
     attempts = read_attempts(attempts_path(folder)) if manifest is not None else []
+    records = episode_records(folder)
+    selection = read_selection(folder, len(records)) if selection_path(folder).exists() else None
     return dataset_card(
-        folder, name, manifest=manifest, records=episode_records(folder), attempts=attempts, repo_id=repo_id
+        folder,
+        name,
+        manifest=manifest,
+        records=records,
+        attempts=attempts,
+        repo_id=repo_id,
+        selection=selection,
     )
 
 
@@ -74,6 +91,7 @@ def dataset_card(
     records: list[dict[str, Any]],
     attempts: list[AttemptRecord],
     repo_id: str,
+    selection: Selection | None = None,
 ) -> str:
     """Returns the README of a dataset, with the numbers that are true of it. It holds no path of this machine.
 
@@ -84,15 +102,19 @@ def dataset_card(
         records: of its episodes.
         attempts: all that were made for the collection.
         repo_id: its name on the Hub.
+        selection: which episodes of the collection it holds, if not all.
     """
     info = json.loads((folder / "meta" / "info.json").read_text())
     return card_template("dataset_card.md").substitute(
-        _made(manifest, records, name.removesuffix("-failed")),
+        _made(manifest, records, name.removesuffix("-failed"), selection),
         **_recorded(records),
-        **_attempted(manifest, attempts, records),
+        **_attempted(None if selection else manifest, attempts, records),
+        **_seen(info, records),
         front_matter=front_matter("dataset", _header(info, name)),
         repo_id=repo_id,
         frames=info["total_frames"],
+        key_frames=info["total_frames"] - len(records),
+        root_option=" --dataset.root=DIR" if repo_id.startswith("local/") else "",
         features=_features(info["features"]),
         fps=info["fps"],
         citation=citation(),
@@ -112,20 +134,50 @@ def _header(info: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
-def _made(manifest: Manifest | None, records: list[dict[str, Any]], folder: str) -> dict[str, str]:
+def _made(
+    manifest: Manifest | None, records: list[dict[str, Any]], folder: str, selection: Selection | None
+) -> dict[str, str]:
     """Returns the fields of a card that say what was asked for."""
     categories = list(dict.fromkeys(category_of(record["object_id"]) for record in records))
     together = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
     parts = _fingerprints(records) if manifest is None else manifest.fingerprint
-    several = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
+    made = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
+    if manifest is not None:
+        made = f"```bash\n{collect_command(manifest.spec, 'DATASET' if selection else folder)}\n```"
+    if selection is not None:
+        made = f"{_chosen(selection)}\n\nHow `DATASET` was made:\n\n{made}"
     return {
         "title": "all categories" if together else categories[0].replace("_", " "),
         "env_type": "adamanip" if together else f"adamanip_{categories[0]}",
         "expert": "/".join(sorted({str(record["expert"]) for record in records})),
-        "made": several if manifest is None else f"```bash\n{command(manifest.spec, folder)}\n```",
+        "made": made,
         "fingerprint": ", ".join(parts.values()) if manifest is None else combined(manifest.fingerprint),
         "fingerprint_table": "\n".join(f"| {part} | `{value}` |" for part, value in sorted(parts.items())),
     }
+
+
+def _chosen(selection: Selection) -> str:
+    """Says which part of a dataset this is, and the commands that chose it."""
+    part = f"Part of `DATASET`: {len(selection.episodes)} of its {selection.source_episodes} episodes"
+    if not selection.made_with:
+        return f"{part}, listed in `meta/selection.json`."
+    commands = "\n".join(selection.made_with)
+    return f"{part}, listed in `meta/selection.json`, made with\n\n```bash\n{commands}\n```"
+
+
+def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, object]:
+    """Returns the fields of a card about the camera and what it looks at."""
+    picture = info["features"].get(schema.FRONT_IMAGE)
+    if picture is None:
+        pictures = "There are no pictures (`adamanip render` adds them)"
+    else:
+        height, width = picture["shape"][:2]
+        pictures = f"Pictures (`{schema.FRONT_IMAGE}`) have {width} x {height} pixels, RGB"
+    poses = {json.dumps(record["camera"].get("extrinsics", record["camera"]), sort_keys=True) for record in records}
+    moves = "its pose is drawn anew for each episode" if len(poses) > 1 else "its pose is the same in all episodes"
+    external = any(is_asset_id(str(record["object_id"])) for record in records)
+    objects = " from external models" if external else ", generated from parameters"
+    return {"pictures": pictures, "camera_pose": moves, "kind_of_objects": objects}
 
 
 def _fingerprints(records: list[dict[str, Any]]) -> dict[str, str]:
@@ -156,23 +208,34 @@ def _attempted(
     manifest: Manifest | None, attempts: list[AttemptRecord], records: list[dict[str, Any]]
 ) -> dict[str, object]:
     """Returns the fields of a card that count all attempts of the collection."""
-    counts = None if manifest is None else manifest.attempts
-    account = "what was attempted for them is told by the collections that it is made of"
-    if counts is not None:
-        rate = 100.0 * counts.kept / max(1, counts.attempted)
-        account = (
-            f"for the collection {counts.attempted} episodes were attempted, of which {counts.kept} "
-            f"({rate:.1f} %) succeeded and were kept, and\n{counts.given_up} wanted episodes were given up"
+    if manifest is None or manifest.attempts is None:
+        counted = [_as_attempt(record) for record in records]
+        rows = (
+            f"| `{label}` | {len(group)} | {sum(each.success for each in group)} |"
+            for label, group in grouped_by_hidden_value(counted).items()
         )
-    listed = attempts or [_as_attempt(record) for record in records]
-    rows = (f"| `{label}` | {kept} | {tried} |" for label, (kept, tried) in by_hidden_value(listed).items())
-    return {"account": account, "hidden_table": "\n".join(rows)}
+        account = "what was attempted for them is told by the collections that they are from"
+        header = "| hidden | episodes | of them succeeded |\n|---|---|---|"
+        return {"account": account, "hidden_table": "\n".join([header, *rows])}
+    succeeded = sum(attempt.success for attempt in attempts)
+    counts = manifest.attempts
+    account = (
+        f"for the collection {counts.attempted} episodes were attempted: {succeeded} "
+        f"({100.0 * succeeded / max(1, counts.attempted):.1f} %) succeeded,\n{counts.kept} were kept, and "
+        f"{counts.given_up} wanted episodes were given up"
+    )
+    rows = (
+        f"| `{label}` | {len(group)} | {sum(each.success for each in group)} | {sum(each.kept for each in group)} |"
+        for label, group in grouped_by_hidden_value(attempts).items()
+    )
+    header = "| hidden | attempted | of them succeeded | of them kept |\n|---|---|---|---|"
+    return {"account": account, "hidden_table": "\n".join([header, *rows])}
 
 
 def _as_attempt(record: dict[str, Any]) -> AttemptRecord:
     """An episode that is all that is known of the attempts at it."""
     facts = {key: record[key] for key in ("object_id", "slot", "attempt", "seed", "hidden_state", "late")}
-    return AttemptRecord(**facts, kept=True, reason="", key_frames=0)
+    return AttemptRecord(**facts, kept=True, reason=SUCCESS if record["success"] else "no success", key_frames=0)
 
 
 def _features(features: dict[str, Any]) -> str:
@@ -183,27 +246,3 @@ def _features(features: dict[str, Any]) -> str:
         if key not in _OF_LEROBOT
     ]
     return "\n".join(rows)
-
-
-def command(spec: CollectionSpec, folder: str) -> str:
-    """Returns the command that collects a dataset of these options, into ``folder``."""
-    environment = spec.environment
-    options: dict[str, object] = {
-        "category": spec.category,
-        "objects": ",".join(spec.objects),
-        "expert": spec.expert,
-        "expert_preset": spec.expert_preset,
-        "episodes_per_object": spec.episodes_per_object,
-        "num_points": environment.num_points,
-        "cloud_source": environment.cloud_source,
-        "poses": environment.poses,
-        "mechanism_preset": environment.mechanism_preset,
-        "trials": spec.trials,
-        "late_starts": spec.late_starts,
-        "seed": spec.seed,
-        "root": folder,
-    }
-    flags = "".join(f" --{name.replace('_', '-')} {value}" for name, value in options.items())
-    external = " --assets DIR" if environment.assets is not None else ""
-    images = "" if environment.observe_images else " --no-images"
-    return f"adamanip collect{flags}{external}{images}{' --keep-failed' if spec.keep_failed else ''}"

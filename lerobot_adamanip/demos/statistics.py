@@ -1,15 +1,14 @@
-"""A dataset's statistics, as our datasets have them."""
+"""The statistics of a finished dataset: ``meta/stats.json``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.errors import DatasetError
 
 
-def fix_statistics(root: Path) -> None:
-    """Rewrites the statistics that LeRobot wrote for a dataset: known ranges of poses (`schema.fix_pose_statistics`).
+def sort_statistics(root: Path) -> None:
+    """Sorts the statistics that LeRobot wrote by column: its order changes from run to run. Their values stay.
 
     Raises:
         DatasetError: LeRobot wrote none.
@@ -21,5 +20,4 @@ def fix_statistics(root: Path) -> None:
         raise DatasetError(
             "LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json", hint="lerobot 0.6.1"
         )
-    # Sorted, because LeRobot's order changes from run to run.
-    write_stats(dict(sorted(schema.fix_pose_statistics(stats).items())), root)
+    write_stats(dict(sorted(stats.items())), root)

@@ -17,6 +17,7 @@ from lerobot_adamanip.catalog import object_split
 from lerobot_adamanip.checked_json import integer, parse, read
 from lerobot_adamanip.demos.attempts import attempts_path, by_hidden_value, read_attempts
 from lerobot_adamanip.demos.collection import manifest_path
+from lerobot_adamanip.demos.editing.selection import selection_path
 from lerobot_adamanip.demos.loading import episode_table, load_check
 from lerobot_adamanip.errors import AdaManipError, DatasetError
 from lerobot_adamanip.evaluation.groups import Group, group_records, groups_of, hidden_boundaries, worth_showing
@@ -76,7 +77,7 @@ class Contents:
         failures: failed tries of an episode -> episodes.
         groups: all episodes first, then by category, split of objects, and hidden value.
         recovery: what follows a try that failed; None where no episode tells its tries in order.
-        attempts: that were made for it; None if it does not say, as merged datasets do not.
+        attempts: that were made for it; None if it does not say, as merged datasets and parts of others do not.
     """
 
     root: str
@@ -223,7 +224,7 @@ def _counted(folder: Path, features: Mapping[str, Any]) -> dict[int, dict[str, A
 
 def _attempts(folder: Path) -> Attempts | None:
     path = attempts_path(folder)
-    if not path.exists():
+    if not path.exists() or selection_path(folder).exists():
         return None
     listed = read_attempts(path)
     content = read(manifest_path(folder)) if manifest_path(folder).exists() else {}

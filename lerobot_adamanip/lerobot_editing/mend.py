@@ -3,7 +3,7 @@
 LeRobot 0.6.1 reads such columns as an extension type of the datasets library, which pandas can neither filter nor
 write. Here they are read as one array per row, and written with their type, as ``docs/upstream`` proposes for LeRobot
 itself: nothing that worked before is done otherwise. Datasets of ours also keep what LeRobot does not know of: their
-columns of episodes, the known ranges of poses, cameras, and what tells of their collection.
+columns of episodes, statistics in order, cameras, and what tells of their collection.
 """
 
 from __future__ import annotations
@@ -142,7 +142,11 @@ def _describe_chosen(
     if is_ours(dst_meta.features):
         source = Source.open(Path(src_dataset.root))
         chosen = sorted(episode_mapping, key=episode_mapping.__getitem__)
-        describe(dst_meta.root, [(source, episode) for episode in chosen], source.selection.of(chosen))
+        describe(
+            dst_meta.root,
+            [(source, episode) for episode in chosen],
+            source.selection.of(chosen, ["lerobot-edit-dataset"]),
+        )
 
 
 def _describe_merged(aggr_meta: Any, all_metadata: list[Any]) -> None:

@@ -113,7 +113,6 @@ def _labels(world: KinematicWorld, outcome: int) -> dict[str, Any]:
 
 def record_toy(root: Path, worlds: Sequence[KinematicWorld], expert: str) -> Path:
     """Records one episode in each world as a LeRobotDataset; returns its folder."""
-    from lerobot.datasets.io_utils import write_stats
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     features = schema.dataset_features(NUM_POINTS, images=False)
@@ -123,7 +122,6 @@ def record_toy(root: Path, worlds: Sequence[KinematicWorld], expert: str) -> Pat
             dataset.add_frame(row)
         dataset.save_episode()
     dataset.finalize()
-    write_stats(schema.fix_pose_statistics(dataset.meta.stats), root)
     return root
 
 

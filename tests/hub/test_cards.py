@@ -11,21 +11,26 @@ from collections.abc import Callable
 from pathlib import Path
 
 import make_cards
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from demos_helpers import make_spec
 from huggingface_hub import ModelCard
 from records import record
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.demos.card import COLUMNS, read_dataset_card
+from lerobot_adamanip.demos.collection import manifest_path
+from lerobot_adamanip.demos.editing.choose import filter_episodes
+from lerobot_adamanip.demos.loading import load_check
+from lerobot_adamanip.demos.manifest import Manifest, read_manifest
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.fingerprint import combined
 from lerobot_adamanip.hub import cards
 from lerobot_adamanip.hub.cards import check_card
+from lerobot_adamanip.hub.contents import contents
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.scan import Names, scan
@@ -52,27 +57,79 @@ def test_every_column_is_described(card: str) -> None:
 def test_its_numbers_are_those_of_the_dataset(published: Path, card: str) -> None:
     attempts = [json.loads(line) for line in (published / "meta" / "attempts.jsonl").read_text().splitlines()]
     kept = sum(attempt["kept"] for attempt in attempts)
-    assert f"{len(attempts)} episodes were attempted, of which {kept} " in card
+    succeeded = sum(attempt["reason"] == "success" for attempt in attempts)
+    assert f"{len(attempts)} episodes were attempted: {succeeded} " in card
+    assert f"{kept} were kept" in card
+    info = json.loads((published / "meta" / "info.json").read_text())
+    episodes, rows = info["total_episodes"], info["total_frames"]
+    assert f"{rows - episodes} key frames in {rows} rows" in card
     for locked in (True, False):
         mine = [attempt for attempt in attempts if (attempt["hidden_state"] or {}).get("locked") is locked]
-        row = f"| `locked = {json.dumps(locked)}` | {sum(each['kept'] for each in mine)} | {len(mine)} |"
+        opened, kept = (sum(each[name] in (True, "success") for each in mine) for name in ("reason", "kept"))
+        row = f"| `locked = {json.dumps(locked)}` | {len(mine)} | {opened} | {kept} |"
         assert row in card
     unplaced = sum(attempt["hidden_state"] is None for attempt in attempts)
-    assert f"| `(no layout)` | 0 | {unplaced} |" in card
+    assert f"| `(no layout)` | {unplaced} | 0 | 0 |" in card
     late = sum(pq.read_table(published / "meta/episodes/chunk-000/file-000.parquet")["late"].to_pylist())
     assert f"{late} episodes start late" in card
     assert combined({"fake": "1", "code": "a"}) in card
     assert "| code | `a` |" in card
 
 
-def test_its_command_collects_the_same(card: str) -> None:
+def test_its_command_collects_the_same(published: Path, card: str) -> None:
     import tyro
 
     (line,) = [line for line in card.splitlines() if line.startswith("adamanip collect")]
     assert line.endswith("--root dataset")
     asked = tyro.cli(Collect, args=line.split()[2:]).spec()
-    assert (asked.objects, asked.seed, asked.late_starts) == (make_spec().objects, 0, make_spec().late_starts)
-    assert asked.episodes_per_object == make_spec().episodes_per_object
+    made = read_manifest(manifest_path(published)).spec
+    assert Manifest(asked).to_json() == Manifest(made).to_json()
+
+
+def test_a_corrected_dataset_tells_what_succeeded_not_what_was_kept(published: Path, tmp_path: Path) -> None:
+    """A policy's episodes that an expert corrects are kept, succeed or not; here none does."""
+    corrected = shutil.copytree(published, tmp_path / "corrected")
+    for path in (corrected / "meta" / "episodes").glob("*/*.parquet"):
+        table = pq.read_table(path)
+        failed = pa.array([False] * len(table))
+        pq.write_table(table.set_column(table.schema.get_field_index("success"), "success", failed), path)
+    path = corrected / "meta" / "attempts.jsonl"
+    attempts = [json.loads(line) for line in path.read_text().splitlines()]
+    for attempt in attempts:
+        if attempt["kept"]:
+            attempt["reason"] = "corrected without success"
+    path.write_text("".join(json.dumps(attempt) + "\n" for attempt in attempts))
+    text = read_dataset_card(corrected, "corrected", "local/corrected")
+    assert f"{len(attempts)} episodes were attempted: 0 (0.0 %) succeeded" in text
+    assert f"{sum(attempt['kept'] for attempt in attempts)} were kept" in text
+    assert "Only episodes that failed are in it" in text
+    assert "--dataset.repo_id=local/corrected --dataset.root=DIR " in text
+
+
+def test_a_part_tells_its_own_counts_and_how_it_was_chosen(published: Path, tmp_path: Path) -> None:
+    filter_episodes(published, ["hidden.locked=true"], tmp_path / "locked")
+    chosen = filter_episodes(tmp_path / "locked", ["episode_index=0:1"], tmp_path / "one")
+    text = read_dataset_card(tmp_path / "one", "one", "someone/one")
+    check_card(text, "dataset")
+    whole = json.loads((published / "meta" / "info.json").read_text())["total_episodes"]
+    assert chosen == [0]
+    assert f"Part of `DATASET`: 1 of its {whole} episodes" in text
+    assert "adamanip filter DATASET --where hidden.locked=true --out locked\nadamanip filter DATASET" in text
+    assert "were attempted" not in text
+    assert "| `locked = true` | 1 | 1 |" in text
+    assert "`locked = false`" not in text
+    assert "--root DATASET\n" in text
+    assert contents(tmp_path / "one").attempts is None
+    scanned = scan({"meta/selection.json": tmp_path / "one/meta/selection.json"}, Names.here(tmp_path))
+    assert scanned == []
+
+
+def test_a_card_tells_of_the_camera_and_that_all_is_simulated(published: Path, card: str, tmp_path: Path) -> None:
+    height, width = load_check(published)["features"][schema.FRONT_IMAGE]["shape"][:2]
+    assert f"{width} x {height} pixels" in card
+    assert "robot's base frame" in card
+    assert "Simulated, not recorded on a robot" in card
+    assert "one view" in card
 
 
 def test_nothing_of_this_machine_is_published(published: Path) -> None:
@@ -102,6 +159,7 @@ def test_a_dataset_of_several_collections_has_a_card_too(published: Path, tmp_pa
     kept = pq.read_table(published / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     locked = sum(json.loads(each["hidden_state"])["locked"] for each in kept)
     assert f"| `locked = true` | {locked} | {locked} |" in text
+    assert "| hidden | episodes | of them succeeded |" in text
     assert kept[0]["fingerprint"] in text
 
 

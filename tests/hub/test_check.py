@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import check_damages as to
 import numpy as np
@@ -24,6 +25,7 @@ from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.check import reading
 from lerobot_adamanip.hub.check.dataset import check, check_replays
 from lerobot_adamanip.hub.check.findings import KINDS, MOST_OF_A_KIND, Report
+from lerobot_adamanip.hub.check.rebuild import write_statistics
 from lerobot_adamanip.hub.check.repair import repair
 from lerobot_adamanip.hub.check.statistics import check_episode_statistics
 
@@ -71,7 +73,7 @@ DAMAGES = [
     ),
     Damage("statistics of another dataset", to.edit_json(STATS, to.of_another),
            [("statistics", STATS, None, None)], mended=True),
-    Damage("pose statistics as measured", to.edit_json(STATS, lambda stats: stats["action"]["min"].__setitem__(9, 0.0)),
+    Damage("another range of a pose", to.edit_json(STATS, lambda stats: stats["action"]["min"].__setitem__(9, -0.5)),
            [("statistics", STATS, None, None)], mended=True),
     Damage("statistics lost", to.remove(STATS), [("missing", STATS, None, None)], mended=True),
     Damage("statistics cut off", to.cut(STATS, 0.5), [("unreadable", STATS, None, None)], mended=True),
@@ -168,6 +170,17 @@ def test_what_a_repair_mends_is_clean(copy: Path, damage: Damage) -> None:
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
     assert repair(copy).mended == []  # nothing is left to be done
     assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
+
+
+def test_the_fixed_pose_ranges_of_version_02_are_no_finding(copy: Path) -> None:
+    stats = {key: {name: np.asarray(value) for name, value in of.items()} for key, of in _stats(copy).items()}
+    write_statistics(copy, schema.fix_pose_statistics(stats))
+    assert _stats(copy)[schema.ACTION]["std"][9] == 1.0
+    assert check(copy).clean
+
+
+def _stats(root: Path) -> dict[str, dict[str, Any]]:
+    return dict(json.loads((root / STATS).read_text()))
 
 
 def test_a_check_changes_nothing(sound: Path) -> None:

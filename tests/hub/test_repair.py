@@ -176,8 +176,6 @@ def test_recording_goes_on_after_a_repair(tmp_path: Path, monkeypatch: pytest.Mo
     save(again, 3)
     again.finalize()
     assert load_check(root)["total_episodes"] == 4
-    assert {finding.kind for finding in check(root).findings} <= {"statistics"}  # LeRobot's own, poses as measured
-    assert repair(root).left == []
     assert check(root).clean
 
 

@@ -30,7 +30,7 @@ from lerobot_adamanip.demos.dense.rows import (
 from lerobot_adamanip.demos.loading import load_check, read_back, read_info
 from lerobot_adamanip.demos.merge import merge, require_free
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
-from lerobot_adamanip.demos.statistics import fix_statistics
+from lerobot_adamanip.demos.statistics import sort_statistics
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
 from lerobot_adamanip.hardware.frames import CameraCalibration
@@ -270,7 +270,7 @@ def _assembled(work: Path, shards: list[Path], options: ConvertOptions, repo_id:
         workspace=None if options.rows.workspace == DEFAULT_WORKSPACE else options.rows.workspace,
     )
     records, lengths = append_shards(dataset, shards, lambda done, total: progress("assemble", done, total))
-    fix_statistics(root)
+    sort_statistics(root)
     add_episode_columns(root, {name: [record[name] for record in records] for name in ("success", "key_frames")})
     texts: dict[str, list[Any]] = {
         name: [json.dumps(record[name], sort_keys=True) for record in records] for name in ("camera", "recorded")

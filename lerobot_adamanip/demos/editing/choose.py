@@ -50,7 +50,9 @@ def filter_episodes(
     source = Source.open(root)
     chosen = choose(conditions, episode_facts(source))
     if out is not None:
-        _write(source, {out.name: chosen}, {out.name: out.absolute()}, repo_id, progress)
+        words = [word for condition in conditions for word in ("--where", condition)]
+        command = ["adamanip", "filter", "DATASET", *words, "--out", out.name]
+        _write(source, {out.name: chosen}, {out.name: (out.absolute(), command)}, repo_id, progress)
     return chosen
 
 
@@ -83,7 +85,9 @@ def split_episodes(
     half = out.absolute().with_name(out.name + ".writing")
     files.remove_tree(half)
     half.mkdir(parents=True)
-    _write(source, parts, {name: half / name for name in parts}, None, progress)
+    said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
+    command = ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed), "--out", out.name]
+    _write(source, parts, {name: (half / name, command) for name in parts}, None, progress)
     files.move_durably(half, out.absolute())
     return parts
 
@@ -102,11 +106,19 @@ def assign(facts: Sequence[Facts], shares: Mapping[str, float] | None, *, by: st
     return parts
 
 
-def _write(source: Source, parts: Parts, places: Mapping[str, Path], repo_id: str | None, progress: Progress) -> None:
+def _write(
+    source: Source,
+    parts: Parts,
+    places: Mapping[str, tuple[Path, Sequence[str]]],
+    repo_id: str | None,
+    progress: Progress,
+) -> None:
+    """Writes parts into their folders, each with the command that chose it."""
     total, before = sum(map(len, parts.values())), 0
     for name, chosen in parts.items():
-        pieces, selection = [(source, episode) for episode in chosen], source.selection.of(list(chosen))
-        compose_whole(places[name], pieces, repo_id, selection, _after(progress, before, total))
+        folder, command = places[name]
+        pieces, selection = [(source, episode) for episode in chosen], source.selection.of(list(chosen), command)
+        compose_whole(folder, pieces, repo_id, selection, _after(progress, before, total))
         before += len(chosen)
 
 

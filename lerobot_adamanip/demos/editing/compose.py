@@ -23,7 +23,7 @@ from lerobot_adamanip.demos.editing.selection import Selection, write_selection
 from lerobot_adamanip.demos.editing.source import Rows, Source
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.prepare import is_tested
-from lerobot_adamanip.demos.statistics import fix_statistics
+from lerobot_adamanip.demos.statistics import sort_statistics
 from lerobot_adamanip.errors import ConfigurationError
 
 Progress = Callable[[int, int], None]
@@ -82,7 +82,7 @@ def compose_whole(
 def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     """Writes what a finished dataset of ours has beside what LeRobot writes.
 
-    That is: known ranges of poses among its statistics, its episodes' own columns, its cameras, and, if it is part of
+    That is: statistics in a fixed order, its episodes' own columns, its cameras, and, if it is part of
     another one, which and how that was collected.
 
     Args:
@@ -90,7 +90,7 @@ def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
         pieces: where its episodes come from, in its order.
         selection: what it is a part of, if of one.
     """
-    fix_statistics(out)
+    sort_statistics(out)
     columns = pa.concat_tables(
         [source.own_columns.slice(episode, 1) for source, episode in pieces], promote_options="permissive"
     )

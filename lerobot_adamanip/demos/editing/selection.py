@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,14 @@ from lerobot_adamanip.errors import DatasetError
 
 FORMAT = 1
 _MOST = 10_000_000
+_MOST_COMMANDS = 100
 _SELECTION = table(
     {
         "format": integer(FORMAT, FORMAT),
         "source": text(r"[0-9a-f]{32}", "a hash"),
         "source_episodes": integer(1, _MOST),
         "episodes": listing(integer(0, _MOST), 1, _MOST),
+        "made_with": listing(text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command"), 0, _MOST_COMMANDS),
     }
 )
 
@@ -35,24 +39,32 @@ class Selection:
         source: hash of the dataset's metadata, which hold statistics of every episode.
         source_episodes: how many it has.
         episodes: their indices there, in the order of the part.
+        made_with: commands that chose them, in order; each takes DATASET, which the one before has made.
     """
 
     source: str
     source_episodes: int
     episodes: tuple[int, ...]
+    made_with: tuple[str, ...] = ()
 
     @property
     def is_whole(self) -> bool:
         """Whether these are all episodes of the dataset, each once, in its order."""
         return self.episodes == tuple(range(self.source_episodes))
 
-    def of(self, chosen: list[int]) -> Selection:
-        """Returns the selection that takes these of its own episodes, by their places in it."""
-        return Selection(self.source, self.source_episodes, tuple(self.episodes[place] for place in chosen))
+    def of(self, chosen: list[int], command: Sequence[str]) -> Selection:
+        """Returns the selection that takes these of its own episodes, by their places in it.
+
+        Args:
+            chosen: the places.
+            command: that chose them, without a path.
+        """
+        episodes = tuple(self.episodes[place] for place in chosen)
+        return Selection(self.source, self.source_episodes, episodes, (*self.made_with, shlex.join(command)))
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
-        return {"format": FORMAT, **vars(self), "episodes": list(self.episodes)}
+        return {"format": FORMAT, **vars(self), "episodes": list(self.episodes), "made_with": list(self.made_with)}
 
 
 def selection_path(root: Path) -> Path:
@@ -74,7 +86,10 @@ def read_selection(root: Path, episodes: int) -> Selection:
     if not path.exists():
         return Selection(_identity(root), episodes, tuple(range(episodes)))
     try:
-        content = _SELECTION("the selection", read(path, max_bytes=100_000_000))
+        written = read(path, max_bytes=100_000_000)
+        if isinstance(written, dict):
+            written = {"made_with": [], **written}  # version 0.2 has no commands in it
+        content = _SELECTION("the selection", written)
         content.pop("format")
         found = Selection(**content)
         if len(found.episodes) != episodes or max(found.episodes) >= found.source_episodes:

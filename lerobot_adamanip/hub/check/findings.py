@@ -50,7 +50,7 @@ KINDS: Mapping[str, Kind] = {
     "video-length": Kind("a video is shorter than its episodes, or cut elsewhere than they are", _AT_END),
     "video-content": Kind("a video shows something else than its episode's statistics say", _NO),
     "episode-statistics": Kind("an episode's statistics are not those of its rows", _NO),
-    "statistics": Kind("`meta/stats.json` is not that of the episodes, poses fixed", "computed again"),
+    "statistics": Kind("`meta/stats.json` is not that of the episodes", "computed again"),
     "facts": Kind("an episode's columns (object, hidden state, tries ...) cannot be, or contradict its rows", _NO),
     "collection": Kind("`meta/collection.json` cannot be, or an episode is none of that collection", _NO),
     "fingerprint": Kind("an episode was recorded under another fingerprint than its collection", _NO),

@@ -19,7 +19,6 @@ import pyarrow.compute as pc
 
 from lerobot_adamanip import files
 from lerobot_adamanip.demos.loading import read_info
-from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.hub.check.dataset import require_dataset
 from lerobot_adamanip.hub.check.findings import Progress, Report, listed
 from lerobot_adamanip.hub.check.inventory import Found, Run, Videos, data_files, find_episodes, frames_of, runs_of
@@ -261,6 +260,5 @@ def _write_totals(done: Repair, layout: Layout, found: list[Found], tasks: Mappi
     check_statistics(again, stored, report)
     if not report.clean:
         done.keep(STATS, move=False)
-        fixed = not is_dense(again.features)
-        write_statistics(done.root, aggregated(stored, again.picture_keys, poses_fixed=fixed))
+        write_statistics(done.root, aggregated(stored, again.picture_keys))
         done.mended.append(f"{STATS}: computed again from the episodes")

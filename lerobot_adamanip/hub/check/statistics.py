@@ -10,13 +10,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.checked_json import read
 from lerobot_adamanip.demos.loading import MAX_STATISTICS_BYTES
-from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.hub.check.findings import Report, listed
 from lerobot_adamanip.hub.check.layout import STATS, Layout
 from lerobot_adamanip.hub.check.reading import Batch, numeric, points_last
+from lerobot_adamanip.pose_statistics import unscaled_poses
 
 OF_PLACE = ("index", "episode_index", "task_index")
 """Columns whose statistics nobody uses; LeRobot's merging leaves them as they were."""
@@ -124,13 +123,12 @@ def _is_quantile(
     return np.asarray((below >= wanted - 1e-6) & (strictly <= wanted + 1e-6))
 
 
-def aggregated(stored: Stored, pictures: Collection[str], *, poses_fixed: bool = True) -> Statistics:
-    """Returns the statistics of the dataset: LeRobot's aggregation of its episodes', poses fixed.
+def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
+    """Returns the statistics of the dataset: LeRobot's aggregation of its episodes'.
 
     Args:
         stored: statistics of the episodes.
         pictures: columns whose statistics are of shape (3, 1, 1), or (1, 1, 1) of depth.
-        poses_fixed: False for a robot's recording, which LeRobot alone has written.
     """
     from lerobot.datasets.compute_stats import aggregate_stats
 
@@ -147,8 +145,8 @@ def aggregated(stored: Stored, pictures: Collection[str], *, poses_fixed: bool =
             key: {name: shaped(key, name, values[row]) for name, values in told.items()} for key, told in whole.items()
         }
 
-    found = aggregate_stats([of_episode(row) for row in range(episodes)])
-    return schema.fix_pose_statistics(found) if poses_fixed else found
+    found: Statistics = aggregate_stats([of_episode(row) for row in range(episodes)])
+    return found
 
 
 def read_statistics(root: Path) -> Statistics:
@@ -166,7 +164,10 @@ def read_statistics(root: Path) -> Statistics:
 
 
 def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
-    """Compares ``meta/stats.json`` with the statistics of the episodes."""
+    """Compares ``meta/stats.json`` with the statistics of the episodes.
+
+    Datasets of version 0.2 and before have fixed ranges of rotation and gripper in it, which are no finding.
+    """
     try:
         told = read_statistics(layout.root)
     except FileNotFoundError:
@@ -180,13 +181,14 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     # Of what is no column, LeRobot cannot tell whether it is of pictures; a lost column is a finding of its own.
     of_columns = {key: each for key, each in stored.items() if key in layout.info["features"]}
     wrong = []
-    fixed = not is_dense(layout.features)
-    for key, right in aggregated(of_columns, layout.picture_keys, poses_fixed=fixed).items():
+    true = aggregated(of_columns, layout.picture_keys)
+    fixed = unscaled_poses(true, layout.info["features"])
+    for key, right in true.items():
         if key in OF_PLACE:
             continue
         if key not in told:
             wrong.append(f"none of {key}")
-        elif names := [name for name in right if not _same(told[key], right, name)]:
+        elif names := [name for name in right if not any(_same(told[key], of[key], name) for of in (true, fixed))]:
             wrong.append(f"{key} ({listed(names, 3)})")
     if wrong:
         report.add("statistics", f"not those of the episodes: {listed(wrong)}", STATS)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_adamanip.mixed_precision import require_mixed_precision
-from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE
+from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE, fix_pose_statistics
 from lerobot_policy_adamanip.contract import LoadsStrictly, picked_inputs
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
 from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions
@@ -111,6 +111,9 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             from lerobot_adamanip.lerobot_compat import read_latest_only, skip_videos
 
             skip_videos(dataset_meta)
+            if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
+                # LeRobot gives them to the processors of a policy that is fine-tuned, without asking the policy.
+                dataset_meta.stats = fix_pose_statistics(dataset_meta.stats)
             if self.config.balance_tasks:
                 self._task_weights = balanced_weights(dataset_meta)
             if self.config.head == "anchors":

@@ -17,7 +17,15 @@ from lerobot.processor import (
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
+from lerobot_adamanip.schema import (
+    ACTION_DIM,
+    GRIPPER_DIM,
+    POINT_CLOUD,
+    POSITION_DIMS,
+    ROTATION_DIMS,
+    STATE,
+    fix_pose_statistics,
+)
 from lerobot_policy_adamanip.contract import Pipelines
 from lerobot_policy_adamanip.depth_step import DepthToCloudStep
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
@@ -173,9 +181,13 @@ def make_dp3_adaptive_pre_post_processors(
     """Returns the pipelines around the policy. Their steps' names are part of the checkpoint.
 
     Clouds are made from depth where a robot delivers pictures. Two more steps join LeRobot's defaults where state and
-    action are the contract's poses, and one where the policy is told what to do.
+    action are the contract's poses, and one where the policy is told what to do. Rotation and gripper of such poses
+    stay unscaled, whatever their range in the dataset.
     """
-    steps = make_default_policy_processor_steps(config, dataset_stats)
+    stats: Any = dataset_stats  # arrays, as LeRobot's datasets have them, though its factories announce tensors
+    if stats and config.has_pose_layout:
+        stats = fix_pose_statistics(stats)
+    steps = make_default_policy_processor_steps(config, stats)
     told: list[ProcessorStep] = [InstructionStep()] if config.use_instruction else []
     depth = DepthToCloudStep(config.num_points)
     inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, depth, *told, steps.to_device]

@@ -61,7 +61,6 @@ def _frame(draw: np.random.Generator, tool: np.ndarray, index: int) -> dict[str,
 @pytest.fixture(scope="session")
 def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three recorded episodes with clouds of 64 points and a small video. Not to be written to."""
-    from lerobot.datasets.io_utils import write_stats
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     root = tmp_path_factory.mktemp("tiny") / "dataset"
@@ -75,7 +74,6 @@ def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
             tool = frame[schema.ACTION][:3].astype(np.float64)
         dataset.save_episode()
     dataset.finalize()
-    write_stats(schema.fix_pose_statistics(dataset.meta.stats), root)
     return root
 
 

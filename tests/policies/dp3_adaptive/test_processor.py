@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from lerobot.datasets.io_utils import load_stats
 from lerobot.lerobot_types import TransitionKey
+from lerobot.policies.factory import make_policy, make_pre_post_processors
 from lerobot.processor import PolicyProcessorPipeline
 from lerobot.processor.converters import (
     batch_to_transition,
@@ -24,6 +26,39 @@ from lerobot_adamanip.rotations import matrix_from_rotation_6d
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
 
 MakeTiny = Callable[..., tuple[Any, ...]]
+
+
+@pytest.mark.parametrize("head", ["diffusion", "anchors"])
+def test_true_and_fixed_statistics_normalise_alike(
+    make_config: Callable[..., Any], open_dataset: Callable[..., Any], raw: dict[str, Any], head: str
+) -> None:
+    """Datasets of version 0.2 hold fixed ranges of rotation and gripper, newer ones the true statistics."""
+    still = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0, "augmentation_mirror": 0.0}
+    config = make_config(head=head, **({"horizon": 1} if head == "anchors" else {}), **still)
+    meta = open_dataset(config).meta
+    make_policy(config, ds_meta=meta)
+    true = load_stats(meta.root)
+    made = [make_pre_post_processors(config, dataset_stats=each) for each in (true, schema.fix_pose_statistics(true))]
+    (before, after), (before_fixed, after_fixed) = made
+    batch, fixed = (step(copy.deepcopy(raw)) for step in (before, before_fixed))
+    for key in (schema.STATE, schema.ACTION, schema.POINT_CLOUD):
+        assert torch.equal(batch[key], fixed[key]), key
+    assert torch.equal(after(batch[schema.ACTION].clone()), after_fixed(batch[schema.ACTION].clone()))
+    torch.testing.assert_close(batch[schema.ACTION][..., 3:], raw[schema.ACTION][..., 3:], rtol=0, atol=1e-6)
+
+
+def test_a_policy_that_is_fine_tuned_gets_the_fixed_ranges_too(
+    make_tiny: Callable[..., Any], open_dataset: Callable[..., Any], tmp_path: Path
+) -> None:
+    """LeRobot gives a checkpoint's processors the statistics of the new dataset's metadata."""
+    policy = make_tiny()[0]
+    policy.save_pretrained(tmp_path)
+    meta = open_dataset(policy.config).meta
+    true = copy.deepcopy(meta.stats)
+    assert float(true[schema.ACTION]["std"][9]) != 1.0
+    policy.config.pretrained_path = tmp_path
+    make_policy(policy.config, ds_meta=meta)
+    np.testing.assert_equal(meta.stats, schema.fix_pose_statistics(true))
 
 
 @pytest.fixture

@@ -99,7 +99,12 @@ def test_a_folder_without_a_policy_is_one_clear_error(tmp_path: Path) -> None:
 
 def test_a_hash_tells_policies_apart(saved: tuple[Path, tuple[Any, ...]]) -> None:
     path, _ = saved
-    first = policy_hash(path)
-    assert first == policy_hash(path)
-    (path / "config.json").write_text((path / "config.json").read_text() + " ")
-    assert policy_hash(path) != first
+    known = {policy_hash(path), policy_hash(path)}
+    (states,) = path.glob("policy_preprocessor*normalizer*.safetensors")
+    for file in ("config.json", "policy_postprocessor.json", states.name):
+        content = (path / file).read_bytes()
+        (path / file).write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+        known.add(policy_hash(path))
+    assert len(known) == 4  # statistics decide how it acts, too
+    (path / "train_config.json").write_text("{}")
+    assert policy_hash(path) in known
