@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from toy_demos import REPO_ID, record_toy, toy_world
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "extending.md"
@@ -61,11 +62,11 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
-def run(tree: Path, code: str, **variables: str) -> str:
+def run(tree: Path, code: str, *arguments: str) -> str:
     paths = os.pathsep.join(str(tree / name) for name in ("", "envs", "policies"))
-    environment = {**os.environ, "PYTHONPATH": paths, **variables}
+    environment = {**os.environ, "PYTHONPATH": paths}
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, *arguments], cwd=tree, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     return done.stdout
@@ -177,3 +178,29 @@ assert get_policy_class("hold_still").from_pretrained("held").config.gripper == 
 @pytest.mark.nightly
 def test_the_method_of_the_page_is_one(tree: Path) -> None:
     run(tree, A_POLICY)
+
+
+TRAINED_AND_EVALUATED = """
+import json, sys
+import lerobot_env_adamanip
+from lerobot.scripts import lerobot_eval, lerobot_train
+
+demos, out = sys.argv[1:]
+sys.argv = ["lerobot-train", "--policy.type=hold_still", "--policy.device=cpu", "--policy.push_to_hub=false",
+            "--dataset.repo_id={repo_id}", "--dataset.root=" + demos, "--batch_size=2", "--num_workers=0", "--steps=2",
+            "--save_freq=2", "--env_eval_freq=0", "--output_dir=" + out + "/train"]
+lerobot_train.main()
+sys.argv = ["lerobot-eval", "--policy.path=" + out + "/train/checkpoints/last/pretrained_model", "--policy.device=cpu",
+            "--env.type=adamanip_safe", "--env.objects=0:1", "--env.num_points=64", "--env.episode_length=4",
+            "--env.episode_log=" + out + "/log.jsonl", "--eval.n_episodes=1", "--eval.batch_size=1",
+            "--output_dir=" + out + "/eval"]
+lerobot_eval.main()
+(line,) = open(out + "/log.jsonl")
+assert json.loads(line)["key_frames"] == 4
+"""
+
+
+@pytest.mark.sim
+def test_the_method_of_the_page_is_trained_and_evaluated_by_lerobot(tree: Path, tmp_path: Path) -> None:
+    record_toy(tmp_path / "demos", [toy_world("safe_000", 1)], "adaptive")
+    run(tree, TRAINED_AND_EVALUATED.format(repo_id=REPO_ID), str(tmp_path / "demos"), str(tmp_path))
