@@ -37,6 +37,11 @@ IN_PLACE = 0.03
 """A hand that closes within this distance of where it is grasps; one that closes on its way goes to push [m]."""
 
 
+def has_files(dataset_meta: Any) -> bool:
+    """Returns whether a dataset's rows are beside its metadata: not before they have been downloaded, or streamed."""
+    return (Path(dataset_meta.root) / "data").is_dir()
+
+
 def read_columns(dataset_meta: Any, keys: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Returns numeric columns of a dataset, rows in order of their `index`: key -> (rows, ...), floats as float32.
 
@@ -46,7 +51,7 @@ def read_columns(dataset_meta: Any, keys: Sequence[str]) -> dict[str, NDArray[An
     import pyarrow.dataset as files
 
     folder = Path(dataset_meta.root) / "data"
-    if not folder.is_dir():
+    if not has_files(dataset_meta):
         raise ConfigurationError(
             "The demonstrations' columns cannot be read.",
             got=f"no folder {folder.name} beside the metadata",
@@ -65,6 +70,20 @@ def read_columns(dataset_meta: Any, keys: Sequence[str]) -> dict[str, NDArray[An
     table = source.to_table(columns=sorted({*keys, "index"})).sort_by("index")
     columns = {key: np.stack(table[key].to_numpy()) for key in keys}
     return {key: found.astype(np.float32) if found.dtype.kind == "f" else found for key, found in columns.items()}
+
+
+def unfinished_ends(dataset_meta: Any) -> NDArray[np.int64]:
+    """Returns the `index` of each last row whose episode did not succeed; none where the dataset does not tell.
+
+    An episode's last row is its final observation, with a command to stay that was not sent. Where the object is open,
+    to stay is right. Where a correction has run out of key frames, it would teach to stay where the policy is stuck.
+    """
+    keys = ("index", DONE, SUCCESS)
+    if not set(keys) <= set(dataset_meta.features) or not has_files(dataset_meta):
+        return np.empty(0, np.int64)
+    index, done, success = (column.reshape(-1) for column in read_columns(dataset_meta, keys).values())
+    ends: NDArray[np.int64] = index[done.astype(np.bool_) & ~success.astype(np.bool_)].astype(np.int64)
+    return ends
 
 
 @dataclass(frozen=True)

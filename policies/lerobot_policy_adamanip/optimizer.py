@@ -20,7 +20,10 @@ class FusedAdamWConfig(AdamWConfig):
     """AdamW with LeRobot's options. The same numbers up to rounding."""
 
     def build(self, params: Iterable[Parameter] | Iterable[dict[str, Any]]) -> torch.optim.AdamW:
-        """Returns the optimizer of parameters or of groups of them; where torch has no such kernel, its plain one."""
+        """Returns the optimizer of parameters or of groups of them; where torch has no such kernel, its plain one.
+
+        Sets `torch.set_flush_denormal` for the whole process.
+        """
         groups: list[Any] = list(params)
         values = asdict(self)
         values.pop("grad_clip_norm")

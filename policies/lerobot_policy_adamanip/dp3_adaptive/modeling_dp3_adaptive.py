@@ -18,8 +18,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_adamanip.mixed_precision import require_mixed_precision
-from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE, fix_pose_statistics
+from lerobot_adamanip.schema import (
+    ACTION,
+    GRIPPER_DIM,
+    POINT_CLOUD,
+    POSITION_DIMS,
+    ROTATION_DIMS,
+    STATE,
+    fix_pose_statistics,
+)
 from lerobot_policy_adamanip.contract import LoadsStrictly, picked_inputs
+from lerobot_policy_adamanip.demonstrations import unfinished_ends
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
 from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
@@ -27,8 +36,9 @@ from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions
+from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.publishing import PublishesOurCard
+from lerobot_policy_adamanip.rotations import orthonormal_6d
 from lerobot_policy_adamanip.tool_frame import mirrored_motions
 
 ACTION_IS_PAD = "action_is_pad"
@@ -38,6 +48,15 @@ TASK_INDEX = "task_index"
 def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
     """After weights were loaded the buffer says how many updates there were."""
     policy._ema_count = None
+
+
+def _marked(rows: NDArray[np.int64]) -> Tensor | None:
+    """Returns (I,) bool by row, False in the last place, for all behind; None for no rows."""
+    if not len(rows):
+        return None
+    marks = torch.zeros(int(rows.max()) + 2, dtype=torch.bool)
+    marks[torch.from_numpy(rows)] = True
+    return marks
 
 
 class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
@@ -50,11 +69,10 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
                           history        | labels
 
     At run time the history is a queue of the normalised actions that `select_action` returned, one per step, whether
-    they came from an old chunk or a new one. Before the episode's start both hold zeros, marked by a validity bit:
-    LeRobot pads the window with the episode's first action, which at the start is the label. Observations before it
-    repeat the first one, as LeRobot's padding does. The action that the environment receives is the remembered one
-    unnormalised, its rotation orthonormalised and its gripper clipped; recorded actions are so already, which makes the
-    two histories the same for a policy that acts as the demonstrations do.
+    they came from an old chunk or a new one; rotations are orthonormalised and grippers clipped, as recorded ones are.
+    Before the episode's start both hold zeros, marked by a validity bit: LeRobot pads the window with the episode's
+    first action, which at the start is the label. Observations before it repeat the first one, as LeRobot's padding
+    does.
 
     Args:
         config: of which `validate_features` is called here.
@@ -103,10 +121,13 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy.frames.set_pose_statistics(dataset_stats)
         policy._meet_dataset(dataset_meta)
+        if dataset_meta is not None and policy.config.head == "anchors":
+            warn_of_other_motions(dataset_meta, policy.model.anchors, policy.model.spread)
         return policy
 
     def _meet_dataset(self, dataset_meta: Any) -> None:
         self._task_weights: Tensor | None = None
+        self._unsent: Tensor | None = None
         if dataset_meta is not None:
             from lerobot_adamanip.lerobot_compat import read_latest_only, skip_videos
 
@@ -114,6 +135,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
                 # LeRobot gives them to the processors of a policy that is fine-tuned, without asking the policy.
                 dataset_meta.stats = fix_pose_statistics(dataset_meta.stats)
+            self._unsent = _marked(unfinished_ends(dataset_meta))
             if self.config.balance_tasks:
                 self._task_weights = balanced_weights(dataset_meta)
             if self.config.head == "anchors":
@@ -150,15 +172,24 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         past = self.config.n_action_history_steps
         actions, padded = batch[ACTION], batch[ACTION_IS_PAD]
         window = Window(self._observations(batch), actions[:, :past], ~padded[:, :past])
-        losses, weights, told = self.head.loss(self._active_model(), window, actions[:, past:], ~padded[:, past:])
+        real = self._labelled(batch, ~padded[:, past:])
+        losses, weights, told = self.head.loss(self._active_model(), window, actions[:, past:], real)
         if self._task_weights is not None:
             self._task_weights = self._task_weights.to(losses)
             weights = weights * self._task_weights[batch[TASK_INDEX]]
         if reduction == "none":
-            return losses, {}
+            return losses * real.any(dim=1), {}
         # In one piece: each number on its own would wait for a GPU once more.
         told = dict(zip(told, torch.stack(list(told.values())).tolist(), strict=True)) if told else {}
         return (losses * weights).sum() / weights.sum().clamp(min=1), told
+
+    def _labelled(self, batch: dict[str, Tensor], real: Tensor) -> Tensor:
+        """Leaves the `unfinished_ends` out of the rows (B, T) that are learnt."""
+        if self._unsent is None:
+            return real
+        self._unsent = self._unsent.to(real.device)
+        rows = batch["index"].reshape(-1, 1) + torch.arange(real.shape[1], device=real.device)
+        return real & ~self._unsent[rows.clamp(max=len(self._unsent) - 1)]
 
     @torch.no_grad()
     def update(self) -> None:
@@ -187,15 +218,22 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             kwargs: ignored.
         """
         observation = self._single(batch)
-        self._observed.append(observation)
+        self._observed.append(self._kept(observation))
         while len(self._observed) < self.config.observed_steps:
-            self._observed.append(observation)
+            self._observed.append(self._observed[-1])
         if not self._planned:
-            chunk = self._generate(list(self._observed), noise)
+            chunk = self._generate(observation, list(self._observed), noise)
             self._planned.extend(chunk[:, : self.config.n_action_steps].unbind(dim=1))
         action = self._planned.popleft()
-        self._executed.append(action)
+        self._executed.append(self._as_executed(action))
         return action
+
+    def _as_executed(self, action: Tensor) -> Tensor:
+        """Returns an action (B, A) as the environment receives it, normalised: numbers of a pose that are unscaled."""
+        if self.config.head != "diffusion" or not self.config.has_pose_layout:
+            return action
+        rotation, gripper = orthonormal_6d(action[:, ROTATION_DIMS]), action[:, GRIPPER_DIM:].clamp(0, 1)
+        return torch.cat([action[:, POSITION_DIMS], rotation, gripper], dim=-1)
 
     def replace_latest(self, action: Tensor) -> None:
         """Remembers that another action (B, A), normalised, was executed than the latest of `select_action`.
@@ -210,10 +248,14 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         """Returns the chunk (B, T, A) that would follow ``batch`` after what was observed and done; changes nothing."""
         observed = deque(self._observed, maxlen=self.config.observed_steps)
         observation = self._single(batch)
-        observed.append(observation)
+        observed.append(self._kept(observation))
         while len(observed) < self.config.observed_steps:
             observed.appendleft(observed[0])
-        return self._generate(list(observed), noise)
+        return self._generate(observation, list(observed), noise)
+
+    def _kept(self, observation: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Returns what is remembered of an observation: of the past the anchors' head looks at poses alone."""
+        return {STATE: observation[STATE]} if self.config.head == "anchors" else observation
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the run-time history: actions (B, H, A), oldest first and zero before the start; validity (B, H)."""
@@ -226,8 +268,9 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             valid[:, -len(known) :] = True
         return history, valid
 
-    def _generate(self, observed: list[dict[str, Tensor]], noise: Tensor | None) -> Tensor:
-        observations = {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
+    def _generate(self, present: dict[str, Tensor], observed: list[dict[str, Tensor]], noise: Tensor | None) -> Tensor:
+        observations = {key: value[:, None] for key, value in present.items() if key not in observed[0]}
+        observations |= {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
         window = Window(observations, *self.executed_history(len(observations[STATE]), observations[STATE]))
         return self.head.sample(self._active_model(), window, noise)
 

@@ -143,3 +143,16 @@ def test_noise_on_the_history_is_for_training_only(make_tiny: MakeTiny, batch_of
     assert not torch.equal(noisy, noisier)
     assert torch.equal(clean, cleaner)
     torch.testing.assert_close(clean, batch[schema.ACTION][:, :3], rtol=0, atol=0)
+
+
+def test_an_action_is_remembered_as_the_environment_receives_it(make_tiny: MakeTiny, observation_of: Any) -> None:
+    """A network's numbers are no rotation, and a gripper beyond its range; recorded actions are neither."""
+    policy, before, after, dataset = make_tiny(**STILL)
+    policy.eval()
+    raw = torch.tensor([[0.1, -0.2, 0.3, 0.9, 0.2, 0.0, 0.3, 1.2, 0.1, 1.7]])
+    policy.frames.to_absolute = lambda sample, state: raw.expand(1, sample.shape[1], 10)
+    action = policy.select_action(observation_of(dataset, before, 3))
+    assert torch.equal(action, raw)
+    remembered = policy.executed_history(1, action)[0][:, -1]
+    torch.testing.assert_close(remembered[:, 3:], after(action)[:, 3:])
+    assert torch.equal(remembered[:, :3], raw[:, :3])
