@@ -15,7 +15,7 @@ import re
 from pathlib import Path
 from typing import Literal
 
-from lerobot_adamanip.assets import AssetSource, is_asset_id
+from lerobot_adamanip.assets import AssetSource, PlacementCheck, is_asset_id
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import ArticulatedObject
@@ -130,13 +130,16 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     return ids
 
 
-def select_objects(category: str, selection: str, assets: str | os.PathLike[str] | None = None) -> tuple[str, ...]:
-    """Returns the ids of generated objects, or of external assets in the folder ``assets`` (`AssetSource`)."""
-    return (
-        parse_object_selection(category, selection)
-        if assets is None
-        else AssetSource(Path(assets)).select(category, selection)
-    )
+def select_objects(
+    category: str,
+    selection: str,
+    assets: str | os.PathLike[str] | None = None,
+    placement_problem: PlacementCheck | None = None,
+) -> tuple[str, ...]:
+    """Returns the ids of generated objects, or of external assets in the folder ``assets``; see `AssetSource`."""
+    if assets is None:
+        return parse_object_selection(category, selection)
+    return AssetSource(Path(assets), placement_problem).select(category, selection)
 
 
 def get_object(identifier: str, assets: str | os.PathLike[str] | None = None) -> ArticulatedObject:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import importlib.util
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 
+from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import AdaManipError, SimulatorError, no_vulkan_device
 from lerobot_adamanip.options import EnvironmentOptions
@@ -44,6 +46,23 @@ def require_simulator() -> None:
             allowed="mani-skill 3.0.1 and sapien 3.0.3",
             hint="pip install 'lerobot_env_adamanip[sim]'",
         ) from error
+
+
+@functools.cache
+def placement_check(poses: str = "randomized") -> PlacementCheck:
+    """Returns the function that says why an object cannot be placed before the arm, an empty text if it can.
+
+    Args:
+        poses: preset of their randomization.
+
+    Raises:
+        SimulatorError: the simulator is not installed.
+    """
+    require_simulator()
+    from lerobot_env_adamanip.sim import reach
+    from lerobot_env_adamanip.sim.tasks import TASKS
+
+    return lambda obj: reach.placement_check(TASKS[obj.category].definition, poses)(obj)
 
 
 def make_task(category: str, **options: Any) -> AdaManipTask:

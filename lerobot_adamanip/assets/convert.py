@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice
+from lerobot_adamanip.assets.checked_xml import broken
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame, posed
 from lerobot_adamanip.assets.meshes import Surface, convex_parts
+from lerobot_adamanip.assets.plausible import check_meshes, left_out, tell_left_out
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import check_kind, find_annotation
-from lerobot_adamanip.assets.urdf import Urdf, broken, read_urdf
+from lerobot_adamanip.assets.urdf import Urdf, read_urdf
 from lerobot_adamanip.mechanisms.feasibility import MARGIN, infeasible
 from lerobot_adamanip.objects.base import (
     ArticulatedObject,
@@ -30,8 +32,6 @@ from lerobot_adamanip.rotations import transform
 
 Array = NDArray[np.float64]
 
-SMALLEST, LARGEST = 0.02, 3.0
-"""Longest side of an object that is plausible in metres."""
 NEAR = 0.15
 """A grasp further than this outside of the object holds nothing [m]."""
 ROOT_MASS, FINAL_MASS, KEY_MASS = 10.0, 2.0, 0.1
@@ -72,6 +72,8 @@ def assemble(
         ConfigurationError: its joints, or, if checked, its parts, size or range cannot be what the category needs.
     """
     check_joints(urdf, annotation)
+    if checked:
+        check_meshes(found, annotation)
     to_object: Pose = np.linalg.inv(object_frame(found, annotation)).astype(np.float64)
     leaders = groups(urdf, annotation.joints)
     origins = {name: (to_object @ pose)[:3, 3] for name, pose in found.poses.items()} | {urdf.root: np.zeros(3)}
@@ -85,6 +87,7 @@ def assemble(
             allowed=f"joints that go {MARGIN:g} times as far as the goal, or farther",
             hint=f"adamanip annotate {urdf.path.parent.name}, and set how far the joint goes",
         )
+    tell_left_out(found)
     return obj
 
 
@@ -101,7 +104,16 @@ def check_joints(urdf: Urdf, annotation: Annotation) -> None:
             hint=f"adamanip annotate {urdf.path.parent.name}",
         )
     for role in roles.joints:
-        check_kind(urdf, role, by_name[annotation.joints[role.name].joint])
+        joint = by_name[annotation.joints[role.name].joint]
+        check_kind(urdf, role, joint)
+        if joint.mimic is not None:
+            raise broken(
+                urdf.path,
+                f"joint {joint.name!r} cannot be the {role.name}: it does not move by itself.",
+                got=f"it follows joint {joint.mimic.leader!r} (mimic)",
+                allowed=", ".join(each.name for each in urdf.leading) or "a joint that follows none",
+                hint=f"adamanip annotate {urdf.path.parent.name}, and choose the joint",
+            )
 
 
 @dataclass(frozen=True)
@@ -128,8 +140,6 @@ class _Assembly:
         links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._order))
         lower, upper = self._box(links)
         depth, width, height = (float(length) for length in upper - lower)
-        if self.checked:
-            _check_size(self.urdf, max(depth, width, height))
         roles = ROLES[self.annotation.category].parts
         return ArticulatedObject(
             f"{self.annotation.category}:{self.urdf.path.parent.name}",
@@ -137,9 +147,13 @@ class _Assembly:
             links,
             tuple(self._part(role, links, lower, upper) for role in roles),
             (width, depth, height),
-            f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints",
+            f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints{self._gaps()}",
             weightless=True,
         )
+
+    def _gaps(self) -> str:
+        names = left_out(self.found)
+        return f", without {names}" if names else ""
 
     def _order(self, link: str) -> tuple[int, bool]:
         """Parents before children, the final joint's link before the key joint's, the same in every process."""
@@ -246,14 +260,3 @@ def _solid(vertices: Array, faces: NDArray[np.int64], into: Pose) -> Shape:
         vertices=np.ascontiguousarray(moved, np.float32),
         faces=np.ascontiguousarray(faces, np.int32),
     )
-
-
-def _check_size(urdf: Urdf, longest: float) -> None:
-    if not SMALLEST <= longest <= LARGEST:
-        raise broken(
-            urdf.path,
-            "of a size no such object has.",
-            got=f"{longest:.3g} m along its longest side",
-            allowed=f"{SMALLEST} ... {LARGEST} m",
-            hint=f"adamanip annotate {urdf.path.parent.name}, and set the scale",
-        )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice
+from lerobot_adamanip.assets.checked_xml import broken
 from lerobot_adamanip.assets.meshes import Surface, surfaces
-from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint, broken
+from lerobot_adamanip.assets.paths import MissingFileError
+from lerobot_adamanip.assets.urdf import Geometry, Urdf, UrdfJoint
 from lerobot_adamanip.objects.base import Pose
 from lerobot_adamanip.rotations import rotation_about, transform
 
@@ -18,6 +20,10 @@ Array = NDArray[np.float64]
 
 FRONT_TO_X: Array = np.diag([-1.0, -1.0, 1.0])
 """AdaManip's and PartNet-Mobility's objects face -x of the URDF's root frame, z up."""
+
+
+MAX_HOPS = 20
+"""From a joint that follows another to the one that moves by itself; more of them are a circle."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +34,14 @@ class Posed:
         urdf: the description.
         poses: (4, 4) of each link in the URDF's root frame.
         visuals, collisions: surfaces of each link in the URDF's root frame.
+        missing: meshes that a link names and its folder does not hold, for each link that names such.
     """
 
     urdf: Urdf
     poses: Mapping[str, Pose]
     visuals: Mapping[str, tuple[Surface, ...]]
     collisions: Mapping[str, tuple[Surface, ...]]
+    missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def bounds(self, links: set[str] | None = None) -> tuple[Array, Array]:
         """Returns the corners (3,), (3,) of the box around what is seen of the links (all if None)."""
@@ -44,28 +52,49 @@ class Posed:
         return every.min(axis=0), every.max(axis=0)
 
 
+@dataclass(frozen=True)
+class _Described:
+    """What a link's visual or collision elements come to, and the meshes they name that are not there."""
+
+    surfaces: tuple[Surface, ...]
+    missing: tuple[str, ...]
+
+    def or_else(self, other: _Described) -> tuple[Surface, ...]:
+        """A link may be described by one of the two alone, or by one of them alone without a gap."""
+        if not self.surfaces or (self.missing and other.surfaces and not other.missing):
+            return other.surfaces
+        return self.surfaces
+
+
 def posed(urdf: Urdf, annotation: Annotation) -> Posed:
-    """Reads all meshes, and puts every link where it is at rest."""
+    """Reads all meshes, and puts every link where it is at rest. Meshes that are not there are left out."""
     rest = {choice.joint: choice.rest for choice in annotation.joints.values()}
     poses = link_poses(urdf, rest, annotation.scale)
     folder, scale = urdf.path.parent, annotation.scale
 
-    def placed(name: str, seen: bool) -> tuple[Surface, ...]:
-        link, to_root = urdf.links[name], poses[name]
-        elements = link.visuals if seen else link.collisions
-        return tuple(
-            Surface(s.vertices * scale @ to_root[:3, :3].T + to_root[:3, 3], s.faces, s.color)
-            for element in elements
-            for s in surfaces(folder, element)
-        )
+    def described(name: str, elements: tuple[Geometry, ...]) -> _Described:
+        found: list[Surface] = []
+        missing: list[str] = []
+        to_root = poses[name]
+        for element in elements:
+            try:
+                found += [
+                    Surface(s.vertices * scale @ to_root[:3, :3].T + to_root[:3, 3], s.faces, s.color)
+                    for s in surfaces(folder, element)
+                ]
+            except MissingFileError:
+                missing.append(element.mesh)
+        return _Described(tuple(found), tuple(missing))
 
-    visuals, solids = ({name: placed(name, seen) for name in urdf.links} for seen in (True, False))
-    # A link may be described by one of the two alone.
+    seen = {name: described(name, link.visuals) for name, link in urdf.links.items()}
+    solid = {name: described(name, link.collisions) for name, link in urdf.links.items()}
+    missing = {name: tuple(dict.fromkeys(seen[name].missing + solid[name].missing)) for name in urdf.links}
     return Posed(
         urdf,
         poses,
-        {name: visuals[name] or solids[name] for name in urdf.links},
-        {name: solids[name] or visuals[name] for name in urdf.links},
+        {name: seen[name].or_else(solid[name]) for name in urdf.links},
+        {name: solid[name].or_else(seen[name]) for name in urdf.links},
+        {name: names for name, names in missing.items() if names},
     )
 
 
@@ -74,7 +103,7 @@ def link_poses(urdf: Urdf, positions: Mapping[str, float], scale: float = 1.0) -
 
     Args:
         urdf: the description.
-        positions: of joints, in the URDF's units; the others are at rest.
+        positions: of joints, in the URDF's units; the others are at rest, or where the joint they follow puts them.
         scale: metres per unit of length of the URDF.
     """
     poses: dict[str, Pose] = {urdf.root: np.eye(4)}
@@ -84,7 +113,7 @@ def link_poses(urdf: Urdf, positions: Mapping[str, float], scale: float = 1.0) -
         for joint in ready:
             fixed = joint.pose.copy()
             fixed[:3, 3] *= scale
-            moved = joint_motion(joint, positions.get(joint.name, _at_rest(joint)), scale)
+            moved = joint_motion(joint, _position(urdf, joint, positions), scale)
             poses[joint.child] = poses[joint.parent] @ fixed @ moved
         waiting = [joint for joint in waiting if joint not in ready]
     return poses
@@ -99,8 +128,14 @@ def joint_motion(joint: UrdfJoint, position: float, scale: float) -> Pose:
     return np.eye(4)
 
 
-def _at_rest(joint: UrdfJoint) -> float:
-    return 0.0 if joint.limits is None else float(np.clip(0.0, *joint.limits))
+def _position(urdf: Urdf, joint: UrdfJoint, positions: Mapping[str, float], hops: int = 0) -> float:
+    """Where a joint stands: as told, else as the joint it follows tells, else at rest."""
+    if joint.name in positions:
+        return positions[joint.name]
+    leader = next((each for each in urdf.moving if joint.mimic and each.name == joint.mimic.leader), None)
+    if joint.mimic is None or leader is None or hops > MAX_HOPS:
+        return 0.0 if joint.limits is None else float(np.clip(0.0, *joint.limits))
+    return joint.mimic.multiplier * _position(urdf, leader, positions, hops + 1) + joint.mimic.offset
 
 
 def groups(urdf: Urdf, joints: Mapping[str, JointChoice]) -> dict[str, str]:

@@ -29,7 +29,7 @@ def load_object(folder: str | Path, category: str) -> ArticulatedObject:
     """
     from lerobot_adamanip.assets.convert import convert_asset
 
-    path = Path(folder).resolve()
+    path = _named(Path(folder))
     return _load_cached(convert_asset, path, require_choice("category", category, ROLES), _stamps(path))
 
 
@@ -55,29 +55,50 @@ def inspect_object(folder: Path, category: str) -> ArticulatedObject:
     """Loads an object without the shapes it collides as, which may take long to make; all else as `load_object`."""
     from lerobot_adamanip.assets.convert import inspect_asset
 
-    return inspect_asset(folder.resolve(), category)
+    return inspect_asset(_named(folder), category)
 
 
-def problem_of(folder: Path, category: str) -> str:
-    """Returns what keeps a folder from being used, an empty text if nothing does; collisions are not made for that."""
+PlacementCheck = Callable[[ArticulatedObject], str]
+"""Says why an object cannot be placed before the arm; an empty text if it can. The simulator's package has one."""
+
+
+def problem_of(folder: Path, category: str, placement_problem: PlacementCheck | None = None) -> str:
+    """Returns what keeps a folder from being used, an empty text if nothing does; collisions are not made for that.
+
+    Args:
+        folder: of one object.
+        category: that it is of.
+        placement_problem: also asked, if the object can be loaded.
+    """
     from lerobot_adamanip.assets.convert import inspect_asset
 
-    path = folder.resolve()
-    return _problem_cached(inspect_asset, path, category, _stamps(path))
+    path = _named(folder)
+    return _problem_cached(inspect_asset, placement_problem, path, category, _stamps(path))
 
 
 @functools.lru_cache(maxsize=1024)
-def _problem_cached(inspect: Callable[[Path, str], object], folder: Path, category: str, stamps: Stamps) -> str:
+def _problem_cached(
+    inspect: Callable[[Path, str], ArticulatedObject],
+    placement_problem: PlacementCheck | None,
+    folder: Path,
+    category: str,
+    stamps: Stamps,
+) -> str:
     del stamps
     try:
-        inspect(folder, category)
+        obj = inspect(folder, category)
     except (ConfigurationError, OSError) as error:
         return _in_one_line(error, folder)
-    return ""
+    return "" if placement_problem is None else placement_problem(obj)
+
+
+def _named(folder: Path) -> Path:
+    """The absolute path that keeps the folder's own name: a link's object is called as the link is."""
+    return folder.resolve() if folder.name in ("", "..") else folder.absolute()
 
 
 def _in_one_line(error: Exception, folder: Path) -> str:
     """What went wrong and what was found, without the folder's path and without advice."""
-    told = str(error).replace(f"{folder}/", "").splitlines()
+    told = str(error).replace(f"{folder}/", "").replace(f"{folder.resolve()}/", "").splitlines()
     facts = [line.split(":", 1)[1].strip() for line in told[1:] if line.strip().startswith("got:")]
     return " ".join([told[0], *(f"({fact})" for fact in facts)])

@@ -7,19 +7,20 @@ import io
 import logging
 import os
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.assets.urdf import Geometry, broken, parse_xml
+from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml
+from lerobot_adamanip.assets.paths import MAX_BYTES, inside, resolver
+from lerobot_adamanip.assets.urdf import Geometry
 from lerobot_adamanip.files import write_atomically
 
 logger = logging.getLogger(__name__)
 
 MESH_KINDS = (".obj", ".stl", ".dae", ".glb")
-MAX_BYTES = 256_000_000
 MAX_FACES = 1_000_000
 GREY = (0.6, 0.6, 0.6)
 NEARLY_CONVEX = 0.85
@@ -40,46 +41,6 @@ class Surface:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     color: tuple[float, float, float]
-
-
-def inside(folder: Path, name: str) -> Path:
-    """Returns the file a URDF or material names, which has to lie in the object's folder.
-
-    Args:
-        folder: of the object.
-        name: relative; ``package://name/rest`` is looked for as ``rest`` and ``name/rest``.
-
-    Raises:
-        ConfigurationError: the path leads elsewhere (``..``, absolute, another scheme, a link), or to no file.
-    """
-    root = folder.resolve()
-    rest = _relative(folder, name)
-    path = next((root / each for each in rest if each and (root / each).is_file()), None)
-    if path is None:
-        raise _refused(folder, name, "a file that is missing", "unpack the whole archive")
-    if not path.resolve().is_relative_to(root):
-        raise _refused(folder, name, "a link out of its folder, which is not followed", "copy the file into the folder")
-    return path.resolve()
-
-
-def _relative(folder: Path, name: str) -> list[str]:
-    """The relative paths that a name may stand for; refused if it leads out of the folder."""
-    text = name.strip().replace("\\", "/")
-    rest = text.removeprefix("package://")
-    tries = [rest] if rest == text else [rest.partition("/")[2], rest]
-    if "://" in rest or "\0" in rest or any(PurePosixPath(t).is_absolute() or ".." in t.split("/") for t in tries):
-        raise _refused(folder, name, "a file outside its folder, which is not read", "copy the file into the folder")
-    return tries
-
-
-def _refused(folder: Path, name: str, what: str, hint: str) -> Exception:
-    return broken(
-        folder / "mobility.urdf",
-        f"names {what}.",
-        got=repr(name[:120]),
-        allowed=f"files inside {folder.name}/",
-        hint=hint,
-    )
 
 
 def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
@@ -112,7 +73,7 @@ def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
 
 
 def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float, float] | None], ...]:
-    """The triangle meshes of a file, in the file's frame, each with its main colour."""
+    """The triangle meshes of a file [m], in the file's frame, each with its main colour."""
     import trimesh
 
     path = inside(folder, name)
@@ -125,11 +86,10 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
             hint="convert it to .obj",
         )
     data = path.read_bytes()
-    if path.suffix.lower() == ".dae":
-        _check_collada(path, data)
+    unit = _collada_unit(path, data) if path.suffix.lower() == ".dae" else 1.0
     try:
         scene = trimesh.load_scene(
-            io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=_resolver(folder, path.parent)
+            io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=resolver(folder, path.parent)
         )
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     except Exception as error:
@@ -139,6 +99,8 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
             got=f"{type(error).__name__}: {error}",
             allowed=f"a valid {path.suffix} file",
         ) from error
+    for mesh in meshes if unit != 1.0 else ():
+        mesh.vertices = np.asarray(mesh.vertices) * unit
     if sum(len(mesh.faces) for mesh in meshes) > MAX_FACES or not all(np.isfinite(m.vertices).all() for m in meshes):
         raise broken(
             path,
@@ -151,9 +113,13 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
     return tuple((mesh, _main_color(mesh)) for mesh in meshes)
 
 
-def _check_collada(path: Path, data: bytes) -> None:
-    """Collada is XML: refuse what a URDF is refused for; and say what reads it."""
-    parse_xml(path, data)
+def _collada_unit(path: Path, data: bytes) -> float:
+    """Metres per unit of a Collada file, which trimesh reads without it. Collada is XML, and checked as a URDF is."""
+    asset = next((child for child in parse_xml(path, data) if child.tag.rpartition("}")[2] == "asset"), ())
+    stated = next((child for child in asset if child.tag.rpartition("}")[2] == "unit"), None)
+    unit = 1.0 if stated is None else numbers(path, stated.get("meter", "1"), 1, "the unit of length")[0]
+    if unit <= 0:
+        raise broken(path, "the unit of length is no length.", got=unit, allowed="metres per unit, above 0")
     try:
         import collada  # noqa: F401
     except ModuleNotFoundError as error:
@@ -164,34 +130,7 @@ def _check_collada(path: Path, data: bytes) -> None:
             allowed="pycollada",
             hint="pip install 'lerobot_env_adamanip[assets]'",
         ) from error
-
-
-def _resolver(folder: Path, base: Path) -> Any:
-    """What fetches the files a mesh names (materials, textures): from inside the object's folder only."""
-    import trimesh
-
-    root = folder.resolve()
-
-    class Inside(trimesh.resolvers.Resolver):
-        def __init__(self) -> None:
-            """Nothing to prepare; trimesh asks for a constructor."""
-
-        def get(self, name: str) -> bytes:
-            path = (base / str(name).strip().replace("\\", "/")).resolve()
-            if not path.is_relative_to(root) or path.stat().st_size > MAX_BYTES:
-                raise FileNotFoundError(f"{name} is not inside {root}")
-            return path.read_bytes()
-
-        def keys(self) -> Any:
-            return ()
-
-        def namespaced(self, namespace: str) -> Any:
-            raise FileNotFoundError(namespace)
-
-        def write(self, name: str, data: Any) -> None:
-            raise PermissionError(name)
-
-    return Inside()
+    return unit
 
 
 def _main_color(mesh: Any) -> tuple[float, float, float] | None:

@@ -19,6 +19,7 @@ class JointRole:
         either_way: whether it turns to both sides of zero.
         upper: range where the URDF states none [rad or m] (upstream's nominal value).
         damping: see `Joint`; URDFs of those collections state none that can be used.
+        extents: longest side of all that it moves, of the smallest and of the largest generated object [m].
     """
 
     name: str
@@ -26,6 +27,7 @@ class JointRole:
     either_way: bool
     upper: float
     damping: float
+    extents: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ class Roles:
     parts: tuple[PartRole, ...]
     folders: tuple[str, ...]
     """Names of a directory of such objects: ours first, then AdaManip's."""
+    typical_size: float
+    """Longest side of an object [m]."""
     partnet: tuple[str, ...] = ()
     """PartNet-Mobility's names of the category."""
 
@@ -80,64 +84,64 @@ DOOR_FILES = ("handle_bounding.json", "goal_pos.npy", "handle_pos.npy")
 
 ROLES: dict[str, Roles] = {
     "bottle": Roles(
-        JointRole("lift", "prismatic", False, 0.05, 5.0),
-        JointRole("cap", "revolute", True, 2.35, 0.01),
+        JointRole("lift", "prismatic", False, 0.05, 5.0, (0.029, 0.052)),
+        JointRole("cap", "revolute", True, 2.35, 0.01, (0.029, 0.052)),
         (PartRole("cap", ("lift", "cap"), BOTTLE_FILES, "from_above", QUARTER, 0.0014, round=True),),
-        ("bottle",), ("Bottle",),
+        ("bottle",), 0.25, ("Bottle",),
     ),
     "pen": Roles(
-        JointRole("lift", "prismatic", False, 0.05, 3.0),
-        JointRole("cap", "revolute", True, 2.35, 0.01),
+        JointRole("lift", "prismatic", False, 0.05, 3.0, (0.037, 0.069)),
+        JointRole("cap", "revolute", True, 2.35, 0.01, (0.037, 0.069)),
         (PartRole("cap", ("lift", "cap"), HANDLE_FILES, "from_above", QUARTER, -0.0226, round=True),),
-        ("pen",), ("Pen",),
+        ("pen",), 0.15, ("Pen",),
     ),
     "pressure_cooker": Roles(
-        JointRole("lift", "prismatic", False, 0.05, 5.0),
-        JointRole("lid", "revolute", True, 0.824, 0.1),
+        JointRole("lift", "prismatic", False, 0.05, 5.0, (0.29, 0.41)),
+        JointRole("lid", "revolute", True, 0.824, 0.1, (0.29, 0.41)),
         (PartRole("handle", ("lift", "lid"), HANDLE_FILES, "from_above", 0.0, 0.0054),),
-        ("pressure_cooker", "pc"), ("KitchenPot",),
+        ("pressure_cooker", "pc"), 0.38, ("KitchenPot",),
     ),
     "coffee_maker": Roles(
-        JointRole("drop", "prismatic", False, 0.05, 5.0),
-        JointRole("portafilter", "revolute", True, 0.80, 0.1),
+        JointRole("drop", "prismatic", False, 0.05, 5.0, (0.24, 0.27)),
+        JointRole("portafilter", "revolute", True, 0.80, 0.1, (0.24, 0.27)),
         (PartRole("handle", ("drop", "portafilter"), HANDLE_FILES, "from_above", 0.0, 0.0014),),
-        ("coffee_maker", "coffee_machine", "cm"), ("CoffeeMachine",),
+        ("coffee_maker", "coffee_machine", "cm"), 0.4, ("CoffeeMachine",),
     ),
     "window": Roles(
-        JointRole("sash", "revolute", False, 1.57, 1.0),
-        JointRole("handle", "revolute", True, 1.57, 0.05),
+        JointRole("sash", "revolute", False, 1.57, 1.0, (0.36, 0.61)),
+        JointRole("handle", "revolute", True, 1.57, 0.05, (0.075, 0.145)),
         (PartRole("handle", ("sash", "handle"), HANDLE_FILES, "facing", 0.0, 0.0054, 0.01),),
-        ("window",), ("Window",),
+        ("window",), 0.8, ("Window",),
     ),
     "door": Roles(
-        JointRole("leaf", "revolute", False, 1.57, 1.0),
-        JointRole("lever", "revolute", True, 1.05, 0.05),
+        JointRole("leaf", "revolute", False, 1.57, 1.0, (0.75, 1.2)),
+        JointRole("lever", "revolute", True, 1.05, 0.05, (0.072, 0.138)),
         (PartRole("lever", ("leaf", "lever"), DOOR_FILES, "facing", QUARTER, 0.0014, 0.01),),
-        ("door",), ("Door",),
+        ("door",), 0.9, ("Door",),
     ),
     "lamp": Roles(
-        JointRole("button", "prismatic", False, 0.1, 2.0),
-        JointRole("knob", "revolute", True, 1.57, 0.01),
+        JointRole("button", "prismatic", False, 0.1, 2.0, (0.06, 0.064)),
+        JointRole("knob", "revolute", True, 1.57, 0.01, (0.034, 0.043)),
         (PartRole("knob", ("button", "knob"), HANDLE_FILES, "from_above", QUARTER, 0.0034, round=True),),
-        ("lamp",), ("Lamp",),
+        ("lamp",), 0.4, ("Lamp",),
     ),
     "microwave": Roles(
-        JointRole("door", "revolute", False, 1.578, 1.0),
-        JointRole("button", "prismatic", False, 0.02, 2.0),
+        JointRole("door", "revolute", False, 1.578, 1.0, (0.28, 0.39)),
+        JointRole("button", "prismatic", False, 0.02, 2.0, (0.036, 0.072)),
         (
             PartRole("handle", ("door",), HANDLE_FILES, "facing", 0.0, 0.0074),
             PartRole("button", ("button",), ("button_pos.npy",), "facing", QUARTER, 0.0),
         ),
-        ("microwave", "mv"), ("Microwave",),
+        ("microwave", "mv"), 0.5, ("Microwave",),
     ),
     "safe": Roles(
-        JointRole("door", "revolute", False, 1.578, 1.0),
-        JointRole("knob", "revolute", True, 1.4, 0.02),
+        JointRole("door", "revolute", False, 1.578, 1.0, (0.28, 0.48)),
+        JointRole("knob", "revolute", True, 1.4, 0.02, (0.065, 0.072)),
         (
             PartRole("handle", ("door",), HANDLE_FILES, "facing", QUARTER, -0.0066),
             PartRole("knob", ("door", "knob"), ("knob_pos.npy",), "facing", QUARTER, -0.0046),
         ),
-        ("safe",), ("Safe",),
+        ("safe",), 0.42, ("Safe",),
     ),
 }  # fmt: skip
 """Per category. Ranges, holding directions and offsets: AdaManip's code, as far as its annotations depend on them."""

@@ -2,59 +2,23 @@
 
 from __future__ import annotations
 
-import functools
 import json
-import logging
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_adamanip.assets.annotation.file import ANNOTATION_NAME
-from lerobot_adamanip.assets.loading import inspect_object, load_object, problem_of
+from lerobot_adamanip.assets.loading import PlacementCheck, inspect_object, load_object, problem_of
+from lerobot_adamanip.assets.names import asset_id, name_problem, parse_asset_id, shown_name
+from lerobot_adamanip.assets.notices import warn_once
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import ArticulatedObject
 
-logger = logging.getLogger(__name__)
-
 URDF_NAME = "mobility.urdf"
 """What every layout calls its description."""
-
-
-def is_asset_id(identifier: str) -> bool:
-    """Whether an id names an external asset (``safe:sa1``) rather than a generated one (``safe_001``)."""
-    return ":" in identifier
-
-
-def asset_id(category: str, name: str) -> str:
-    """Returns ``safe:sa1`` for ("safe", "sa1")."""
-    return f"{require_choice('category', category, ROLES)}:{_checked_name(name)}"
-
-
-def parse_asset_id(identifier: str) -> tuple[str, str]:
-    """Returns ("safe", "sa1") for ``safe:sa1``; raises `ConfigurationError` for anything else."""
-    category, colon, name = identifier.partition(":")
-    if not colon or category not in ROLES:
-        raise ConfigurationError(
-            "Unknown object id.",
-            got=repr(identifier),
-            allowed=f"<category>:<folder>, category one of {', '.join(ROLES)}",
-            hint="safe:sa1, with --env.assets=DIR and DIR/safe/sa1/mobility.urdf",
-        )
-    return category, _checked_name(name)
-
-
-def _checked_name(name: str) -> str:
-    # No separators of paths, ids or selections: an id can be a file's name, and cannot leave its directory.
-    if re.fullmatch(r"[\w+-][\w.+ -]*", name):
-        return name
-    raise ConfigurationError(
-        "A folder with this name cannot be an object.",
-        got=repr(name),
-        allowed="letters, digits, spaces and _ . + -, no dot first",
-        hint="rename the folder",
-    )
 
 
 @dataclass(frozen=True)
@@ -64,21 +28,25 @@ class AssetSource:
     Objects of a category are the folders with a ``mobility.urdf`` in ``DIR/<category>`` (or AdaManip's own name for
     it, as ``coffee_machine``), or, if there is none of those, in ``DIR`` itself. A folder whose ``adamanip.json`` (or
     PartNet-Mobility ``meta.json``) names another category is passed over.
+
+    Attributes:
+        directory: see above.
+        placement_problem: says why an object cannot be placed before the arm; None: nobody asks. Objects that cannot
+            be placed are left out like those that cannot be loaded.
     """
 
     directory: str | Path
+    placement_problem: PlacementCheck | None = None
 
     def ids(self, category: str) -> tuple[str, ...]:
-        """Returns the ids of the objects of a category, sorted.
+        """Returns the ids of the objects of a category, sorted; folders whose name cannot be an id have none.
 
         Raises:
             ConfigurationError: no such directory, or no object of that category in it.
         """
-        folders = _folders(Path(self.directory), require_choice("category", category, ROLES))
-        found = [folder for folder in folders if _category_of(folder) in (None, category)]
-        if not found:
-            raise _nothing_found(Path(self.directory), category)
-        return tuple(asset_id(category, folder.name) for folder in found)
+        found = self._found(category)
+        named = tuple(asset_id(category, each.name) for each in found if not each.problem)
+        return named or self._usable(category, found)
 
     def folder(self, identifier: str) -> Path:
         """Returns the folder of an object.
@@ -87,13 +55,14 @@ class AssetSource:
             ConfigurationError: the id is none, or there is no such folder.
         """
         category, name = parse_asset_id(identifier)
-        for folder in _folders(Path(self.directory), category):
-            if folder.name == name:
-                return folder
+        folders = _folders(Path(self.directory), category)
+        for each in folders:
+            if each.name == name:
+                return each.folder
         raise ConfigurationError(
             f"There is no object {identifier!r} under {self.directory}.",
             got=identifier,
-            allowed=_some(folder.name for folder in _folders(Path(self.directory), category)),
+            allowed=_some(each.name for each in folders if not each.problem),
             hint=f"the id {category}:<folder> of a folder with a {URDF_NAME}",
         )
 
@@ -116,12 +85,12 @@ class AssetSource:
                 ``novel`` are refused: which of somebody's objects were seen is theirs to say.
         """
         if selection in ("seen", "all"):
-            return self._usable(category, self.ids(category))
+            return self._usable(category, self._found(category))
         chosen: tuple[str, ...] = ()
         if match := re.fullmatch(r"(\d+):(\d+)", selection):
-            chosen = self.ids(category)[int(match[1]) : int(match[2])]
-            if chosen:
-                return self._usable(category, chosen)
+            named = [each for each in self._found(category) if not each.problem]
+            if within := named[int(match[1]) : int(match[2])]:
+                return self._usable(category, within)
         elif selection not in ("unseen", "novel"):
             chosen = tuple(name.strip() for name in selection.split(",") if name.strip())
         if not chosen or any(parse_asset_id(name)[0] != category for name in chosen):
@@ -137,27 +106,44 @@ class AssetSource:
 
     def holds(self, category: str) -> bool:
         """Returns whether there is a folder of that category, usable or not."""
-        folders = _folders(Path(self.directory), require_choice("category", category, ROLES))
-        return any(_category_of(folder) in (None, category) for folder in folders)
+        return bool(self._of_category(category))
 
     def check(self, category: str) -> tuple[AssetReport, ...]:
-        """Returns, per folder of a category, whether it can be used, and why not; see `ids` for errors."""
-        return tuple(AssetReport(name, problem_of(self.folder(name), category)) for name in self.ids(category))
+        """Returns, per folder of a category, whether it can be used, and why not.
 
-    def _usable(self, category: str, ids: tuple[str, ...]) -> tuple[str, ...]:
-        problems = {name: problem_of(self.folder(name), category) for name in ids}
-        usable = tuple(name for name, problem in problems.items() if not problem)
-        listed = "\n".join(f"  {name}: {problem}" for name, problem in problems.items() if problem)
+        Raises:
+            ConfigurationError: no such directory, or no folder of that category in it.
+        """
+        return tuple(self._report(category, each) for each in self._found(category))
+
+    def _report(self, category: str, found: _Folder) -> AssetReport:
+        problem = found.problem or problem_of(found.folder, category, self.placement_problem)
+        return AssetReport(f"{category}:{shown_name(found.name)}", problem)
+
+    def _of_category(self, category: str) -> list[_Folder]:
+        folders = _folders(Path(self.directory), require_choice("category", category, ROLES))
+        return [each for each in folders if _category_of(each.folder) in (None, category)]
+
+    def _found(self, category: str) -> list[_Folder]:
+        if found := self._of_category(category):
+            return found
+        raise _nothing_found(Path(self.directory), category)
+
+    def _usable(self, category: str, found: Sequence[_Folder]) -> tuple[str, ...]:
+        reports = [self._report(category, each) for each in found]
+        usable = tuple(report.asset_id for report in reports if report.usable)
+        listed = "\n".join(f"  {report.asset_id}: {report.problem}" for report in reports if not report.usable)
         check = f"adamanip objects --assets {self.directory} --category {category}"
         if not usable:
             raise ConfigurationError(
                 f"No {category} under {self.directory} can be used.",
                 got=f"\n{listed}",
-                allowed="a folder that can be loaded, with a goal that its joints reach",
+                allowed="a folder that can be loaded and placed, with a goal that its joints reach",
                 hint=check,
             )
         if listed:
-            _warn_once(f"{len(ids) - len(usable)} of {len(ids)} external assets are left out ({check}):\n{listed}")
+            left_out = f"{len(reports) - len(usable)} of {len(reports)} external assets are left out"
+            warn_once(f"{left_out} ({check}):\n{listed}")
         return usable
 
 
@@ -184,12 +170,16 @@ def load_asset(directory: str | Path, identifier: str) -> ArticulatedObject:
     return AssetSource(Path(directory)).load(identifier)
 
 
-@functools.cache
-def _warn_once(text: str) -> None:
-    logger.warning("%s", text)
+@dataclass(frozen=True)
+class _Folder:
+    """A folder with a URDF: its name, where it is, and why the name cannot be an id (empty: it can)."""
+
+    name: str
+    folder: Path
+    problem: str = ""
 
 
-def _folders(directory: Path, category: str) -> list[Path]:
+def _folders(directory: Path, category: str) -> list[_Folder]:
     """The object folders in ``directory/<category>``, else in ``directory``; sorted by name."""
     if not directory.is_dir():
         raise ConfigurationError(
@@ -199,12 +189,20 @@ def _folders(directory: Path, category: str) -> list[Path]:
             hint="--env.assets=DIR",
         )
     inner = [directory / name for name in ROLES[category].folders if (directory / name).is_dir()]
-    found: dict[str, Path] = {}
+    found: list[_Folder] = []
     for place in inner or [directory]:
-        for urdf in place.glob(f"*/{URDF_NAME}"):
-            if urdf.is_file() and not urdf.parent.name.startswith("."):
-                found.setdefault(urdf.parent.name, urdf.parent)
-    return [found[name] for name in sorted(found)]
+        for folder in place.iterdir():
+            if not folder.name.startswith(".") and os.path.isfile(folder / URDF_NAME):
+                found.append(_Folder(folder.name, folder, _name_problem(folder, [each.folder for each in found])))
+    return sorted(found, key=lambda each: (each.name, bool(each.problem)))
+
+
+def _name_problem(folder: Path, others: Iterable[Path]) -> str:
+    """Why a folder's name cannot be an id: an id stands for one folder."""
+    same = next((other for other in others if other.name == folder.name), None)
+    if same is None:
+        return name_problem(folder.name)
+    return f"{same.parent.name}/ has a folder of the same name, which is used: rename this one in {folder.parent.name}/"
 
 
 def _category_of(folder: Path) -> str | None:

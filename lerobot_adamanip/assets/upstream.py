@@ -17,8 +17,9 @@ from lerobot_adamanip.assets.annotation.file import (
     PartChoice,
     read_annotation,
 )
+from lerobot_adamanip.assets.checked_xml import HUGE, broken
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
-from lerobot_adamanip.assets.urdf import HUGE, Urdf, UrdfJoint, broken
+from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, from_above
 from lerobot_adamanip.rotations import transform
@@ -68,7 +69,7 @@ def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
     if {_DEFAULT_FINAL, _DEFAULT_KEY} <= set(moving):
         chosen = [moving[_DEFAULT_FINAL], moving[_DEFAULT_KEY]]
     else:
-        chosen = list(moving.values())[:2]
+        chosen = list(urdf.leading)[:2]
     if len(chosen) < 2:
         raise broken(
             urdf.path,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml
+from lerobot_adamanip.assets.notices import warn_once
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.objects.base import Pose
 from lerobot_adamanip.rotations import transform
@@ -20,8 +21,7 @@ GeometryKind = Literal["box", "cylinder", "sphere", "mesh"]
 JOINT_KINDS: tuple[UrdfJointKind, ...] = ("fixed", "revolute", "continuous", "prismatic")
 MAX_BYTES = 8_000_000
 MAX_LINKS = 1000
-HUGE = 1e4
-"""No number in the description of a household object is larger."""
+RGBA = 4
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,10 @@ class UrdfLink:
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint; ``pose`` (4, 4) is the child's in the parent at zero, ``axis`` (3,) a unit vector in the child."""
+    """A joint; ``pose`` (4, 4) is the child's in the parent at zero, ``axis`` (3,) a unit vector in the child.
+
+    ``mimic``: it goes where another joint tells it; None: it moves by itself.
+    """
 
     name: str
     kind: UrdfJointKind
@@ -58,6 +61,16 @@ class UrdfJoint:
     pose: Pose
     axis: tuple[float, float, float]
     limits: tuple[float, float] | None
+    mimic: Mimic | None = None
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint stands at ``multiplier`` times the position of the joint ``leader``, plus ``offset`` [rad or m]."""
+
+    leader: str
+    multiplier: float
+    offset: float
 
 
 @dataclass(frozen=True)
@@ -74,16 +87,14 @@ class Urdf:
         """The joints that are not fixed."""
         return tuple(joint for joint in self.joints if joint.kind != "fixed")
 
+    @property
+    def leading(self) -> tuple[UrdfJoint, ...]:
+        """The joints that move by themselves."""
+        return tuple(joint for joint in self.moving if joint.mimic is None)
+
     def joint_above(self, link: str) -> UrdfJoint | None:
         """Returns the joint whose child a link is; None for the root."""
         return next((joint for joint in self.joints if joint.child == link), None)
-
-
-def broken(
-    path: Path, what: str, *, got: object, allowed: object, hint: str = "the file as it was published"
-) -> Exception:
-    """Returns the error for a file that cannot be used."""
-    return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
 
 
 def read_urdf(path: Path) -> Urdf:
@@ -115,41 +126,6 @@ def read_urdf(path: Path) -> Urdf:
     return Urdf(path, {link.name: link for link in links}, joints, _checked_root(path, links, joints))
 
 
-def parse_xml(path: Path, text: bytes) -> Any:
-    """Returns the root element of XML without a document type; `ConfigurationError` for anything else."""
-    import defusedxml
-    from defusedxml.ElementTree import ParseError, fromstring
-
-    try:
-        return fromstring(text, forbid_dtd=True)
-    except defusedxml.DefusedXmlException as error:
-        raise broken(
-            path,
-            "has a document type or entities, which are not read.",
-            got=type(error).__name__,
-            allowed="plain XML",
-            hint="a file without <!DOCTYPE ...>",
-        ) from error
-    except (ParseError, ValueError, LookupError, RecursionError) as error:
-        raise broken(path, "not XML.", got=error, allowed="well-formed XML") from error
-
-
-def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
-    """Parses ``count`` finite numbers; `ConfigurationError` otherwise."""
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(math.isfinite(v) and abs(v) < HUGE for v in values):
-        raise broken(
-            path,
-            f"{what} is not {count} finite number(s).",
-            got=repr(text[:80]),
-            allowed=f"{count} number(s) below {HUGE:g}",
-        )
-    return values
-
-
 def _origin(path: Path, element: Any, where: str) -> Pose:
     origin = element.find("origin")
     if origin is None:
@@ -160,10 +136,17 @@ def _origin(path: Path, element: Any, where: str) -> Pose:
 
 
 def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
+    """The colour of a ``<color rgba>``, with or without alpha. One that cannot be read costs a colour, no object."""
     if element is None:
         return None
+    written = element.get("rgba", "")
+    try:
+        values = numbers(path, written, 4 if len(written.split()) == RGBA else 3, "a colour")
+    except ConfigurationError:
+        warn_once(f"{path}: colour {written[:80]!r} left out: not 3 or 4 numbers")
+        return None
     # Written as screens show them; shaders work on linear colours.
-    red, green, blue, _ = np.clip(numbers(path, element.get("rgba", ""), 4, "a colour"), 0, 1) ** 2.2
+    red, green, blue = np.clip(values[:3], 0, 1) ** 2.2
     return float(red), float(green), float(blue)
 
 
@@ -230,7 +213,11 @@ def _joint(path: Path, element: Any) -> UrdfJoint:
         lower, upper = numbers(path, both, 2, f"the limits of {name}")
         limits = (min(lower, upper), max(lower, upper))
     pose = _origin(path, element, f"joint {name}")
-    return UrdfJoint(name, kind, ends[0], ends[1], pose, (float(unit[0]), float(unit[1]), float(unit[2])), limits)
+    direction, mimic = (float(unit[0]), float(unit[1]), float(unit[2])), None
+    if (follows := element.find("mimic")) is not None and kind != "fixed":
+        both = f"{follows.get('multiplier', '1')} {follows.get('offset', '0')}"
+        mimic = Mimic(follows.get("joint", ""), *numbers(path, both, 2, f"how {name} follows another joint"))
+    return UrdfJoint(name, kind, ends[0], ends[1], pose, direction, limits, mimic)
 
 
 def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ...]) -> str:

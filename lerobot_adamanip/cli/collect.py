@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.cli.external import select_placeable
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, CollectionSpec
@@ -211,7 +211,7 @@ class Collect:
         )
         return CollectionSpec(
             environment=environment,
-            objects=tuple(name for each in categories for name in select_objects(each, self.objects, self.assets)),
+            objects=select_placeable(categories, self.objects, self.assets, self.poses),
             expert=self.expert,
             expert_preset=self.expert_preset,
             episodes_per_object=self.episodes_per_object,

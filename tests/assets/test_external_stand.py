@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from asset_folders import adamanip_safe, full_size_door
+from asset_folders import adamanip_safe, full_size_door, partnet_safe, safe_annotation
 
 from lerobot_adamanip.assets import load_object
 from lerobot_adamanip.catalog import make_object
@@ -94,3 +95,50 @@ def test_the_adaptive_expert_opens_a_full_size_door_and_the_camera_sees_what_it_
 def test_nine_of_ten_full_size_doors_are_opened(full_size: Any) -> None:
     opened = [seed for seed in range(100, 120) if _opens(full_size, seed)]
     assert len(opened) >= 18, f"opened: {opened}"
+
+
+def out_of_reach(folder: Path) -> Path:
+    """A safe whose handle is held from behind, where the arm does not come."""
+    partnet_safe(folder)
+    content = safe_annotation()
+    grasp = np.array(content["parts"]["handle"]["grasp"])
+    grasp[:3, :3] = np.diag([-1.0, -1.0, 1.0]) @ grasp[:3, :3]
+    content["parts"]["handle"]["grasp"] = grasp.tolist()
+    (folder / "adamanip.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.mark.sim
+def test_one_asset_out_of_reach_is_left_out_by_name_and_costs_no_other(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    from lerobot_adamanip.cli.external import checked_source, select_placeable
+    from lerobot_adamanip.errors import ConfigurationError, UnreachableError
+    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+    adamanip_safe(tmp_path / "safe" / "near")
+    far = [out_of_reach(tmp_path / "safe" / f"far{number}").name for number in range(3)]
+    reports = {each.asset_id: each.problem for each in checked_source(tmp_path).check("safe")}
+    assert reports["safe:near"] == ""
+    assert all("does not reach its handle" in reports[f"safe:{name}"] for name in far)
+    assert select_placeable(["safe"], "all", tmp_path, "randomized") == ("safe:near",)
+    (told,) = [each.getMessage() for each in caplog.records if "3 of 4" in each.getMessage()]
+    assert all(f"safe:{name}" in told for name in far)
+
+    # Named ones are kept: whichever of them the simulator draws when it is made, it starts.
+    named = ",".join(reports)
+    for objects in ("all", named):
+        env = KeyframeEnv("safe", objects=objects, assets=str(tmp_path), observe_images=False, num_points=512)
+        try:
+            for seed in range(3):
+                env.reset(seed=seed, options={"object_id": "safe:near"})
+                assert env.episode_record()["object_id"] == "safe:near"
+            if objects == "all":
+                env.reset(seed=0)
+                assert env.episode_record()["object_id"] == "safe:near"
+            with pytest.raises(UnreachableError, match="safe:far0"):
+                env.reset(seed=0, options={"object_id": "safe:far0"})
+        finally:
+            env.close()
+    with pytest.raises(ConfigurationError, match="can be used"):
+        select_placeable(["safe"], "0:3", tmp_path, "randomized")

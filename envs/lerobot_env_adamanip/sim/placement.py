@@ -93,6 +93,7 @@ def draw_placement(
     floor_z: float,
     nominal_y: float = 0.0,
     tries: int = 30,
+    must_reach: bool = True,
 ) -> Placement:
     """Draws poses until the arm reaches every part, held and turned; one draw decides everything.
 
@@ -106,6 +107,7 @@ def draw_placement(
         floor_z: height of the surface it stands on [m].
         nominal_y: of the middle of the object's front [m].
         tries: draws at most.
+        must_reach: whether none is an error; else the object then stands where the last draw put it.
 
     Raises:
         UnreachableError: none of the draws could be reached.
@@ -115,9 +117,10 @@ def draw_placement(
         yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
         pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
         start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
-        annotations = _reachable(obj, pose, kinematics, reaches, start)
-        if annotations is not None:
+        if (annotations := _reachable(obj, pose, kinematics, reaches, start)) is not None:
             return Placement(pose, start, annotations)
+    if not must_reach:
+        return Placement(pose, start, {part.name: part.in_frame(pose) for part in obj.parts})
     raise _unreachable(obj, f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m")
 
 

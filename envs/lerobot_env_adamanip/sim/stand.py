@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
-from lerobot_env_adamanip.sim.placement import Path, ReachRequirement
+from lerobot_env_adamanip.sim.kinematics import ArmKinematics
+from lerobot_env_adamanip.sim.placement import Path, Placement, Randomization, ReachRequirement, draw_placement
 
 LEAST_PLINTH, HIGHEST_PLINTH = 0.04, 0.7
 """Of the plinth under a generated object [m]."""
@@ -58,6 +59,28 @@ class Stand:
     def ground_z(self) -> float:
         """Height of the ground: below the robot's base where the object needs it [m]."""
         return min(self.floor_z, 0.0)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        obj: ArticulatedObject,
+        kinematics: ArmKinematics,
+        spread: Randomization,
+        *,
+        must_reach: bool = True,
+    ) -> Placement:
+        """Returns an episode's poses around this stand; see `draw_placement`."""
+        return draw_placement(
+            rng,
+            obj,
+            kinematics,
+            self.reaches,
+            spread,
+            nominal_x=self.x,
+            nominal_y=self.y,
+            floor_z=self.floor_z,
+            must_reach=must_reach,
+        )
 
 
 def generated_stand(

@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lerobot_adamanip.assets.checked_xml import HUGE, broken
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.assets.urdf import HUGE, broken
 from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose

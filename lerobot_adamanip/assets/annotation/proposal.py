@@ -12,20 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, PartChoice
+from lerobot_adamanip.assets.checked_xml import broken
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame, posed
 from lerobot_adamanip.assets.meshes import Surface
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import default_choice, part_link
-from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint, broken
+from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, from_above
 
 Array = NDArray[np.float64]
 
-TYPICAL_SIZE = {
-    "bottle": 0.25, "pen": 0.15, "pressure_cooker": 0.38, "coffee_maker": 0.40, "window": 0.80, "door": 0.90,
-    "lamp": 0.40, "microwave": 0.50, "safe": 0.42,
-}  # fmt: skip
-"""Longest side of an object of a category [m], for collections that scale every object to one size."""
 SMALLEST_PART = 0.02
 """What is smaller along each side is a mark or a screw, nothing to hold [m]."""
 GRIP_DEPTH = 0.015
@@ -41,8 +37,8 @@ def propose(urdf: Urdf, category: str) -> Annotation:
     roles = ROLES[category]
     by_hand = Annotation(category, {}, {})
     found = posed(urdf, by_hand)
-    final = _largest(found, roles.final, urdf.moving)
-    others = [joint for joint in urdf.moving if joint is not final]
+    final = _largest(found, roles.final, urdf.leading)
+    others = [joint for joint in urdf.leading if joint is not final]
     below = [joint for joint in others if joint.kind in _kinds(roles.key) and final.child in _chain(urdf, joint.child)]
     key = _largest(found, roles.key, below or others)
     joints = {role.name: default_choice(role, joint) for role, joint in zip(roles.joints, (final, key), strict=True)}
@@ -152,4 +148,4 @@ def _scale(urdf: Urdf, found: Posed, category: str) -> float:
     if not (urdf.path.parent / "semantics.txt").is_file() and not (urdf.path.parent / "meta.json").is_file():
         return 1.0
     lower, upper = found.bounds()
-    return round(TYPICAL_SIZE[category] / float(np.max(upper - lower)), 4)
+    return round(ROLES[category].typical_size / float(np.max(upper - lower)), 4)

@@ -12,6 +12,7 @@ from typing import Any
 from lerobot_adamanip.assets import AssetReport, AssetSource
 from lerobot_adamanip.catalog import make_object, object_split, parse_object_selection
 from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.cli.external import checked_source
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet, sheet_suffix
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.objects import ArticulatedObject
@@ -73,7 +74,7 @@ class Objects:
         wanted = CATEGORIES if self.category == ALL else (self.category,)
         if self.assets is None:
             return [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)], []
-        source = AssetSource(self.assets)
+        source = checked_source(self.assets)
         reports = [report for each in wanted for report in self._reports(source, each)]
         usable = [source.inspect(report.asset_id) for report in reports if report.usable]
         return usable, [report for report in reports if not report.usable]

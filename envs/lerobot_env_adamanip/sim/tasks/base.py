@@ -27,7 +27,8 @@ from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
 from lerobot_env_adamanip.sim.observation import SimObservation
-from lerobot_env_adamanip.sim.placement import Placement, draw_placement, randomization
+from lerobot_env_adamanip.sim.placement import Placement, randomization
+from lerobot_env_adamanip.sim.reach import placement_check
 from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
@@ -69,6 +70,8 @@ class AdaManipTask(BaseEnv):
     """This episode's mechanism, on its object."""
     views: Views
     """What is seen of this episode."""
+    _is_built = False
+    """Whether ManiSkill's own first reset is over: nobody asked for that scene, which may be out of reach."""
 
     def __init__(
         self,
@@ -90,7 +93,8 @@ class AdaManipTask(BaseEnv):
         **kwargs: Any,
     ) -> None:
         require_one_on_cpu(sim_backend, num_envs)
-        self.object_ids, self._assets = select_objects(self.category, objects, assets), assets
+        placeable = None if assets is None else placement_check(self.definition, poses)
+        self.object_ids, self._assets = select_objects(self.category, objects, assets, placeable), assets
         self.randomization = randomization(poses)
         self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
         self.hidden_overrides = dict(hidden_overrides or {})
@@ -101,6 +105,7 @@ class AdaManipTask(BaseEnv):
         super().__init__(
             *args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", render_backend=device, **kwargs
         )
+        self._is_built = True
 
     @property
     def category(self) -> str:
@@ -225,16 +230,8 @@ class AdaManipTask(BaseEnv):
         self._kinematics = ArmKinematics(self.agent.robot._objs[0], task.rest)
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
-        self.placement = draw_placement(
-            self._stream(_PLACEMENT_STREAM),
-            self.obj,
-            self._kinematics,
-            self._stand.reaches,
-            self.randomization,
-            nominal_x=self._stand.x,
-            nominal_y=self._stand.y,
-            floor_z=self._stand.floor_z,
-        )
+        rng, spread = self._stream(_PLACEMENT_STREAM), self.randomization
+        self.placement = self._stand.draw(rng, self.obj, self._kinematics, spread, must_reach=self._is_built)
         self._objects.place(self.placement.object_in_base)
         self.agent.reset(np.concatenate([self.placement.start_qpos, [0.04, 0.04]]).astype(np.float32))
         generator = torch.Generator().manual_seed(int(self._stream(_HIDDEN_STREAM).integers(2**31)))

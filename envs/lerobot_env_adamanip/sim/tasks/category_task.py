@@ -23,9 +23,9 @@ LIFT_REACH = 0.045
 """The arm must be able to take a cap or lid this far [m]: past success."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CategoryTask:
-    """One row of the table of tasks.
+    """One row of the table of tasks; a row equals itself alone.
 
     Attributes:
         category: ``safe``.

@@ -1,0 +1,54 @@
+"""XML and numbers that others wrote: checked, not trusted, and refused with the file they are in."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.errors import ConfigurationError
+
+HUGE = 1e4
+"""No number in the description of a household object is larger."""
+
+
+def broken(
+    path: Path, what: str, *, got: object, allowed: object, hint: str = "the file as it was published"
+) -> Exception:
+    """Returns the error for a file that cannot be used."""
+    return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
+
+
+def parse_xml(path: Path, text: bytes) -> Any:
+    """Returns the root element of XML without a document type; `ConfigurationError` for anything else."""
+    import defusedxml
+    from defusedxml.ElementTree import ParseError, fromstring
+
+    try:
+        return fromstring(text, forbid_dtd=True)
+    except defusedxml.DefusedXmlException as error:
+        raise broken(
+            path,
+            "has a document type or entities, which are not read.",
+            got=type(error).__name__,
+            allowed="plain XML",
+            hint="a file without <!DOCTYPE ...>",
+        ) from error
+    except (ParseError, ValueError, LookupError, RecursionError) as error:
+        raise broken(path, "not XML.", got=error, allowed="well-formed XML") from error
+
+
+def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
+    """Parses ``count`` finite numbers; `ConfigurationError` otherwise."""
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(math.isfinite(v) and abs(v) < HUGE for v in values):
+        raise broken(
+            path,
+            f"{what} is not {count} finite number(s).",
+            got=repr(text[:80]),
+            allowed=f"{count} number(s) below {HUGE:g}",
+        )
+    return values
