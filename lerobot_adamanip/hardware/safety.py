@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import (
     Placed,
     Target,
@@ -31,16 +30,6 @@ from lerobot_adamanip.hardware.target_geometry import (
 from lerobot_adamanip.rotations import Array
 from lerobot_adamanip.schema import GRIPPER_DIM
 
-Corner = tuple[float, float, float]
-
-HAND_CORNERS = np.array(
-    [
-        *product((-0.016, 0.016), (-0.103, 0.103), (-0.103, -0.047)),  # the hand's body
-        *product((-0.011, 0.011), (-0.053, 0.053), (0.009,)),  # the fingers, open, their tips
-    ]
-)
-"""(12, 3) corners of Franka's hand in the tool's frame [m]: z the approach, y the direction in which fingers close.
-The body ends 103 mm above the tool centre point, where the flange is; open fingers reach 9 mm beyond it."""
 MAX_REFUSED = 10
 """Malformed targets in a row that end in an error: a device that sends nothing else is broken."""
 TURN_SHARES = (1.0, 0.5, 0.25, 0.0)
@@ -51,63 +40,15 @@ ROUNDING = 2e-7
 """By which bounds are approached [m or rad]: three units in the last place of a float32 near 1."""
 
 
-@dataclass(frozen=True)
-class SafetyLimits:
-    """Where the tool may be sent, and how fast.
-
-    Attributes:
-        box_lower, box_upper: of the tool and of the hand's corners [m, base frame]; its bottom is the floor.
-        speed, angular_speed: of a streamed target [m/s, rad/s].
-        lead, angular_lead: of a streamed target over the measured pose [m, rad]: an arm that is held back, or whose
-            path is blocked, is not run away from, and pulls with no more than stiffness times this.
-        max_dt: time between two targets counts no more than this [s].
-    """
-
-    box_lower: Corner
-    box_upper: Corner
-    speed: float = 0.10
-    angular_speed: float = 0.4
-    lead: float = 0.04
-    angular_lead: float = 0.15
-    max_dt: float = 0.1
-
-    def __post_init__(self) -> None:
-        size = np.subtract(self.box_upper, self.box_lower)
-        least = float(np.linalg.norm(HAND_CORNERS[:, None] - HAND_CORNERS[None], axis=-1).max())
-        if not np.isfinite(size).all() or (size <= least).any():
-            raise ConfigurationError(
-                "The box that the tool may be in is too small for a hand in every orientation.",
-                got=f"{tuple(self.box_lower)} ... {tuple(self.box_upper)} m",
-                allowed=f"more than {least:.2f} m in each direction, lower corner first",
-                hint="the box holds the whole hand, not the tool centre point alone",
-            )
-        for name in ("speed", "angular_speed", "lead", "angular_lead", "max_dt"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigurationError(
-                    f"The safety limit {name} cannot be used.", got=getattr(self, name), allowed="above 0"
-                )
-
-    def reduced_box(self, rotation: Array) -> tuple[Array, Array]:
-        """Returns the box of the tool's position in which a hand of this (3, 3) rotation has its corners inside."""
-        corners = HAND_CORNERS @ rotation.T
-        lower = np.asarray(self.box_lower) - np.minimum(corners.min(axis=0), 0.0)
-        return lower, np.asarray(self.box_upper) - np.maximum(corners.max(axis=0), 0.0)
-
-    def contains(self, tcp_in_base: Array, margin: float = 0.0) -> bool:
-        """Whether tool and corners are inside; a positive ``margin`` [m] forgives as much."""
-        lower, upper = self.reduced_box(tcp_in_base[:3, :3])
-        position = tcp_in_base[:3, 3]
-        return bool((position >= lower - margin).all() and (position <= upper + margin).all())
-
-
 class SafetyFilter:
     """Makes targets safe to send, one after the other.
 
     A streamed target leaves the last one by no more than ``speed * dt`` and the measured pose by no more than ``lead``,
     and stays in the box, with the hand's corners. Where these exclude each other, the box comes first, then the lead:
     if the arm was pushed away from the last target by more than the lead, the target follows it (`origin`), and steps
-    are counted from there. A key frame is a whole motion, planned within the arm's own limits: it is brought into the
-    box and nothing else.
+    are counted from there. A key frame is a whole motion, planned within the arm's own limits: neither step nor lead
+    bind it. It is brought into the box, and where a hand that turns would leave the box on the way, the tool first
+    moves away from the box's side, turns there, and comes back.
 
     A malformed target (wrong shape, not finite, no rotation) is refused: the last one stays. Its rotation is
     orthonormalised, its gripper clipped.
@@ -154,9 +95,23 @@ class SafetyFilter:
         """
         return self._accept(target, lambda wanted: self.limited(wanted, tcp_in_base, dt), tcp_in_base)
 
-    def keyframe(self, target: NDArray[np.generic], tcp_in_base: Array) -> Target:
-        """Returns a key frame brought into the box, (10,) float32. Arguments and errors as of `stream`."""
-        return self._accept(target, lambda wanted: self._into_box(placed(wanted)).target, tcp_in_base)
+    def keyframe(self, target: NDArray[np.generic], tcp_in_base: Array) -> list[Target]:
+        """Returns 1 to 3 targets, (10,) float32 each, to reach one after the other: the last is the key frame.
+
+        Between two of them the hand stays in the box with all corners, if it is inside at the start. Arguments and
+        errors as of `stream`.
+        """
+        start = placed_at(tcp_in_base, float(self.origin(tcp_in_base)[GRIPPER_DIM]))
+        goal = self._accept(target, lambda wanted: self._into_box(placed(wanted)).target, tcp_in_base)
+        return [*self._detour(start, placed(goal)), goal]
+
+    def _detour(self, start: Placed, goal: Placed) -> list[Target]:
+        """Returns where to go between two poses, so that the hand turns where there is room; with the start's grip."""
+        lower, upper = self.limits.turning_box(start.rotation, goal.rotation)
+        leaving, arriving = _into(start, lower, upper), _into(goal, lower, upper)
+        arriving = moved_to(arriving, arriving.position, float(start.target[GRIPPER_DIM]))
+        ways = ((leaving, start), (arriving, goal))
+        return [stop.target for stop, end in ways if distance(stop, end) > ROUNDING]
 
     def _accept(self, target: NDArray[np.generic], limit: Callable[[Target], Target], tcp_in_base: Array) -> Target:
         wanted = canonical(target)
@@ -233,15 +188,9 @@ class SafetyFilter:
         return bool((pose.position >= lower).all() and (pose.position <= upper).all())
 
     def _into_box(self, pose: Placed) -> Placed:
-        """A pose with its position moved into the box, rounded inwards."""
+        """A pose with its position moved to where the hand's corners are in the box."""
         lower, upper = self.limits.reduced_box(pose.rotation)
-        position = np.clip(pose.position, lower, upper)
-        if (position == pose.position).all():
-            return pose
-        rounded = position.astype(np.float32)
-        rounded = np.where(rounded < lower, np.nextafter(rounded, np.float32(np.inf)), rounded)
-        rounded = np.where(rounded > upper, np.nextafter(rounded, np.float32(-np.inf)), rounded)
-        return moved_to(pose, rounded.astype(np.float64), float(pose.target[GRIPPER_DIM]))
+        return _into(pose, lower, upper)
 
     def _turned(self, origin: Placed, goal: Placed, measured: Placed, turn: float) -> Placed:
         """The origin, turned by at most ``turn`` [rad] towards what is wanted, and within the lead."""
@@ -262,3 +211,14 @@ class SafetyFilter:
         if (way := math.dist(position, origin.position)) > step:
             position = origin.position + (position - origin.position) * (max(0.0, step) / way)
         return self._into_box(moved_to(turned, position, float(goal.target[GRIPPER_DIM])))
+
+
+def _into(pose: Placed, lower: Array, upper: Array) -> Placed:
+    """Returns a pose with its position moved into a box, rounded inwards."""
+    position = np.clip(pose.position, lower, upper)
+    if (position == pose.position).all():
+        return pose
+    rounded = position.astype(np.float32)
+    rounded = np.where(rounded < lower, np.nextafter(rounded, np.float32(np.inf)), rounded)
+    rounded = np.where(rounded > upper, np.nextafter(rounded, np.float32(-np.inf)), rounded)
+    return moved_to(pose, rounded.astype(np.float64), float(pose.target[GRIPPER_DIM]))

@@ -30,7 +30,7 @@ class RobotSession:
     Attributes:
         reading: the latest one.
         sent: (10,) last accepted target; None before the first.
-        safety: the filter's limits, `lerobot_adamanip.hardware.safety.SafetyLimits`.
+        safety: the filter's limits, `lerobot_adamanip.hardware.safety_limits.SafetyLimits`.
         calibrations: camera key -> `lerobot_adamanip.hardware.frames.CameraCalibration`.
         details: what a backend has to tell beside that, JSON-able (the twin: its annotations and episode).
         episodes: counts up whenever an episode begins or is given up: who integrates a goal starts anew then.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_adamanip.hardware.safety import HAND_CORNERS, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.rotations import (
     Array,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,7 +22,10 @@ from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFr
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.cameras.base import FrameReader
+from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.hardware.frames import Frame
 from lerobot_adamanip.hardware.session import BOARD
 from lerobot_adamanip.keyframes import Outcome
 from lerobot_adamanip.schema import POSE_NAMES, STATE_NAMES
@@ -277,6 +281,49 @@ def test_nothing_is_answered_before_connecting_or_after_disconnecting(make: Call
     assert BOARD.find("test") is robot.session
     robot.disconnect()
     assert BOARD.find("test") is None
+
+
+def test_lerobots_warning_of_a_slow_loop_is_not_told_in_lockstep(
+    make: Callable[..., FakeFranka], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A step takes as long as it takes there; 948 lines of it hide the one that matters."""
+    slow = "Record loop is running slower (18.0 Hz) than the target FPS (30 Hz)."
+
+    def told(robot: FakeFranka) -> list[str]:
+        caplog.clear()
+        robot.connect()
+        logging.warning(slow)
+        logging.getLogger("lerobot.rollout").warning(slow)
+        logging.warning("another")
+        robot.disconnect()
+        logging.warning(slow)
+        return caplog.messages
+
+    assert told(make(LOCKSTEP)) == ["another", slow]
+    assert told(make()) == [slow, slow, "another", slow]
+
+
+@pytest.mark.parametrize(("server", "counted"), [(LOCKSTEP, 0), (PATIENT, 1)])
+def test_skew_is_counted_where_time_passes_by_itself(
+    make: Callable[..., FakeFranka], server: ServerOptions, counted: int
+) -> None:
+    """In lockstep the clock stands still while a picture is taken: it belongs to its tick."""
+
+    class Late(FrameReader):
+        use_rgb = use_depth = False
+        is_connected = False
+
+        def connect(self) -> None:
+            pass
+
+        def latest_frame(self, max_age: float) -> Frame:
+            return Frame(time.perf_counter() + 1.0, time.perf_counter() + 1.0, None, None, 0)
+
+    robot = make(server)
+    robot.cameras, robot._skews = {"front": Late()}, {"front": SkewWatch()}
+    robot.connect()
+    robot.get_observation()
+    assert robot._skews["front"].skewed == counted
 
 
 def test_the_operators_key_is_a_label(make: Callable[..., FakeFranka]) -> None:

@@ -18,7 +18,7 @@ from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFr
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import wanted_limits
 from lerobot_adamanip.hardware.outcome import pose_error
-from lerobot_adamanip.hardware.safety import SafetyLimits
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.keyframes import Outcome
 from lerobot_adamanip.rotations import pose_from_vector, pose_vector, rotation_about, transform
 from lerobot_adamanip.schema import POSE_NAMES

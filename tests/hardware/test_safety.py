@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lerobot_adamanip.errors import ConfigurationError, RobotError
-from lerobot_adamanip.hardware.safety import MAX_REFUSED, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import MAX_REFUSED, SafetyFilter
+from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import canonical
-from lerobot_adamanip.rotations import pose_from_vector, pose_vector, rotation_about, transform
+from lerobot_adamanip.rotations import pose_from_vector, pose_vector, rotation_about, straight_path, transform
 
 DT = 1 / 30
 STEP = LIMITS.speed * DT
@@ -136,11 +137,53 @@ def test_a_policys_rough_rotation_is_made_exact_once() -> None:
 
 
 def test_a_key_frame_goes_as_far_as_the_box(anchored: SafetyFilter) -> None:
-    assert (anchored.keyframe(ahead(0.15, 0.2), START) == ahead(0.15, 0.2)).all()
-    out = anchored.keyframe(ahead(5.0, 0.2), START)
+    (out,) = anchored.keyframe(ahead(0.15, 0.2), START)
+    assert (out == ahead(0.15, 0.2)).all()
+    (out,) = anchored.keyframe(ahead(5.0, 0.2), START)
     _, upper = LIMITS.reduced_box(START[:3, :3])
     assert upper[0] - 1e-6 < out[0] <= upper[0]
     assert out[1:].tobytes() == ahead(5.0, 0.2)[1:].tobytes()
+
+
+def test_the_hand_stays_in_the_box_all_the_way_of_a_key_frame(anchored: SafetyFilter) -> None:
+    """1,000 goals at the box's sides, with turns, each from where the one before has led; however a turn is timed."""
+    rng, here = np.random.default_rng(0), START
+    lower, upper = np.array(LIMITS.box_lower), np.array(LIMITS.box_upper)
+    outside, detours = 0.0, 0
+    for number in range(1000):
+        position = rng.uniform(lower, upper)
+        side = number % 3
+        position[side] = (lower, upper)[number // 3 % 2][side] + rng.normal() * 0.02
+        turned = here[:3, :3] @ rotation_about(rng.normal(size=3), rng.uniform(0, math.pi))
+        way = anchored.keyframe(pose_vector(transform(position, turned), rng.uniform()), here)
+        detours += len(way) - 1
+        for target in way:
+            goal = pose_from_vector(target)[0]
+            shares = np.linspace(0.0, 1.0, 60)
+            rotations = straight_path(here, goal, shares)[:, :3, :3]
+            for places in (shares, np.sqrt(shares), shares**2):
+                positions = here[:3, 3] + places[:, None] * (goal[:3, 3] - here[:3, 3])
+                corners = positions[:, None] + HAND_CORNERS @ rotations.transpose(0, 2, 1)
+                outside = max(outside, float((lower - corners).max()), float((corners - upper).max()))
+            here = goal
+    assert outside < 1e-6
+    assert detours > 500
+
+
+def test_a_key_frame_turns_where_there_is_room_with_the_grip_it_had(anchored: SafetyFilter) -> None:
+    """Level at the floor, rolled by a quarter turn and back to the floor: up, turned, down."""
+    floor = pose_vector(transform((0.5, 0.0, 0.0), START[:3, :3]), 0.0)
+    (low,) = anchored.keyframe(floor, START)
+    here = pose_from_vector(low)[0]
+    rolled = pose_vector(transform((0.5, 0.0, 0.0), START[:3, :3] @ rotation_about((0, 0, 1), math.pi / 2)), 1.0)
+    lift, turn, end = anchored.keyframe(rolled, here)
+    assert lift[2] > low[2] + 0.05
+    assert lift[3:9].tobytes() == low[3:9].tobytes()
+    assert turn[3:9].tobytes() == end[3:9].tobytes()
+    assert turn[2] >= end[2]
+    assert [float(each[9]) for each in (lift, turn, end)] == [0.0, 0.0, 1.0]
+    assert anchored.last is not None
+    assert anchored.last.tobytes() == end.tobytes()
 
 
 def test_a_hand_outside_the_box_is_no_place_to_begin() -> None:

@@ -14,7 +14,7 @@ from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.served import RESET
 from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
-from lerobot_adamanip.hardware.safety import SafetyLimits
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.session import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.schema import POSE_NAMES
 from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin

@@ -14,6 +14,7 @@ from lerobot.robots.robot import Robot
 
 from lerobot_adamanip.errors import ConfigurationError, RobotError
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.adamanip_franka.loop_warnings import SlowLoopFilter
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules, action_vector
 from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading
@@ -22,9 +23,13 @@ from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.safety_limits import Corner, SafetyLimits
 from lerobot_adamanip.hardware.session import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, SUCCESS, RobotSession
 from lerobot_adamanip.schema import POSE_NAMES
+
+MAX_LEADS = 2.0
+"""The arm's process bounds what leads the arm at this multiple of the filter's lead: its reading is a newer one."""
 
 _logger = logging.getLogger(__name__)
 
@@ -47,6 +52,7 @@ class AdamanipFranka(Robot):
         self._driver: MotionDriver | None = None
         self._session = RobotSession()
         self._skews = {key: SkewWatch() for key in self.cameras}
+        self._slow_loop = SlowLoopFilter()
         self._connected_at = 0.0
 
     # What it is -------------------------------------------------------------------------------------------------------
@@ -125,6 +131,7 @@ class AdamanipFranka(Robot):
         assert self._client is not None
         if (fps := self._client.server.lockstep_fps) is not None:
             self._session.details[LOCKSTEP_DT] = 1 / fps
+            self._slow_loop.install()
         rules = MotionRules(self.config.execution, self.config.auto_recover, self.config.motion_time)
         self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), rules)
         self._driver.anchor()
@@ -167,7 +174,15 @@ class AdamanipFranka(Robot):
     def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:
         """What the arm's process watches."""
         config, limits = self.config, self._safety_limits()
-        return ServerOptions(config.state_age, config.command_age, lockstep_fps, limits.box_lower, limits.box_upper)
+        return ServerOptions(
+            config.state_age,
+            config.command_age,
+            lockstep_fps,
+            limits.box_lower,
+            limits.box_upper,
+            jump=MAX_LEADS * limits.lead,
+            angular_jump=MAX_LEADS * limits.angular_lead,
+        )
 
     def disconnect(self) -> None:
         """Stops the arm and ends its process, then the cameras: within 2 s for the arm. Idempotent."""
@@ -175,6 +190,7 @@ class AdamanipFranka(Robot):
         if client is None:
             return
         client.close()
+        self._slow_loop.remove()
         BOARD.close(self._board_id)
         for key, camera in self.cameras.items():
             if self._skews[key].skewed:
@@ -206,9 +222,11 @@ class AdamanipFranka(Robot):
         """
         reading = self._motion.well()
         seen: dict[str, Any] = dict(self._scalars(reading))
+        in_steps = LOCKSTEP_DT in self._session.details  # then nothing moves between the state and its picture
         for key, camera in self.cameras.items():
             age, rested = self.config.camera_age, self._motion.rested_at
-            seen |= pictures(key, camera, reading, self._skews[key], max_age=age, after=rested)
+            skew = None if in_steps else self._skews[key]
+            seen |= pictures(key, camera, reading, skew, max_age=age, after=rested)
         return seen
 
     def _scalars(self, reading: ArmReading) -> dict[str, float]:

@@ -28,14 +28,16 @@ class AdamanipFrankaConfig(RobotConfig):
     """fr3 or panda (FER): decides the limits."""
 
     box_lower: tuple[float, float, float] | None = None
-    """Lowest corner [m, base frame] of the box that the tool and the whole hand stay in; its z is the floor."""
+    """Lowest corner [m, base frame] of the box; its z is the floor. Targets, and the way of a key frame, keep the tool
+    and the whole hand in it. An arm that gives way or is pushed may leave it by what its compliance allows."""
 
     box_upper: tuple[float, float, float] | None = None
     """Its highest corner."""
 
     execution: str = "stream"
     """stream: the newest action wins, nothing waits (teleoperate, record). keyframe: an action is one motion to its end
-    (rollout, replay of key frames). auto: an action farther than a step and a half is a key frame (DAgger)."""
+    (rollout, replay of key frames). auto: an action farther than a stream gets in one and a half ticks is a key frame
+    (DAgger)."""
 
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     """By key; the one whose depth becomes the cloud is called front."""

@@ -16,13 +16,12 @@ from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.session import LOCKSTEP_DT, RobotSession
-from lerobot_adamanip.hardware.target_geometry import Target
-from lerobot_adamanip.schema import POSE_NAMES, POSITION_DIMS
+from lerobot_adamanip.hardware.target_geometry import Target, angle, canonical, distance, placed
+from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.schema import POSE_NAMES
 
-NOMINAL_DT = 1 / 30
-"""Of LeRobot's loop [s]; only a measure of what is a step."""
 FAR_STEPS = 1.5
-"""Under execution=auto an action that is farther than this many steps is a key frame."""
+"""Under execution=auto an action that is farther than a stream gets in this many ticks is a key frame."""
 CALM = 5.0
 """A stream that has gone on for this long since a fault [s] ends its count."""
 
@@ -71,6 +70,7 @@ class MotionDriver:
         self._arm, self._session, self._filter, self._rules = arm, session, safety, rules
         self.rested_at: float | None = None
         self._sent_at: float | None = None
+        self._done_at: float | None = None  # when the latest action was, however long it took
         self._goal: bytes | None = None
         self._faults, self._fault_at = 0, 0.0
 
@@ -84,7 +84,7 @@ class MotionDriver:
         assert reading is not None
         self._session.reading = reading
         self._session.sent = self._filter.anchor(reading.tcp_in_base, reading.gripper)
-        self._sent_at = self.rested_at = self._goal = None
+        self._sent_at = self._done_at = self.rested_at = self._goal = None
 
     # Faults -----------------------------------------------------------------------------------------------------------
 
@@ -134,33 +134,40 @@ class MotionDriver:
         whole = self._execution(wanted) is Execution.KEYFRAME
         sent = self._send_keyframe(wanted, reading) if whole else self._send_stream(wanted, reading)
         self._session.sent = sent
+        self._done_at = time.perf_counter()
         return sent
 
     def _execution(self, wanted: Target) -> Execution:
+        """Under auto, a target is a key frame if it is farther than a stream gets in `FAR_STEPS` ticks of this loop."""
         if self._rules.execution != "auto":
             return Execution(self._rules.execution)
-        last = self._filter.last
-        if last is None or not np.isfinite(wanted).all():
+        last, goal = self._filter.last, canonical(wanted)
+        if last is None or goal is None:
             return Execution.STREAM
-        way = float(np.linalg.norm(wanted[POSITION_DIMS].astype(float) - last[POSITION_DIMS].astype(float)))
-        return Execution.KEYFRAME if way > FAR_STEPS * self._filter.limits.speed * NOMINAL_DT else Execution.STREAM
+        limits, ahead, at = self._filter.limits, placed(goal), placed(last)
+        tick = limits.max_dt if self._done_at is None else time.perf_counter() - self._done_at
+        seconds = FAR_STEPS * min(float(self._session.details.get(LOCKSTEP_DT, tick)), limits.max_dt)
+        far = distance(ahead, at) > limits.speed * seconds or angle(ahead, at) > limits.angular_speed * seconds
+        return Execution.KEYFRAME if far else Execution.STREAM
 
     def _send_keyframe(self, wanted: Target, reading: ArmReading) -> Target:
         """One motion to its end; the same goal again is no motion: a paused roll-out resends its last action."""
         last = self._filter.last
         if self._goal == wanted.tobytes() and last is not None:
             return last
-        sent = self._filter.keyframe(wanted, reading.tcp_in_base)
-        self._session.sent = sent
-        try:
-            ended = self._arm.wait(self._arm.send(sent, Execution.KEYFRAME), self._rules.motion_time)
-        except RobotError:
-            if not self._arm.is_connected or self._arm.status().fault is None:
-                raise
-            self.well()  # recovers and goes on, or raises what is wrong
-            return sent
-        self._session.reading, self._goal = ended.reading, wanted.tobytes()
-        self.rested_at, self._faults = time.perf_counter(), 0
+        for sent in self._filter.keyframe(wanted, reading.tcp_in_base):
+            self._session.sent = sent
+            try:
+                ended = self._arm.wait(self._arm.send(sent, Execution.KEYFRAME), self._rules.motion_time)
+            except RobotError:
+                if not self._arm.is_connected or self._arm.status().fault is None:
+                    raise
+                self.well()  # recovers and goes on, or raises what is wrong
+                return sent
+            self._session.reading, self._goal = ended.reading, wanted.tobytes()
+            self.rested_at, self._faults = time.perf_counter(), 0
+            if ended.reading is None or ended.reading.outcome is not Outcome.REACHED:
+                break  # from here the rest of the way may lead out of the box
         return sent
 
     def _send_stream(self, wanted: Target, reading: ArmReading) -> Target:

@@ -45,7 +45,7 @@ def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, su
 
 
 def pictures(
-    key: str, camera: Camera, reading: ArmReading, skew: SkewWatch, *, max_age: float, after: float | None
+    key: str, camera: Camera, reading: ArmReading, skew: SkewWatch | None, *, max_age: float, after: float | None
 ) -> dict[str, NDArray[Any]]:
     """Returns a camera's pictures by name: of one exposure where the camera can tell, of the latest where not.
 
@@ -53,7 +53,7 @@ def pictures(
         key: of the camera.
         camera: connected.
         reading: of the same observation; counted against it.
-        skew: counts.
+        skew: counts; None where pictures and states are of one moment by construction.
         max_age: of a frame [s].
         after: the arm has rested since then (`time.perf_counter()`, [s]): the frame is exposed after it. None takes
             the latest.
@@ -66,7 +66,8 @@ def pictures(
         frame = camera.latest_frame(max_age)
         if after is not None and frame.stamp < after:
             frame = camera.frame_after(after)
-        skew.count(frame.stamp, reading.stamp)
+        if skew is not None:
+            skew.count(frame.stamp, reading.stamp)
         if camera.use_rgb and frame.color is not None:
             found[key] = frame.color
         if camera.use_depth and frame.depth is not None:

@@ -26,8 +26,10 @@ class ServerOptions:
         command_age: targets of a stream may stop this long [s]; then the arm holds where it is. Any target moves it on.
         lockstep_fps: None lets time pass by itself. A number stops it: each target advances the backend by 1/fps
             seconds (a key frame by as much as it takes), and nothing else does. For twins only.
-        box_lower, box_upper: a target outside is a fault [m, base frame]; None checks nothing. The filter has clipped
-            targets long before: this notices a recorder that does not use it.
+        box_lower, box_upper: a target whose tool or hand is outside is a fault [m, base frame]; None checks nothing.
+            The filter has clipped targets long before: this notices a recorder that does not use it.
+        jump, angular_jump: a streamed target farther from the measured pose is a fault [m, rad]; None checks nothing.
+            Wider than the filter's lead, which was counted from an older reading.
     """
 
     state_age: float = 0.2
@@ -35,6 +37,8 @@ class ServerOptions:
     lockstep_fps: float | None = None
     box_lower: Corner | None = None
     box_upper: Corner | None = None
+    jump: float | None = None
+    angular_jump: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,8 @@ _SERVER = checked_json.table(
         "command_age": _SECONDS,
         "box_lower": _CORNER,
         "box_upper": _CORNER,
+        "jump": checked_json.optional(checked_json.number(0.001, 10.0)),
+        "angular_jump": checked_json.optional(checked_json.number(0.001, 10.0)),
         "lockstep_fps": checked_json.optional(checked_json.number(0.1, 1000.0)),
     }
 )

@@ -11,7 +11,8 @@ from lerobot.teleoperators.teleoperator import Teleoperator
 
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.session import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig

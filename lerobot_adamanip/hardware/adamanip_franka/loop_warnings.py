@@ -1,0 +1,26 @@
+"""LeRobot's warning of a slow loop, which means nothing where time passes by steps."""
+
+from __future__ import annotations
+
+import logging
+
+SLOW_LOOP = "Record loop is running slower"
+"""How the warning of LeRobot 0.6.1 begins; it comes with each tick."""
+
+
+class SlowLoopFilter(logging.Filter):
+    """Drops the warning from what the present handlers of the root logger write, from `install` to `remove`."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Returns whether a record is written."""
+        return not str(record.msg).startswith(SLOW_LOOP)
+
+    def install(self) -> None:
+        """Idempotent."""
+        for handler in logging.getLogger().handlers:
+            handler.addFilter(self)
+
+    def remove(self) -> None:
+        """Idempotent."""
+        for handler in logging.getLogger().handlers:
+            handler.removeFilter(self)

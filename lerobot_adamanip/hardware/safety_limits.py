@@ -1,0 +1,92 @@
+"""Where the tool may be sent, and how fast: a box that holds the whole hand, in one pose and all the way of a turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.rotations import Array, angle_between, straight_path, transform
+
+Corner = tuple[float, float, float]
+
+HAND_CORNERS = np.array(
+    [
+        *product((-0.016, 0.016), (-0.103, 0.103), (-0.103, -0.047)),  # the hand's body
+        *product((-0.011, 0.011), (-0.053, 0.053), (0.009,)),  # the fingers, open, their tips
+    ]
+)
+"""(12, 3) corners of Franka's hand in the tool's frame [m]: z the approach, y the direction in which fingers close.
+The body ends 103 mm above the tool centre point, where the flange is; open fingers reach 9 mm beyond it."""
+MAX_REACH_M = float(np.linalg.norm(HAND_CORNERS, axis=-1).max())
+"""Distance of the farthest corner from the tool centre point."""
+TURN_STEP_RAD = 0.05
+"""Largest turn between two samples of a path; a corner bulges 0.05 mm between them, which is allowed for."""
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Where the tool may be sent, and how fast.
+
+    Attributes:
+        box_lower, box_upper: of the tool and of the hand's corners [m, base frame]; its bottom is the floor.
+        speed, angular_speed: of a streamed target [m/s, rad/s].
+        lead, angular_lead: of a streamed target over the measured pose [m, rad]: an arm that is held back, or whose
+            path is blocked, is not run away from, and pulls with no more than stiffness times this.
+        max_dt: time between two targets counts no more than this [s].
+    """
+
+    box_lower: Corner
+    box_upper: Corner
+    speed: float = 0.10
+    angular_speed: float = 0.4
+    lead: float = 0.04
+    angular_lead: float = 0.15
+    max_dt: float = 0.1
+
+    def __post_init__(self) -> None:
+        size = np.subtract(self.box_upper, self.box_lower)
+        least = 2 * MAX_REACH_M  # a hand turns in any way about a tool that is in the middle
+        if not np.isfinite(size).all() or (size <= least).any():
+            raise ConfigurationError(
+                "The box that the tool may be in is too small for a hand that turns.",
+                got=f"{tuple(self.box_lower)} ... {tuple(self.box_upper)} m",
+                allowed=f"more than {least:.3f} m in each direction, lower corner first",
+                hint="the box holds the whole hand, not the tool centre point alone",
+            )
+        for name in ("speed", "angular_speed", "lead", "angular_lead", "max_dt"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigurationError(
+                    f"The safety limit {name} cannot be used.", got=getattr(self, name), allowed="above 0"
+                )
+
+    def reduced_box(self, rotation: Array) -> tuple[Array, Array]:
+        """Returns the box of the tool's position in which a hand of this (3, 3) rotation has its corners inside."""
+        return self._box_without(HAND_CORNERS @ rotation.T)
+
+    def turning_box(self, start: Array, goal: Array) -> tuple[Array, Array]:
+        """Returns the box of the tool's position in which a hand may turn from one (3, 3) rotation to the other.
+
+        The corners stay inside all the way, wherever in this box the tool is meanwhile: how position and rotation are
+        timed against each other does not matter.
+        """
+        turn = angle_between(start, goal)
+        steps = max(1, math.ceil(turn / TURN_STEP_RAD))
+        path = straight_path(transform((0, 0, 0), start), transform((0, 0, 0), goal), np.arange(steps + 1) / steps)
+        bulge = MAX_REACH_M * (turn / steps) ** 2 / 8  # of an arc over its chord
+        lower, upper = self._box_without((HAND_CORNERS @ path[:, :3, :3].transpose(0, 2, 1)).reshape(-1, 3))
+        return lower + bulge, upper - bulge
+
+    def _box_without(self, corners: Array) -> tuple[Array, Array]:
+        """Returns the box shrunk by what lies around the tool: (K, 3) [m], base frame's axes."""
+        lower = np.asarray(self.box_lower) - np.minimum(corners.min(axis=0), 0.0)
+        return lower, np.asarray(self.box_upper) - np.maximum(corners.max(axis=0), 0.0)
+
+    def contains(self, tcp_in_base: Array, margin: float = 0.0) -> bool:
+        """Whether tool and corners are inside; a positive ``margin`` [m] forgives as much."""
+        lower, upper = self.reduced_box(tcp_in_base[:3, :3])
+        position = tcp_in_base[:3, 3]
+        return bool((position >= lower - margin).all() and (position <= upper + margin).all())
