@@ -272,10 +272,17 @@ class ArmClient:
                 self._process.wait(1.0)
 
     def _last_words(self, what: str) -> str:
-        """Returns a message with the error that the process sent before it ended, if it did."""
+        """Returns a message with the error that the process sent before it ended, if it did.
+
+        A thread that waits for an answer at this moment reads it, and tells what it says.
+        """
         told = ""
-        with contextlib.suppress(OSError, EOFError, ValueError):
-            while self._connection is not None and self._connection.poll(0):
-                told = unpack_reply(self._connection.recv_bytes()).error or told
+        if self._lock.acquire(blocking=False):
+            try:
+                with contextlib.suppress(OSError, EOFError, ValueError):
+                    while self._connection is not None and self._connection.poll(0):
+                        told = unpack_reply(self._connection.recv_bytes()).error or told
+            finally:
+                self._lock.release()
         code = None if self._process is None else self._process.poll()
         return f"The arm's process {what}{'' if code is None else f' (exit status {code})'}. {told}".strip()

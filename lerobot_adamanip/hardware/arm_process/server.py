@@ -104,15 +104,17 @@ class ArmServer:
     # One tick --------------------------------------------------------------------------------------------------------
 
     def _answer(self, due: float) -> None:
-        """Answers requests until the next tick is due."""
+        """Answers requests until the next tick is due; one at least, so that late ticks do not starve requests."""
         try:
-            while self._connection.poll(max(0.0, due - time.perf_counter())) and not self._ended:
+            while self._connection.poll(max(0.0, due - time.perf_counter())):
                 request = unpack_request(self._connection.recv_bytes())
                 if request.ask == "shutdown":
                     self._end()
                 reply = self._answered(request)
                 if request.number:
                     self._connection.send_bytes(pack_reply(reply))
+                if self._ended or time.perf_counter() >= due:
+                    return
         except (EOFError, OSError):
             self._end()
         except ValueError as error:
@@ -138,7 +140,8 @@ class ArmServer:
         if self._fault is not None or not self._try(self._read) or self._fault is not None:
             return
         target = unpack_target(found[1])
-        if problem := malformed(target, self._options):
+        assert self._reading is not None
+        if problem := malformed(target, self._options, self._reading.tcp_in_base):
             self._fail(problem)
             return
         self._arrival, self._holding = time.perf_counter(), False

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array, Execution
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
-from lerobot_adamanip.schema import ACTION_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_adamanip.hardware.outcome import pose_error
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, ROTATION_DIMS
 
 ROTATION_ERROR = 1e-3
 """Rows of a target's rotation are orthonormal within this: the safety filter makes them so."""
@@ -19,18 +22,31 @@ STOPPED_MODES = {
 }
 
 
-def malformed(target: ArmTarget, options: ServerOptions) -> str | None:
-    """Returns what is wrong with a target that came through the recorder's filter; None if nothing is."""
+def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> str | None:
+    """Returns what is wrong with a target that came through the recorder's filter; None if nothing is.
+
+    Args:
+        target: as it was sent.
+        options: what is allowed.
+        tcp_in_base: (4, 4) measured pose of this moment.
+    """
     pose = target.pose.astype(np.float64)
     if pose.shape != (ACTION_DIM,) or not np.isfinite(pose).all():
         return f"A target that is no pose reached the arm's process: {pose.tolist()}"
     rows = pose[ROTATION_DIMS].reshape(2, 3)
     if np.abs(rows @ rows.T - np.eye(2)).max() > ROTATION_ERROR:
         return f"A target whose rotation is none reached the arm's process: {rows.ravel().tolist()}"
+    goal, _ = pose_from_vector(pose)
     if options.box_lower is not None and options.box_upper is not None:
-        position, lower, upper = pose[POSITION_DIMS], np.array(options.box_lower), np.array(options.box_upper)
-        if (position < lower - BOX_ROUNDING).any() or (position > upper + BOX_ROUNDING).any():
-            return f"A target outside the box reached the arm's process: {position.tolist()}"
+        limits = SafetyLimits(options.box_lower, options.box_upper)
+        if not limits.contains(goal, BOX_ROUNDING):
+            return f"A target with the hand outside the box reached the arm's process: {pose[:GRIPPER_DIM].tolist()}"
+    if target.execution is Execution.STREAM:
+        ahead, turned = pose_error(tcp_in_base, goal)
+        if ahead > (options.jump or np.inf) or turned > (options.angular_jump or np.inf):
+            return (
+                f"A target that jumps reached the arm's process: {ahead:.3f} m, {turned:.3f} rad from where the arm is"
+            )
     return None
 
 

@@ -1,0 +1,123 @@
+"""The arm's server and its client without processes: what a target is checked for, floods of requests, last words."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lerobot_adamanip.hardware.arm import ArmTarget, Execution
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.messages import Reply, Request, pack_reply, pack_request
+from lerobot_adamanip.hardware.arm_process.options import ServerOptions, Start, mailbox_capacities, parse_start
+from lerobot_adamanip.hardware.arm_process.served import Served
+from lerobot_adamanip.hardware.arm_process.server import ArmServer
+from lerobot_adamanip.hardware.arm_process.watch import malformed
+from lerobot_adamanip.hardware.backends.fake import START_ROTATION, FakeBackend, FakeOptions
+from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+
+OPTIONS = ServerOptions(box_lower=(0.2, -0.4, 0.0), box_upper=(0.8, 0.4, 0.7), jump=0.08, angular_jump=0.3)
+HERE = transform((0.5, 0.0, 0.4), START_ROTATION)
+
+
+def refused(position: tuple[float, float, float], execution: Execution, turn: float = 0.0) -> str | None:
+    tool = transform(position, START_ROTATION @ rotation_about((0, 0, 1), turn))
+    return malformed(ArmTarget(pose_vector(tool, 1.0), execution, 0.0), OPTIONS, HERE)
+
+
+@pytest.mark.parametrize(
+    ("position", "execution", "turn", "message"),
+    [
+        ((0.5, 0.0, 0.35), Execution.STREAM, 0.0, None),
+        ((0.5, 0.0, 0.3), Execution.STREAM, 0.0, "jumps"),
+        ((0.5, 0.0, 0.4), Execution.STREAM, 0.4, "jumps"),
+        ((0.7, 0.2, 0.1), Execution.KEYFRAME, 1.0, None),  # a whole motion may be far
+        ((0.5, 0.0, 0.02), Execution.KEYFRAME, 0.0, None),
+        ((0.5, 0.0, 0.02), Execution.KEYFRAME, np.pi / 2, "hand outside the box"),  # the tool is inside, a corner not
+        ((0.5, 0.0, 0.01), Execution.KEYFRAME, 0.0, "hand outside the box"),
+    ],
+)
+def test_the_server_bounds_jumps_and_the_hands_corners_itself(
+    position: tuple[float, float, float], execution: Execution, turn: float, message: str | None
+) -> None:
+    problem = refused(position, execution, turn)
+    assert (problem is None) if message is None else (problem is not None and message in problem)
+
+
+def test_its_bounds_are_told_when_it_starts() -> None:
+    start = Start(3, 4, "fake", server=OPTIONS)
+    assert parse_start(start.to_json()).server.jump == 0.08
+
+
+class Flood:
+    """A connection that has always one more request."""
+
+    def __init__(self) -> None:
+        self.asked = self.answered = 0
+
+    def poll(self, _: float = 0.0) -> bool:
+        return self.asked < 100_000
+
+    def recv_bytes(self) -> bytes:
+        self.asked += 1
+        return pack_request(Request(self.asked, "targets"))
+
+    def send_bytes(self, _: bytes) -> None:
+        self.answered += 1
+
+
+@pytest.fixture
+def server() -> Any:
+    backend, flood = FakeBackend(FakeOptions()), Flood()
+    boxes = SharedMailboxes(mailbox_capacities({}))
+    made = ArmServer(Served(backend, {"targets": backend.targets}), flood, boxes, Start(0, 0, "fake"))  # type: ignore[arg-type]
+    yield made, flood
+    boxes.close()
+
+
+def test_a_flood_of_requests_leaves_the_ticks_their_time(server: tuple[ArmServer, Flood]) -> None:
+    arm, flood = server
+    due = time.perf_counter() + 0.05
+    arm._answer(due)
+    assert time.perf_counter() - due < 0.5
+    assert 0 < flood.answered < 100_000
+    answered = flood.answered
+    arm._answer(time.perf_counter() - 1.0)  # a tick that is late already: requests are not starved either
+    assert flood.answered == answered + 1
+
+
+class Replies:
+    """The client's end of a connection on which one reply lies ready."""
+
+    def __init__(self) -> None:
+        self.ready = [pack_reply(Reply(1, "it broke"))]
+
+    def poll(self, _: float = 0.0) -> bool:
+        return bool(self.ready)
+
+    def recv_bytes(self) -> bytes:
+        return self.ready.pop()
+
+
+def in_another_thread(call: Callable[[], Any]) -> Any:
+    found: list[Any] = []
+    thread = threading.Thread(target=lambda: found.append(call()))
+    thread.start()
+    thread.join(5.0)
+    assert found, "it waits"
+    return found[0]
+
+
+def test_last_words_are_not_read_while_another_thread_waits_for_an_answer() -> None:
+    client = ArmClient("fake")
+    client._connection = replies = Replies()  # type: ignore[assignment]
+    with client._lock:  # as `request` does while it waits
+        assert "it broke" not in in_another_thread(lambda: client._last_words("has ended"))
+        assert replies.ready
+    assert "it broke" in client._last_words("has ended")
+    client._connection = None
