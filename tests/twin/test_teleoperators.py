@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.errors import AdaManipError, RobotError
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
-from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.session import BOARD, RobotSession
 from lerobot_adamanip.hardware.teleoperators.adamanip_gamepad import AdamanipGamepad
 from lerobot_adamanip.hardware.teleoperators.adamanip_keyboard import (
@@ -245,6 +246,9 @@ class Pad:
     def init(self) -> None:
         pass
 
+    def get_instance_id(self) -> int:
+        return 3
+
     def get_axis(self, number: int) -> float:
         return self.axes[number]
 
@@ -266,7 +270,9 @@ def fake_pygame(pads: list[Pad]) -> Any:
     module.init = module.quit = lambda: None  # type: ignore[attr-defined]
     joystick = types.SimpleNamespace(init=lambda: None, get_count=lambda: len(pads), Joystick=lambda index: pads[index])
     module.joystick = joystick  # type: ignore[attr-defined]
-    module.event = types.SimpleNamespace(pump=lambda: None)  # type: ignore[attr-defined]
+    module.JOYDEVICEREMOVED = 1542  # type: ignore[attr-defined]
+    module.removed = []  # type: ignore[attr-defined]
+    module.event = types.SimpleNamespace(get=lambda kind: module.removed)  # type: ignore[attr-defined]
     return module
 
 
@@ -290,6 +296,23 @@ def test_gamepad_drives_only_while_its_shoulder_is_held(
     pad.buttons = frozenset({5, 0})
     assert call(teleop, robot)[9] == 1.0
     teleop.disconnect()
+
+
+def test_a_gamepad_that_is_unplugged_while_it_drives_is_an_error(
+    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its last values stay: shoulder held, stick forward."""
+    pad = Pad()
+    pygame = fake_pygame([pad])
+    monkeypatch.setitem(sys.modules, "pygame", pygame)
+    teleop = AdamanipGamepad(AdamanipGamepadConfig(), clock)
+    teleop.connect()
+    pad.axes, pad.buttons = (0.0, -1.0, 0.0, 0.0, 0.0, 0.0), frozenset({5})
+    pygame.removed.append(types.SimpleNamespace(instance_id=7))  # another one
+    call(teleop, robot)
+    pygame.removed.append(types.SimpleNamespace(instance_id=3))
+    with pytest.raises(RobotError, match="gamepad is gone"):
+        call(teleop, robot)
 
 
 def test_a_gamepad_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,6 +363,69 @@ def test_spacemouse_asks_for_ros_axes_and_takes_all_reports(
     assert mouse.closed
 
 
+def spacemouse(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> tuple[AdamanipSpacemouse, Mouse]:
+    mouse = Mouse()
+    module = types.ModuleType("pyspacemouse")
+    module.AxisConvention = types.SimpleNamespace(ROS="ros")  # type: ignore[attr-defined]
+    module.open = lambda **_: mouse  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pyspacemouse", module)
+    teleop = AdamanipSpacemouse(AdamanipSpacemouseConfig(), clock)
+    teleop.connect()
+    return teleop, mouse
+
+
+def test_a_spacemouse_that_falls_silent_while_deflected_rests_within_half_a_second_and_is_then_an_error(
+    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cable that is pulled: the library goes on telling the last deflection."""
+    teleop, mouse = spacemouse(clock, monkeypatch)
+    call(teleop, robot)
+    for _ in range(10):
+        mouse.queue = [{"x": 1.0}]
+        moving = call(teleop, robot)
+    assert moving[0] > 0.5 + 0.02
+    silent_since, moved_at, before = clock.now, clock.now, moving[0]
+    while clock.now < silent_since + 0.9:
+        pose = call(teleop, robot)
+        moved_at, before = (clock.now, pose[0]) if pose[0] > before else (moved_at, before)
+    clock.now += 0.1
+    with pytest.raises(RobotError, match="does not report any more"):
+        call(teleop, robot)
+    assert moved_at - silent_since < 0.5 - 2 * DT
+
+
+def test_a_spacemouse_at_rest_may_be_silent_and_reports_again(
+    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teleop, mouse = spacemouse(clock, monkeypatch)
+    mouse.queue = [{"x": 0.0}]
+    for _ in range(90):
+        at_rest = call(teleop, robot)
+    assert at_rest[0] == pytest.approx(0.5)
+    mouse.queue = [{"x": 1.0}]
+    assert call(teleop, robot)[0] > 0.502
+    for _ in range(12):
+        call(teleop, robot)  # silent for 0.4 s
+    stands = call(teleop, robot)[0]
+    assert call(teleop, robot)[0] == stands
+    mouse.queue = [{"x": 1.0}]
+    assert call(teleop, robot)[0] > stands
+
+
+def test_a_spacemouse_that_cannot_be_read_is_one_clear_error(
+    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teleop, mouse = spacemouse(clock, monkeypatch)
+    call(teleop, robot)
+
+    def broken() -> Any:
+        raise OSError("read error")
+
+    monkeypatch.setattr(mouse, "read", broken)
+    with pytest.raises(RobotError, match="cannot be read"):
+        call(teleop, robot)
+
+
 def test_a_spacemouse_without_its_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyspacemouse", None)
     with pytest.raises(RobotError, match="hidapi"):
@@ -354,15 +440,23 @@ def test_keyboard_keys_are_none_of_lerobots() -> None:
         assert sorted(table.values()) == sorted((axis, sign) for axis in range(3) for sign in (-1.0, 1.0))
 
 
-def test_keyboard_drives_while_keys_are_held(robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Keys(KeyboardDevice):
-        def open(self) -> None:
-            pass
+class Keys(KeyboardDevice):
+    def open(self) -> None:
+        pass
 
+
+def keyboard(clock: Clock) -> tuple[AdamanipKeyboard, Keys]:
     keys = Keys()
     teleop = AdamanipKeyboard(AdamanipKeyboardConfig(), clock, keys)
     teleop.connect()
+    return teleop, keys
+
+
+def test_keyboard_drives_while_keys_and_the_clutch_are_held(robot: Robot, clock: Clock) -> None:
+    teleop, keys = keyboard(clock)
     call(teleop, robot)
+    keys.press("shift_r")
+    call(teleop, robot)  # the clutch closes at the measured pose
     keys.press("w")
     keys.press("u")
     keys.press("g")
@@ -370,12 +464,41 @@ def test_keyboard_drives_while_keys_are_held(robot: Robot, clock: Clock, monkeyp
     pose = call(teleop, robot)
     np.testing.assert_allclose(pose[:3], (0.5 + 0.1 * DT, 0.0, 0.7 + 0.1 * DT), atol=1e-5)
     assert pose[9] == 0.0
+    keys.release("shift_r")
+    stands = call(teleop, robot)
+    np.testing.assert_array_equal(call(teleop, robot), stands)  # the letters are still held
     keys.release("w")
     keys.release("u")
-    assert call(teleop, robot)[9] == 0.0
+    keys.press("shift_r")
     keys.press("backspace")
     call(teleop, robot)
     assert robot.session.details[RESET_WANTED] is True
+
+
+def test_text_that_is_typed_in_any_window_moves_nothing_and_labels_nothing(robot: Robot, clock: Clock) -> None:
+    teleop, keys = keyboard(clock)
+    start = call(teleop, robot)
+    for letter in "why would anybody judge a safe":
+        keys.press(letter)
+        np.testing.assert_array_equal(call(teleop, robot), start)
+        keys.release(letter)
+    keys.press("shift_r")
+    call(teleop, robot)
+    assert OPERATOR_SUCCESS not in robot.session.details
+
+
+def test_a_keyboard_whose_listener_has_ended_is_an_error(robot: Robot, clock: Clock) -> None:
+    """Keys that were held then would be so for ever."""
+    teleop, keys = keyboard(clock)
+    call(teleop, robot)
+    keys._listener = types.SimpleNamespace(is_alive=lambda: False, stop=lambda: None)
+    with pytest.raises(RobotError, match="not listened to"):
+        call(teleop, robot)
+
+
+def test_a_clutch_key_that_sends_shortcuts_is_refused() -> None:
+    with pytest.raises(AdaManipError, match="shift_r"):
+        AdamanipKeyboardConfig(clutch_key="ctrl")
 
 
 def test_phone_moves_the_goal_by_its_own_way_while_it_is_enabled(robot: Robot, clock: Clock) -> None:
@@ -410,5 +533,15 @@ def test_phone_moves_the_goal_by_its_own_way_while_it_is_enabled(robot: Robot, c
     assert pose[0] == pytest.approx(0.505, abs=1e-5)
     turned = Rotation.from_matrix(pose_from_vector(pose)[0][:3, :3]).as_rotvec()
     np.testing.assert_allclose(turned, (0.0, 0.0, 0.02), atol=1e-4)
+    phone.told = {**at(3.01, True), "phone.raw_inputs": {"a3": -1.0}}  # it tells no more, and its last words stay
+    for _ in range(28):
+        assert call(teleop, robot)[9] > 0.4
+    clock.now += 0.2
+    with pytest.raises(RobotError, match="phone does not report"):
+        call(teleop, robot)
+    phone.told = at(3.2, False)
+    call(teleop, robot)
+    phone.told = at(3.2, True)
+    assert call(teleop, robot)[0] == pytest.approx(0.505, abs=1e-5)  # begins anew
     teleop.disconnect()
     assert not phone.connected

@@ -44,9 +44,16 @@ class GamepadDevice:
         self._pressed = set()
 
     def read(self) -> Jog:
-        """Returns what sticks and buttons say now."""
+        """Returns what sticks and buttons say now. Raises `RobotError` for a pad that was unplugged."""
         pad, config = self._pad, self._config
-        self._pygame.event.pump()
+        removed = self._pygame.event.get(self._pygame.JOYDEVICEREMOVED)
+        if any(event.instance_id == pad.get_instance_id() for event in removed):
+            raise RobotError(
+                "The gamepad is gone.",
+                got="unplugged, or its link is lost",
+                allowed="a connected pad",
+                hint="plug it in",
+            )
         axes = (config.axis_left_x, config.axis_left_y, config.axis_right_x, config.axis_right_y)
         left_x, left_y, right_x, right_y = dead_zone(
             np.array([pad.get_axis(axis) for axis in axes], np.float64), config.dead_zone

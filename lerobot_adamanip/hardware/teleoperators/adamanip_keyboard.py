@@ -1,4 +1,4 @@
-"""A keyboard, with keys that LeRobot's commands leave free; the keys that are held drive."""
+"""A keyboard, with keys that LeRobot's commands leave free; they drive while they and the clutch key are held."""
 
 from __future__ import annotations
 
@@ -25,9 +25,14 @@ LEROBOT_KEYS = frozenset({"n", "r", "q", "left", "right", "up", "down", "esc", "
 
 
 class KeyboardDevice:
-    """Listens to keys with pynput, in its thread. Implements `JogDevice`."""
+    """Listens to keys with pynput, in its thread. Implements `JogDevice`.
 
-    def __init__(self) -> None:
+    Args:
+        clutch_key: pynput's name of the key without which no other counts: keys are heard in every window.
+    """
+
+    def __init__(self, clutch_key: str = "shift_r") -> None:
+        self._clutch_key = clutch_key
         self._lock = threading.Lock()
         self._held: set[str] = set()
         self._pressed: set[str] = set()
@@ -53,7 +58,7 @@ class KeyboardDevice:
     def press(self, key: str) -> None:
         """A key goes down, or repeats."""
         with self._lock:
-            if key not in self._held:
+            if key not in self._held and self._clutch_key in self._held:
                 self._pressed.add(key)
             self._held.add(key)
 
@@ -63,7 +68,14 @@ class KeyboardDevice:
             self._held.discard(key)
 
     def read(self) -> Jog:
-        """Returns what the keys say now."""
+        """Returns what the keys say now. Raises `RobotError` where keys are not heard any more."""
+        if self._listener is not None and not self._listener.is_alive():
+            raise RobotError(
+                "The keyboard is not listened to any more.",
+                got="pynput's thread has ended",
+                allowed="an X11 display that stays",
+                hint="start the command again",
+            )
         with self._lock:
             held, pressed = set(self._held), self._pressed
             self._pressed = set()
@@ -71,6 +83,7 @@ class KeyboardDevice:
             shift=_sum(SHIFTS, held),
             turn=_sum(TURNS, held),
             toggle=GRIPPER in pressed,
+            clutch=self._clutch_key in held,
             success=SUCCESS in pressed,
             reset=RESET in pressed,
         )
@@ -97,7 +110,7 @@ def _name(key: Any) -> str:
 
 
 class AdamanipKeyboard(JogTeleop):
-    """Drives the tool while keys are held."""
+    """Drives the tool while keys, and the clutch key, are held."""
 
     config_class = AdamanipKeyboardConfig
     name = "adamanip_keyboard"
@@ -108,4 +121,4 @@ class AdamanipKeyboard(JogTeleop):
         clock: Callable[[], float] = time.perf_counter,
         device: KeyboardDevice | None = None,
     ) -> None:
-        super().__init__(config, device or KeyboardDevice(), clock)
+        super().__init__(config, device or KeyboardDevice(config.clutch_key), clock)

@@ -14,6 +14,7 @@ from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.session import RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
+from lerobot_adamanip.hardware.teleoperators.silence import SilenceWatch
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
 from lerobot_adamanip.rotations import (
     matrix_from_rotation_vector,
@@ -62,6 +63,7 @@ class AdamanipPhone(TcpTeleop):
         super().__init__(config, clock)
         self._make = make
         self._phone: Any = None
+        self._watch = SilenceWatch("phone", clock)
         self._last: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def _open(self) -> None:
@@ -74,7 +76,7 @@ class AdamanipPhone(TcpTeleop):
             phone.disconnect()
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
-        self._last = None
+        self._last, self._watch = None, SilenceWatch("phone", self._clock)
 
     def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
         assert self._filter is not None
@@ -82,9 +84,13 @@ class AdamanipPhone(TcpTeleop):
         sent = self._filter.last
         assert sent is not None
         if not told or not told.get("phone.enabled"):
-            self._last = None
+            self._last, self._watch = None, SilenceWatch("phone", self._clock)
             return self._to(sent, reading, dt)
         place = np.asarray(told["phone.pos"], np.float64), np.asarray(told["phone.rot"].as_matrix(), np.float64)
+        # LeRobot's phone keeps its last pose. One in a hand never tells the same twice.
+        if self._watch.is_silent((place[0].tobytes(), place[1].tobytes()), driving=True):
+            self._last = None
+            return self._to(sent, reading, dt)
         if self._last is None:  # the clutch has closed
             sent, self._last = self._filter.anchor(reading.tcp_in_base, float(sent[9])), place
         pose, gripper = pose_from_vector(sent)

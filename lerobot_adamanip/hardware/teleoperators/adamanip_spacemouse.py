@@ -11,6 +11,7 @@ import numpy as np
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.teleoperators.config_adamanip_spacemouse import AdamanipSpacemouseConfig
 from lerobot_adamanip.hardware.teleoperators.jog import Jog, dead_zone
+from lerobot_adamanip.hardware.teleoperators.silence import SilenceWatch
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
 
 MOST_REPORTS = 64
@@ -20,8 +21,9 @@ MOST_REPORTS = 64
 class SpacemouseDevice:
     """Reads a SpaceMouse without waiting. Implements `JogDevice`."""
 
-    def __init__(self, config: AdamanipSpacemouseConfig) -> None:
-        self._config = config
+    def __init__(self, config: AdamanipSpacemouseConfig, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._config, self._clock = config, clock
+        self._watch = SilenceWatch("SpaceMouse", clock)
         self._device: Any = None
         self._buttons: list[bool] = []
 
@@ -47,18 +49,19 @@ class SpacemouseDevice:
                 allowed=f"a device of index {self._config.device_index}",
                 hint="is it plugged in, and may this user read it (udev rule)?",
             ) from None
-        self._buttons = []
+        self._buttons, self._watch = [], SilenceWatch("SpaceMouse", self._clock)
 
     def read(self) -> Jog:
-        """Returns what cap and buttons say now."""
-        state, told = self._device.read(), None
-        for _ in range(MOST_REPORTS):
-            if state.t == told:
-                break
-            told = state.t
-            state = self._device.read()
+        """Returns what cap and buttons say now. A deflected cap reports all the time: one that is silent rests.
+
+        Raises:
+            RobotError: the device is gone, or has been silent for long.
+        """
+        state = self._newest()
         axes = (state.x, state.y, state.z, state.roll, state.pitch, state.yaw)
         values = dead_zone(np.array(axes, np.float64), self._config.dead_zone)
+        if self._watch.is_silent(state.t, driving=bool(values.any())):
+            values = np.zeros(6)
         down = [bool(button) for button in state.buttons]
         before = self._buttons or [False] * len(down)
         new = [now and not was for now, was in zip(down, before, strict=True)]
@@ -69,6 +72,21 @@ class SpacemouseDevice:
             toggle=bool(new and new[0]),
             success=len(new) > 1 and new[1],
         )
+
+    def _newest(self) -> Any:
+        """The state after all reports that wait; the library tells its last state again if none does."""
+        try:
+            state, told = self._device.read(), None
+            for _ in range(MOST_REPORTS):
+                if state.t == told:
+                    break
+                told = state.t
+                state = self._device.read()
+        except Exception as error:  # of hidapi, by whichever binding
+            raise RobotError(
+                "The SpaceMouse cannot be read any more.", got=error, allowed="a connected device", hint="plug it in"
+            ) from None
+        return state
 
     def close(self) -> None:
         """Gives the device back; idempotent."""
@@ -84,4 +102,4 @@ class AdamanipSpacemouse(JogTeleop):
     name = "adamanip_spacemouse"
 
     def __init__(self, config: AdamanipSpacemouseConfig, clock: Callable[[], float] = time.perf_counter) -> None:
-        super().__init__(config, SpacemouseDevice(config), clock)
+        super().__init__(config, SpacemouseDevice(config, clock), clock)
