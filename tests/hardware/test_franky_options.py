@@ -10,10 +10,19 @@ import pytest
 
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmMode
+from lerobot_adamanip.hardware.backends import franky
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
-from lerobot_adamanip.hardware.backends.franky_sdk import check_joints, flags_of, reading_of, set_limits, wanted_limits
+from lerobot_adamanip.hardware.backends.franky_sdk import (
+    check_joints,
+    check_tool_frame,
+    flags_of,
+    reading_of,
+    set_limits,
+    wanted_limits,
+)
 from lerobot_adamanip.hardware.limits import FR3, PANDA
 from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.rotations import rotation_about, transform
 
 VALUES = {"address": "172.16.0.2", "model": "fr3"}
 
@@ -54,6 +63,30 @@ def test_a_limit_that_the_library_believes_to_be_lower_stays_lower() -> None:
 def test_a_limit_that_does_not_stick_is_an_error() -> None:
     with pytest.raises(RobotError, match="was set to"):
         set_limits(robot(1e9, loses=0.001), FrankyOptions())
+
+
+def in_flange(z: float, degrees: float) -> Any:
+    tool = transform((0.0, 0.0, z), rotation_about((0, 0, 1), np.deg2rad(degrees)))
+    return SimpleNamespace(F_T_EE=SimpleNamespace(matrix=tool))
+
+
+def test_the_tool_frame_is_the_hands() -> None:
+    hand = np.array((0.7071, -0.7071, 0, 0, 0.7071, 0.7071, 0, 0, 0, 0, 1, 0, 0, 0, 0.1034, 1)).reshape(4, 4).T
+    check_tool_frame(SimpleNamespace(F_T_EE=SimpleNamespace(matrix=hand)))  # as libfranka tells it, by columns
+
+
+@pytest.mark.parametrize(("z", "degrees"), [(0.0, 0.0), (0.1034, 0.0), (0.0, -45.0), (0.107, -45.0), (0.1034, 45.0)])
+def test_any_other_tool_frame_is_refused(z: float, degrees: float) -> None:
+    with pytest.raises(RobotError, match=r"(?s)not the Franka Hand.*in Desk"):
+        check_tool_frame(in_flange(z, degrees))
+
+
+def test_a_wrong_tool_frame_is_refused_before_anything_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = SimpleNamespace(state=in_flange(0.0, 0.0))  # any other attribute is an error
+    monkeypatch.setattr(franky, "import_franky", SimpleNamespace)
+    monkeypatch.setattr(franky, "connect_robot", lambda *_: arm)
+    with pytest.raises(RobotError, match="not the Franka Hand"):
+        franky.FrankyBackend(FrankyOptions(**VALUES)).connect()
 
 
 def test_an_arm_outside_the_models_range_is_another_arm() -> None:

@@ -19,6 +19,7 @@ from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, fra
 from lerobot_adamanip.hardware.backends.franky_sdk import (
     FrankyHand,
     check_joints,
+    check_tool_frame,
     connect_robot,
     flags_of,
     import_franky,
@@ -71,14 +72,18 @@ class FrankyBackend:
     # Life ------------------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Connects, sets limits, impedance and thresholds; the arm stays where it is. Raises `RobotError`."""
+        """Connects, compares the tool frame, sets limits, impedance and thresholds; the arm stays where it is.
+
+        Raises `RobotError`.
+        """
         self._franky = import_franky()
         self._robot = connect_robot(self._franky, self._options)
         try:
+            self._state = self._robot.state
+            check_tool_frame(self._state)
             self.limits_read = set_limits(self._robot, self._options)
             stiff, turn = self._options.stiffness, self._options.rotational_stiffness
             self._robot.set_cartesian_impedance([stiff, stiff, stiff, turn, turn, turn])
-            self._state = self._robot.state
             if self._options.gripper:
                 speed, force = self._options.gripper_speed, self._options.grasp_force
                 self._hand = GripperThread(lambda: FrankyHand(self._options.address, speed, force))

@@ -11,13 +11,19 @@ import numpy as np
 from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.outcome import pose_error
 from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.rotations import rotation_about, transform
 
 INSTALL = "pip install 'lerobot_env_adamanip[franka]'; older arms need a wheel built for their firmware: docs/robot.md"
 MODES = {
     "Idle": ArmMode.IDLE, "Move": ArmMode.MOVING, "Guiding": ArmMode.GUIDING, "Reflex": ArmMode.REFLEX,
     "UserStopped": ArmMode.USER_STOPPED, "AutomaticErrorRecovery": ArmMode.RECOVERING, "Other": ArmMode.OTHER,
 }  # fmt: skip
+TOOL_IN_FLANGE = transform((0.0, 0.0, 0.1034), rotation_about((0.0, 0.0, 1.0), -np.pi / 4))
+"""Tool centre point of the Franka Hand, as Desk sets it [m]."""
+TOOL_MARGIN_M, TOOL_MARGIN_RAD = 0.001, 0.01
+"""Error up to which the arm's tool frame is that of the Franka Hand."""
 RANGE_MARGIN = 0.02
 """Outside of a joint's range by more than this: another model of arm [rad]."""
 
@@ -99,6 +105,20 @@ def check_joints(qpos: Any, options: FrankyOptions) -> None:
             got=f"joint {int(np.flatnonzero(outside)[0]) + 1} of {np.round(qpos, 3).tolist()} rad",
             allowed=f"{lower.tolist()} ... {upper.tolist()}",
             hint="is the model right? If it is, guide the arm away from the end of its range",
+        )
+
+
+def check_tool_frame(state: Any) -> None:
+    """Raises `RobotError` for a tool frame that is not the Franka Hand's: poses and the box would be off."""
+    tool = np.array(state.F_T_EE.matrix, dtype=np.float64)
+    off, turned = pose_error(tool, TOOL_IN_FLANGE)
+    if off > TOOL_MARGIN_M or turned > TOOL_MARGIN_RAD:
+        yaw = np.rad2deg(np.arctan2(tool[1, 0], tool[0, 0]))
+        raise RobotError(
+            "The arm's end effector is not the Franka Hand: every position, and the box, would be off.",
+            got=f"F_T_EE at {np.round(tool[:3, 3], 4).tolist()} m, turned by {yaw:.1f} deg about z",
+            allowed="[0, 0, 0.1034] m, turned by -45 deg",
+            hint="in Desk, set the Franka Hand as end effector, and connect again",
         )
 
 
