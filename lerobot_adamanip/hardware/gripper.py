@@ -1,4 +1,4 @@
-"""A gripper that knows two commands, open and close, in a thread of its own: neither takes a tick of the arm's.
+"""A gripper that knows two commands, open and close, in threads of its own: neither takes a tick of the arm's.
 
 Franka's hand takes 0.5-0.9 s for a command and does not take a second one before: streaming openings to it stops the
 arm's loop. So a command is given only when what is wanted crosses the middle, and only the newest is.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -22,7 +23,10 @@ READ_PERIOD = 0.05
 
 
 class Hand(Protocol):
-    """What opens and closes; calls may take a second. `FrankyHand` is the real one."""
+    """What opens and closes; calls may take a second. `FrankyHand` is the real one.
+
+    `opening` is called while another thread is in `open` or `close`; libfranka's gripper allows that.
+    """
 
     def open(self) -> None:
         """Opens as far as it goes."""
@@ -41,19 +45,20 @@ class GripperThread:
     """Carries out what is wanted, and remembers how far the fingers are open.
 
     Args:
-        connect: makes the hand, in the thread that will call it.
+        connect: makes the hand, in the thread that will command it.
     """
 
     def __init__(self, connect: Callable[[], Hand]) -> None:
         self._connect = connect
         self._wake, self._stopping = threading.Event(), threading.Event()
-        self._ready = threading.Event()
+        self._ready, self._reading = threading.Event(), threading.Lock()
         self._wanted: bool | None = None
         self._done: bool | None = None
         self._opening, self._error = 1.0, ""
         self.commands = 0
         self._hand: Hand | None = None
         self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
+        self._looks = threading.Thread(target=self._look, name="gripper's eye", daemon=True)
 
     def start(self, time_limit: float = 10.0) -> None:
         """Connects. Raises `RobotError` if that fails or takes longer than ``time_limit`` [s]."""
@@ -98,18 +103,21 @@ class GripperThread:
         if self.busy and self._hand is not None:
             with contextlib.suppress(Exception):
                 self._hand.stop()
-        if self._thread.is_alive():
-            self._thread.join(time_limit)
+        until = time.perf_counter() + time_limit
+        for thread in (self._thread, self._looks):
+            if thread.is_alive():
+                thread.join(max(0.0, until - time.perf_counter()))
 
     def _run(self) -> None:
         try:
             self._hand = self._connect()
             self._opening = self._hand.opening()
+            self._looks.start()
         except Exception as error:  # of whatever library: told by `check`
             self._error = f"{type(error).__name__}: {error}"
         self._ready.set()
         while not self._stopping.is_set():
-            self._wake.wait(READ_PERIOD)
+            self._wake.wait()
             self._wake.clear()
             if self._hand is None or self._error or self._stopping.is_set():
                 continue
@@ -123,5 +131,19 @@ class GripperThread:
         if wanted is not None and wanted != self._done:
             self.commands += 1
             hand.open() if wanted else hand.close()
+            self._read(hand)
             self._done = wanted
-        self._opening = hand.opening()
+
+    def _read(self, hand: Hand) -> None:
+        with self._reading:  # a look from before a command's end does not overwrite one from after it
+            self._opening = hand.opening()
+
+    def _look(self) -> None:
+        """Reads the opening all the time, during commands as well."""
+        while not self._stopping.wait(READ_PERIOD):
+            if self._hand is None or self._error:
+                continue
+            try:
+                self._read(self._hand)
+            except Exception as error:
+                self._error = f"{type(error).__name__}: {error}"

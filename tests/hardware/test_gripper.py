@@ -93,6 +93,20 @@ def test_wanting_never_waits_and_only_the_newest_is_carried_out(gripper: Gripper
     assert hand.told == ["close", "open"]
 
 
+def test_the_opening_is_seen_while_a_command_is_under_way(gripper: GripperThread, hand: SlowHand) -> None:
+    """A command takes up to 0.9 s; what is told of the fingers meanwhile is not from before it."""
+    hand.go_on.clear()
+    gripper.want(0.0)
+    until(lambda: hand.told == ["close"])
+    for width in (0.8, 0.5, 0.3):
+        hand.width = width
+        until(lambda width=width: gripper.opening == width)  # type: ignore[misc]
+    assert gripper.busy
+    hand.go_on.set()
+    until(lambda: not gripper.busy)
+    assert gripper.opening == 0.2
+
+
 @pytest.mark.parametrize(("opening", "wanted", "told"), [(1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"])])
 def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open(
     opening: float, wanted: float, told: list[str]
