@@ -6,7 +6,7 @@ Of OpenCV 4.10 and later; what was called `CharucoBoard_create` and `interpolate
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,15 @@ class Board:
         columns, rows: squares along x and y.
         square: side of a square [m].
         marker: side of a marker [m], less than a square's.
+        legacy: whether it has the pattern of OpenCV before 4.6, which differs where the number of rows is even: its
+            first square is white.
     """
 
     columns: int = 7
     rows: int = 5
     square: float = 0.040
     marker: float = 0.030
+    legacy: bool = False
 
     def __post_init__(self) -> None:
         """Refuses what is no board."""
@@ -74,6 +77,17 @@ class Board:
         points = np.stack([(column + 1) * self.square, (row + 1) * self.square, np.zeros(len(row))], axis=1)
         return points, np.asarray(corners, np.float64).reshape(-1, 2)
 
+    def why_unseen(self, gray: NDArray[np.uint8]) -> str:
+        """Returns why `detect` finds nothing in a picture, as far as can be told: the pattern may be the other one."""
+        if self.rows % 2 == 0 and len(replace(self, legacy=not self.legacy).detect(gray)[0]):
+            return f"it has OpenCV's {'present' if self.legacy else 'older'} pattern: {pattern_hint(not self.legacy)}"
+        return "the board is not seen"
+
+
+def pattern_hint(legacy: bool) -> str:
+    """Returns how a board of this pattern is told to `adamanip calibrate`."""
+    return "--legacy-pattern" if legacy else "leave out --legacy-pattern"
+
 
 def _spacing(corners: NDArray[np.float64]) -> float:
     """Median distance from each corner (K, 2) to the nearest other [px]."""
@@ -89,4 +103,5 @@ def _aruco(board: Board) -> tuple[Any, Any]:
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
     made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
+    made.setLegacyPattern(board.legacy)
     return made, cv2.aruco.CharucoDetector(made)

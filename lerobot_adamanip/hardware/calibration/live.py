@@ -125,7 +125,7 @@ def take_views(
         gray = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
         corners = len(folder.board.detect(gray)[0])
         if not corners:
-            tell("the board is not seen: not kept")
+            tell(f"{folder.board.why_unseen(gray)}: not kept")
             continue
         folder = folder.added(frame.color, after)
         tell(f"{len(folder.tcp_in_base)} pictures; {corners} corners in this one")

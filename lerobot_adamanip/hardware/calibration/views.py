@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip import checked_json
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.files import write_atomically
-from lerobot_adamanip.hardware.calibration.board import Board
+from lerobot_adamanip.hardware.calibration.board import DICTIONARY, Board, pattern_hint
 from lerobot_adamanip.hardware.calibration.file import check_pose
 from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, View
 from lerobot_adamanip.hardware.calibration.intrinsics_json import (
@@ -37,6 +37,7 @@ _CHECK = checked_json.table(
                 "rows": checked_json.integer(3, 14),
                 "square": _SIDE,
                 "marker": _SIDE,
+                "legacy": checked_json.flag,
             }
         ),
         "color": check_intrinsics,
@@ -75,7 +76,10 @@ class ViewFolder:
     def open(cls, folder: Path) -> ViewFolder:
         """Reads ``views.json``; raises `ConfigurationError` where it is missing or none."""
         try:
-            told = _CHECK(FILE, checked_json.read(folder / FILE))
+            read = checked_json.read(folder / FILE)
+            if isinstance(read, dict) and isinstance(read.get("board"), dict):
+                read["board"].setdefault("legacy", False)  # folders of before 0.3
+            told = _CHECK(FILE, read)
             if (told["depth"] is None) != (told["depth_in_color"] is None):
                 raise ValueError("depth and depth_in_color go together")
         except (OSError, ValueError) as error:
@@ -112,11 +116,11 @@ class ViewFolder:
         """Finds the board in each picture; those without it are left out, which ``tell`` is told.
 
         Raises:
-            ConfigurationError: a picture is missing or of another size.
+            ConfigurationError: a picture is missing or of another size, or none shows the board.
         """
         import cv2
 
-        found = []
+        found, reasons = [], []
         for index, pose in enumerate(self.tcp_in_base):
             path = self._picture(index)
             gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -127,12 +131,27 @@ class ViewFolder:
                     allowed=f"a picture of {self.color.width} x {self.color.height}",
                     hint="take them again",
                 )
-            points, pixels = self.board.detect(np.asarray(gray, np.uint8))
+            picture = np.asarray(gray, np.uint8)
+            points, pixels = self.board.detect(picture)
             if len(points):
                 found.append(View(path.name, pose, points, pixels))
             else:
-                tell(f"{path.name}: the board is not seen")
+                reasons.append(self.board.why_unseen(picture))
+                tell(f"{path.name}: {reasons[-1]}")
+        if not found and reasons:
+            self._refuse_unseen(reasons)
         return found
+
+    def _refuse_unseen(self, reasons: list[str]) -> None:
+        other = pattern_hint(not self.board.legacy)
+        raise ConfigurationError(
+            "No picture shows the board.",
+            got=max(reasons, key=lambda reason: other in reason),
+            allowed=f"{self.board.columns} x {self.board.rows} squares, markers of {DICTIONARY}",
+            hint=f"{other}: OpenCV's older boards of an even number of rows are others"
+            if self.board.rows % 2 == 0
+            else "is it the board of --board-image, whole in the picture, and sharp?",
+        )
 
     def calibration(self, solved: HandEye) -> CameraCalibration:
         """Returns the calibration of the imager that depth is told in, given where that of the pictures is."""
@@ -161,6 +180,7 @@ class ViewFolder:
                 "rows": board.rows,
                 "square": board.square,
                 "marker": board.marker,
+                "legacy": board.legacy,
             },
             "color": intrinsics_to_json(self.color),
             "depth": None if self.depth is None else intrinsics_to_json(self.depth),
