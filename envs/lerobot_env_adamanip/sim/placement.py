@@ -113,15 +113,20 @@ def draw_placement(
         UnreachableError: none of the draws could be reached.
     """
     for _ in range(tries):
-        x, y = nominal_x + rng.uniform(-1, 1) * spread.object_x, nominal_y + rng.uniform(-1, 1) * spread.object_y
-        yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
-        pose = transform((x, y, floor_z), rotation_about((0.0, 0.0, 1.0), yaw))
+        pose = _drawn_pose(rng, spread, nominal_x, nominal_y, floor_z)
         start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
         if (annotations := _reachable(obj, pose, kinematics, reaches, start)) is not None:
             return Placement(pose, start, annotations)
     if not must_reach:
         return Placement(pose, start, {part.name: part.in_frame(pose) for part in obj.parts})
     raise _unreachable(obj, f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m")
+
+
+def _drawn_pose(rng: np.random.Generator, spread: Randomization, x: float, y: float, z: float) -> Array:
+    """An object's pose (4, 4) around its nominal place [m], facing the robot."""
+    x, y = x + rng.uniform(-1, 1) * spread.object_x, y + rng.uniform(-1, 1) * spread.object_y
+    yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
+    return transform((x, y, z), rotation_about((0.0, 0.0, 1.0), yaw))
 
 
 def _unreachable(obj: ArticulatedObject, tried: str) -> UnreachableError:
