@@ -1,4 +1,4 @@
-"""What must not be published: folders, users and hosts of somebody's machine, in any file that is about to be sent."""
+"""What must not be published: folders, users, hosts and addresses, in any file that is about to be sent."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.results import MACHINE_PATH
+from lerobot_adamanip.hub.addresses import find_addresses
 from lerobot_adamanip.hub.cards import template_texts
 
 _TEXT = (".json", ".jsonl", ".md", ".py", ".txt", ".yaml", ".yml", ".toml", ".csv")
@@ -25,6 +26,8 @@ _MANY = {
     "nobody", "root", "runner", "ubuntu", "user", "vagrant",
 }  # fmt: skip
 """Names that thousands of machines share, and that tell of none."""
+_TEXT_RUN = re.compile(rb"[\x20-\x7e]{24,}")
+"""Text among other bytes: so many letters in a row are no chance."""
 _POSIX_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/")
 
 
@@ -34,7 +37,7 @@ class Finding:
 
     Attributes:
         file: relative path.
-        kind: ``path``, ``user`` or ``host``.
+        kind: ``path``, ``user``, ``host``, ``address`` or ``e-mail``.
         text: what was found.
     """
 
@@ -103,8 +106,8 @@ def require_clean(files: Mapping[str, Path], names: Names, *, owner: str = "") -
         raise DatasetError(
             "This would publish what belongs to a machine.",
             got=told + more,
-            allowed="no folder, user or host name of yours in any file",
-            hint="edit or make the file again with relative paths, then the same command again",
+            allowed="no folder, user, host, network address or e-mail address in any file",
+            hint="edit the file, or make it again with relative paths; then the same command again",
         )
 
 
@@ -119,7 +122,14 @@ def _in_text(file: str, text: str, names: Names, owner: str) -> Iterator[Finding
             yield Finding(file, kind, found.group())
 
 
+    for kind, address in find_addresses(text):
+        yield Finding(file, kind, address[:120])
+
+
 def _in_bytes(file: str, content: bytes, names: Names, owner: str) -> Iterator[Finding]:
+    for run in _TEXT_RUN.finditer(content):
+        for kind, address in find_addresses(run.group().decode("ascii")):
+            yield Finding(file, kind, address[:120])
     for path in _POSIX_PATH.finditer(content):
         yield Finding(file, "path", path.group().decode(errors="replace"))
     for folder in names.folders:

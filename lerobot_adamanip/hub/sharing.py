@@ -9,7 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-_HUB_NAME = re.compile(r"[\w.-]+/[\w.-]+")
+_HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
+_FOLDERS = ("checkpoints", "data", "models", "output", "outputs", "results", "runs", "tmp", "train")
+"""First parts of paths that trainings write to: no owner on the Hub, also where the folder is not there any more."""
 _PRIVATE = (
     ("output_dir",), ("checkpoint_path",), ("dataset", "root"), ("env", "assets"), ("env", "episode_log"),
     ("wandb", "entity"), ("wandb", "notes"), ("wandb", "run_id"),
@@ -55,4 +57,7 @@ def shareable_copy(training: Any) -> Any:
 
 def is_local(path: object) -> bool:
     """Whether where a policy came from is a folder, not a name on the Hub."""
-    return path is not None and (Path(str(path)).exists() or _HUB_NAME.fullmatch(str(path)) is None)
+    if path is None:
+        return False
+    text = str(path)
+    return Path(text).exists() or _HUB_NAME.fullmatch(text) is None or text.partition("/")[0] in _FOLDERS

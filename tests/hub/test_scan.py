@@ -46,6 +46,16 @@ HIDING = {
     "Parquet's metadata": ("a.parquet", lambda p: parquet(p, metadata={"made": "/Users/x/demos"}), "path"),
     "a header of weights": ("a.safetensors", lambda p: write(p, b"\0\1{'from': '/home/x/run/'}\0\xff"), "path"),
     "a video": ("a.mp4", lambda p: write(p, b"\0\xff\1comment quokka-ws4\0"), "host"),
+    "an address": ("a.jsonl", lambda p: write(p, b"pid: 4242 namespace: ns-abc ip: 10.20.30.40"), "address"),
+    "an address in a video": ("a.mp4", lambda p: write(p, b"\0\xffrecorded on 192.168.17.4, camera 2\0"), "address"),
+    "a public address": ("a.json", lambda p: write(p, b'{"server": "tcp://52.19.3.77"}'), "address"),
+    "an address with a port": ("a.json", lambda p: write(p, b'"52.19.3.77:6379"'), "address"),
+    "an address of IPv6": ("a.txt", lambda p: write(p, b"[fe80::1ff:fe23:4567:890a]:6379"), "address"),
+    "a private address of IPv6": ("a.parquet", lambda p: parquet(p, "on fd00::7"), "address"),
+    "an e-mail address": ("a.yaml", lambda p: write(p, b"by: someone.else@lab-x.edu"), "e-mail"),
+    "a host of a cloud": ("a.log.txt", lambda p: write(p, b"died on ip-10-20-30-40.ec2.internal"), "host"),
+    "a host of a network": ("a.md", lambda p: write(p, b"trained on gpu-03.local"), "host"),
+    "a host by its key": ("a.json", lambda p: write(p, b'{"hostname": "platypus"}'), "host"),
     "a file's name": ("wanda.json", lambda p: write(p, b"{}"), "user"),
 }
 
@@ -69,6 +79,14 @@ def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refus
         "Wandas",
         "the root of data",
         "a/tmp/b",
+        "torch 2.11.0, embreex 4.4.0.post1, nvidia-cublas-cu12==12.4.5.8, nvidia-curand-cu12==10.3.5.147",
+        "cuDNN 9.1.0.70, driver version 10.2.0.3, libtiff-10.1.2.3, v10.0.0.1",
+        "http://127.0.0.1:8000, 0.0.0.0, ::1, 192.0.2.7, localhost",
+        "12:34:56, 1:2:3:4, std::vector, rows[1::2], a::b, 00:1b:44:11:3a:b7",
+        "@inproceedings{wang2025adamanip}, git@github.com:a/b.git, you@example.com, p@q",
+        "threading.local(), torch.internal, https://www.videolan.org/x264.html",
+        '{"hostname": null}',
+        "999.1.1.1, 1.2.3, 1.2.3.4.5",
     ],
 )
 def test_what_tells_of_no_machine_is_no_finding(tmp_path: Path, text: str) -> None:
@@ -115,7 +133,7 @@ def test_another_path_in_it_is_refused(trained: Path, tmp_path: Path, refuses: R
 
 
 def test_where_a_policy_came_from_is_told_if_it_is_on_the_hub(tmp_path: Path) -> None:
-    for path, told in (("someone/policy", "someone/policy"), (str(tmp_path), None), ("a/b/c", None), (None, None)):
+    for path, told in (("someone/policy", "someone/policy"), (str(tmp_path), None), ("a/b/c", None), (None, None), ("outputs/train", None), ("./train", None), ("../train", None)):
         assert shareable({"pretrained_path": path})["pretrained_path"] == told
         assert shareable({"policy": {"pretrained_path": path}})["policy"]["pretrained_path"] == told
 

@@ -1,0 +1,81 @@
+"""Addresses in a text: IPv4, IPv6, e-mail, and names that hosts have inside an organisation's network."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Iterator
+
+_IPV4 = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w-]|\.\d)")
+_IPV6 = re.compile(r"(?<![\w:.])[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}(?![\w:])")
+_EMAIL = re.compile(r"(?<![\w.+-])[\w.+-]+@(?:[A-Za-z0-9-]+\.)+[A-Za-z]{2,}(?![\w-])")
+_HOST = re.compile(
+    r"(?<![\w.-])(?:ip-\d{1,3}(?:-\d{1,3}){3}(?:\.[\w-]+)*"
+    r"|(?:[A-Za-z0-9-]+\.)+(?:lan|corp|intranet|localdomain|home\.arpa)"
+    r"|(?=[\w-]*[\d-])[A-Za-z0-9-]+\.(?:[A-Za-z0-9-]+\.)*(?:local|internal)"
+    r"|(?:[A-Za-z0-9-]+\.){2,}(?:local|internal))(?![\w-]|\.\w)"
+)
+_NAMED_HOST = re.compile(r"(?:hostname|host_name|nodename|node_name)[\"']?\s*[:=]\s*[\"']?([A-Za-z0-9][\w.-]+)", re.I)
+_VERSION_BEFORE = re.compile(r"(?:[=<>~!]=\s*|\bv(?:ersion)?[ .:=]*|[\w.]-)$", re.I)
+"""What stands before a version number of four parts, right in front of it."""
+_ADDRESS_BEFORE = re.compile(
+    r"(?:://|@|\b(?:ip|ipv4|inet|addr|address|host|node|server|gateway|peer|client|dns|ping|ssh|from|to|at)\b\W{0,4})$",
+    re.I,
+)
+_ADDRESS_BEHIND = re.compile(r":\d{2,5}\b|/\d{1,2}\b")
+_PUBLIC_MAIL = ("example.com", "example.org", "example.net", "users.noreply.github.com")
+_NO_HOSTS = ("localhost", "none", "null", "true", "false")
+
+
+def find_addresses(text: str) -> Iterator[tuple[str, str]]:
+    """Yields kind (``address``, ``e-mail`` or ``host``) and text of what tells of a machine or a person.
+
+    A number of four parts may be a version. It is an address if it is of a private network and no version mark such
+    as ``==`` stands before it, or if words or a port beside it say so. Loopback, unspecified and documentation
+    addresses tell of nobody.
+    """
+    for found in _IPV4.finditer(text):
+        if _is_ipv4(found.group(), text[max(0, found.start() - 24) : found.start()], text[found.end() :][:8]):
+            yield "address", found.group()
+    for found in _IPV6.finditer(text):
+        if _is_ipv6(found.group()):
+            yield "address", found.group()
+    for found in _EMAIL.finditer(text):
+        name, _, domain = found.group().partition("@")
+        if domain.lower() not in _PUBLIC_MAIL and name != "git":
+            yield "e-mail", found.group()
+    for found in _HOST.finditer(text):
+        yield "host", found.group()
+    for found in _NAMED_HOST.finditer(text):
+        if found[1].lower() not in _NO_HOSTS and not found[1][0].isdigit():
+            yield "host", found[1]
+
+
+def _is_ipv4(candidate: str, before: str, behind: str) -> bool:
+    try:
+        address = ipaddress.IPv4Address(candidate)
+    except ValueError:
+        return False
+    if address.is_loopback or address.is_unspecified or address.is_multicast or address.is_reserved:
+        return False
+    if any(address in network for network in _DOCUMENTATION):
+        return False
+    if _ADDRESS_BEFORE.search(before) or _ADDRESS_BEHIND.match(behind):
+        return True
+    return not address.is_global and not _VERSION_BEFORE.search(before)
+
+
+def _is_ipv6(candidate: str) -> bool:
+    try:
+        address = ipaddress.IPv6Address(candidate)
+    except ValueError:
+        return False
+    if address.is_loopback or address.is_unspecified or address.is_multicast or address in _DOCUMENTATION_6:
+        return False
+    groups = [group for group in candidate.split(":") if group]
+    # Two groups and a gap are a slice or a name of C++ more often than an address.
+    return len(groups) > 2 or address.is_link_local or candidate.lower().startswith(("fc", "fd"))
+
+
+_DOCUMENTATION = tuple(map(ipaddress.IPv4Network, ("192.0.2.0/24", "198.51.100.0/24", "203.0.113.0/24", "0.0.0.0/8")))
+_DOCUMENTATION_6 = ipaddress.IPv6Network("2001:db8::/32")
