@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.hub.endpoint import AGAIN, HubError, require_login, told_clearly
-from lerobot_adamanip.hub.staging import Staged
+from lerobot_adamanip.hub.staging import Digest, Staged
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -60,11 +58,13 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
 
     Raises:
         HubError: nobody is logged in, the Hub is out of reach or refuses, or holds something else than was sent.
+        DatasetError: a file is not what was scanned any more.
     """
     from huggingface_hub import HfApi as Client
 
     api = api or Client()
     require_login(api)
+    staged.require_unchanged()
     with told_clearly(staged.repo_id, str(api.endpoint)):
         url = api.create_repo(staged.repo_id, repo_type=staged.kind, private=private or None, exist_ok=True)
         before = _head(api, staged, private)
@@ -73,8 +73,9 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
         tags = [_move_tag(api, staged, staged.version_tag, commit)] if staged.version_tag else []
         tags += [_set_release(api, staged, release, commit)] if release else []
         size = _read_back(api, staged, commit)
-    files = len(staged.files())
-    return PushResult(staged.repo_id, staged.kind, str(url), commit, commit != before, files, size, tuple(tags))
+    return PushResult(
+        staged.repo_id, staged.kind, str(url), commit, commit != before, len(staged.digests), size, tuple(tags)
+    )
 
 
 def _head(api: HfApi, staged: Staged, private: bool) -> str:
@@ -135,8 +136,8 @@ def _read_back(api: HfApi, staged: Staged, commit: str) -> int:
     """Compares what the commit holds with what was to be sent, and where tags are; returns the bytes of all."""
     entries = api.list_repo_tree(staged.repo_id, repo_type=staged.kind, revision=commit, recursive=True)
     remote = {entry.path: entry for entry in entries if hasattr(entry, "blob_id")}
-    local = staged.files()
-    wrong = [name for name, path in local.items() if name not in remote or not _equal(remote[name], path)]
+    local = staged.digests
+    wrong = [name for name, digest in local.items() if name not in remote or not _equal(remote[name], digest)]
     stale = set(remote) - set(local) - set(_OF_THE_HUB)
     wrong += sorted(name for name in stale if name.startswith(staged.replaced or ("\0",)))
     if staged.version_tag and _tags(api, staged).get(staged.version_tag) != commit:
@@ -148,15 +149,9 @@ def _read_back(api: HfApi, staged: Staged, commit: str) -> int:
             allowed="the same files, of the same content",
             hint=AGAIN,
         )
-    return sum(path.stat().st_size for path in local.values())
+    return sum(digest.size for digest in local.values())
 
 
-def _equal(entry: Any, path: Path) -> bool:
-    size = path.stat().st_size
-    if entry.size != size:
-        return False
-    content = path.read_bytes() if entry.lfs is None else None
-    if content is not None:
-        return str(entry.blob_id) == hashlib.sha1(b"blob %d\0" % size + content).hexdigest()
-    with open(path, "rb") as file:
-        return str(entry.lfs.sha256) == hashlib.file_digest(file, "sha256").hexdigest()
+def _equal(entry: Any, digest: Digest) -> bool:
+    same = str(entry.blob_id) == digest.git if entry.lfs is None else str(entry.lfs.sha256) == digest.sha256
+    return same and entry.size == digest.size

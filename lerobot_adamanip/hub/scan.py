@@ -121,7 +121,6 @@ def _in_text(file: str, text: str, names: Names, owner: str) -> Iterator[Finding
         if found := re.search(rf"(?<![A-Za-z0-9_]){re.escape(mine)}(?![A-Za-z0-9_])", text):
             yield Finding(file, kind, found.group())
 
-
     for kind, address in find_addresses(text):
         yield Finding(file, kind, address[:120])
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,29 @@ from lerobot_adamanip.hub.sharing import shareable
 
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 _DATASET = ("meta/", "data/", "videos/")
+_MODEL = ("model.", "model-", "policy_preprocessor", "policy_postprocessor")
+"""How names of a checkpoint's weights, pipelines and their states begin."""
 _STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
+
+
+@dataclass(frozen=True)
+class Digest:
+    """What a file holds: its size, SHA-256, and the hash that Git gives its content."""
+
+    size: int
+    sha256: str
+    git: str
+
+    @classmethod
+    def of(cls, path: Path) -> Digest:
+        """Reads a file once, whatever it is a link to."""
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            sha256, git = hashlib.sha256(), hashlib.sha1(b"blob %d\0" % size)
+            while block := file.read(2**20):
+                sha256.update(block)
+                git.update(block)
+        return cls(size, sha256.hexdigest(), git.hexdigest())
 
 
 @dataclass(frozen=True)
@@ -35,8 +59,9 @@ class Staged:
         kind: ``dataset`` or ``model``, as the Hub calls repositories (environments are models there).
         repo_id: its name.
         folder: holds the files, links among them.
-        replaced: folders in the repository of which nothing stays that is not in ``folder``.
+        replaced: beginnings of names in the repository: of these nothing stays that is not in ``folder``.
         version_tag: tag that has to be at the newest commit, or None.
+        digests: path in the repository -> what the file held when it was scanned. Nothing else is published.
     """
 
     kind: str
@@ -44,6 +69,22 @@ class Staged:
     folder: Path
     replaced: tuple[str, ...] = ()
     version_tag: str | None = None
+    digests: Mapping[str, Digest] = field(default_factory=dict)
+
+    def sealed(self) -> Staged:
+        """Returns this with the digests of the files as they are."""
+        return replace(self, digests={name: Digest.of(path) for name, path in self.files().items()})
+
+    def require_unchanged(self) -> None:
+        """Raises `DatasetError` if a file, or what it is a link to, is not what was scanned."""
+        now = self.sealed().digests
+        if changed := sorted(name for name in {**now, **self.digests} if now.get(name) != self.digests.get(name)):
+            raise DatasetError(
+                "Files changed after they were checked for publishing.",
+                got=", ".join(changed[:5]),
+                allowed="files that nobody writes to",
+                hint="the same command again, once the writing is over",
+            )
 
     def files(self) -> dict[str, Path]:
         """Returns path in the repository -> file."""
@@ -63,7 +104,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
     Raises:
         DatasetError: it is missing, unfinished or damaged, or holds what belongs to a machine.
     """
-    root = root.absolute()
+    name, root = root.absolute().name, root.resolve()
     info = load_check(root)
     _require_sound(root, assets)
     version = str(info.get("codebase_version"))
@@ -71,9 +112,8 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
         raise DatasetError(
             "This dataset names no version of LeRobot's format.", got=version[:40], allowed="v3.0", hint=str(root)
         )
-    names = [path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()]
-    _link(root, (name for name in names if name.startswith(_DATASET) and "/." not in name), into)
-    card = read_dataset_card(root, root.name, repo_id, assets)
+    _link(root, (file for file in _file_names(root) if file.startswith(_DATASET) and "/." not in file), into)
+    card = read_dataset_card(root, name, repo_id, assets)
     return _finished(Staged("dataset", repo_id, into, _DATASET, version), card, root)
 
 
@@ -92,7 +132,7 @@ def stage_model(
     Raises:
         DatasetError: a file is missing or damaged, or holds what belongs to a machine.
     """
-    folder = folder.absolute()
+    folder = folder.resolve()
     folder = inner if (inner := folder / "pretrained_model").is_dir() else folder
     states = _checked_checkpoint(folder)
     _link(folder, ("model.safetensors", *PIPELINES, *states), into)
@@ -100,7 +140,7 @@ def stage_model(
         told = shareable(json.loads((folder / name).read_text()), dataset)
         (into / name).write_text(json.dumps(told, indent=4) + "\n", encoding="utf-8")
     card = model_card(Checkpoint.read(into), repo_id, results=results, dataset=dataset)
-    return _finished(Staged("model", repo_id, into), card, folder)
+    return _finished(Staged("model", repo_id, into, _MODEL), card, folder)
 
 
 def stage_environment(
@@ -131,8 +171,22 @@ def _require_sound(root: Path, assets: Path | None) -> None:
 def _finished(staged: Staged, card: str, source: Path) -> Staged:
     check_card(card, staged.kind)
     (staged.folder / "README.md").write_text(card, encoding="utf-8")
+    sealed = staged.sealed()  # before the scan: what changes while it is read is not published
     require_clean(staged.files(), Names.here(source), owner=staged.repo_id.partition("/")[0])
-    return staged
+    return sealed
+
+
+def _file_names(root: Path) -> Iterator[str]:
+    """Yields the names of all files in a folder, those in linked folders too, each folder once."""
+    seen: set[Path] = set()
+    for folder, folders, names in os.walk(root, followlinks=True):
+        if (real := Path(folder).resolve()) in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        folders.sort()
+        paths = (Path(folder) / name for name in sorted(names))
+        yield from (path.relative_to(root).as_posix() for path in paths if path.is_file())
 
 
 def _link(source: Path, names: Iterator[str] | Sequence[str], into: Path) -> None:

@@ -128,7 +128,7 @@ def test_a_card_tells_of_the_camera_and_that_all_is_simulated(published: Path, c
     height, width = load_check(published)["features"][schema.FRONT_IMAGE]["shape"][:2]
     assert f"{width} x {height} pixels" in card
     assert "robot's base frame" in card
-    assert "Simulated, not recorded on a robot" in card
+    assert "The data are synthetic: simulated, not recorded on a robot" in card
     assert "one view" in card
 
 

@@ -17,7 +17,7 @@ from loopback_hub import TOKEN, Cut, LoopbackHub
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hub.endpoint import HubError, require_hub_name, require_release_name
 from lerobot_adamanip.hub.push import push
-from lerobot_adamanip.hub.staging import Staged, stage_dataset
+from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_model
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 NAME = "someone/safes"
@@ -27,12 +27,65 @@ def content(staged: Staged) -> dict[str, bytes]:
     return {name: path.read_bytes() for name, path in staged.files().items()}
 
 
-def changed(staged: Staged, name: str, more: bytes) -> None:
-    """Changes a staged file, not what it is a link to."""
+def changed(staged: Staged, name: str, more: bytes) -> Staged:
+    """Changes a staged file, not what it is a link to, as if it had been so when it was scanned."""
     path = staged.folder / name
     old = path.read_bytes()
     path.unlink()
     path.write_bytes(old + more)
+    return staged.sealed()
+
+
+def test_what_changed_after_it_was_scanned_is_not_published(
+    staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses
+) -> None:
+    changed(staged, "meta/cameras.json", b" ")
+    assert "meta/cameras.json" in refuses(DatasetError, lambda: push(staged, api))
+    assert not hub.repositories
+
+
+def test_what_changes_while_it_is_sent_is_told(staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses) -> None:
+    def write(line: str) -> None:
+        if re.match(r"POST .*/preupload", line):
+            changed(staged, "meta/cameras.json", b" ")
+
+    hub.on_request = write
+    assert "meta/cameras.json" in refuses(HubError, lambda: push(staged, api))
+
+
+def test_what_links_lead_to_is_scanned_and_published(
+    published: Path, hub: LoopbackHub, api: HfApi, refuses: Refuses, tmp_path: Path
+) -> None:
+    """A dataset whose pictures and clouds lie on another disk, under a name that is a link itself."""
+    away, root = tmp_path / "disk", tmp_path / "named"
+    shutil.copytree(published, away / "dataset")
+    for name in ("data", "videos"):
+        shutil.move(away / "dataset" / name, away / name)
+        (away / "dataset" / name).symlink_to(away / name)
+    root.symlink_to(away / "dataset")
+    (tmp_path / "staged").mkdir()
+    staged = stage_dataset(root, NAME, tmp_path / "staged")
+    names = {str(path.relative_to(published)) for path in published.rglob("*") if path.is_file()}
+    assert set(staged.files()) == names
+    push(staged, api)
+    assert set(hub.files("datasets", NAME)) == names
+
+    (away / "note.json").write_text('{"host": "of 10.20.30.40"}')
+    (away / "dataset" / "meta" / "note.json").symlink_to(away / "note.json")
+    (tmp_path / "again").mkdir()
+    assert "10.20.30.40" in refuses(DatasetError, lambda: stage_dataset(root, NAME, tmp_path / "again"))
+
+
+def test_a_model_leaves_no_file_of_the_one_before(trained: Path, hub: LoopbackHub, api: HfApi, tmp_path: Path) -> None:
+    name, staged = "someone/policy", {}
+    for number in ("one", "two"):
+        (tmp_path / number).mkdir()
+        staged[number] = stage_model(trained, name, tmp_path / number)
+    (tmp_path / "one" / "policy_preprocessor_step_9_old.safetensors").write_bytes(b"old")
+    (tmp_path / "one" / "notes.md").write_text("kept: no file of a checkpoint")
+    push(staged["one"].sealed(), api)
+    push(staged["two"], api)
+    assert set(hub.files("models", name)) == {*staged["two"].files(), "notes.md"}
 
 
 def test_the_hub_holds_what_was_sent_in_one_commit_under_our_card(
@@ -68,6 +121,7 @@ def test_what_changed_is_sent_alone_and_what_is_gone_is_removed(staged: Staged, 
     first = hub.repositories["datasets", NAME].tags["v3.0"]
     changed(staged, "meta/tasks.parquet", b"more")
     (staged.folder / "meta" / "cameras.json").unlink()
+    staged = staged.sealed()
     hub.requests.clear()
     result = push(staged, api)
     assert hub.count("^PUT") == 1
@@ -94,7 +148,7 @@ def test_a_cut_is_healed_by_doing_it_again(
     cut, later = CUTS[name]
     if later:  # there is a tag to be moved
         push(staged, api)
-        changed(staged, "meta/tasks.parquet", b"more")
+        staged = changed(staged, "meta/tasks.parquet", b"more")
     hub.cut = replace(cut)
     assert "again" in refuses(HubError, lambda: push(staged, api))
     repository = hub.repositories["datasets", NAME]
@@ -141,7 +195,7 @@ def test_a_release_is_tagged_once_and_stays(staged: Staged, hub: LoopbackHub, ap
     first = push(staged, api, release="release-1")
     assert first.tags == ("v3.0", "release-1")
     assert push(staged, api, release="release-1").commit == first.commit
-    changed(staged, "meta/tasks.parquet", b"more")
+    staged = changed(staged, "meta/tasks.parquet", b"more")
     assert "release-1" in refuses(HubError, lambda: push(staged, api, release="release-1"))
     assert hub.repositories["datasets", NAME].tags["release-1"] == first.commit
 

@@ -133,7 +133,15 @@ def test_another_path_in_it_is_refused(trained: Path, tmp_path: Path, refuses: R
 
 
 def test_where_a_policy_came_from_is_told_if_it_is_on_the_hub(tmp_path: Path) -> None:
-    for path, told in (("someone/policy", "someone/policy"), (str(tmp_path), None), ("a/b/c", None), (None, None), ("outputs/train", None), ("./train", None), ("../train", None)):
+    for path, told in (
+        ("someone/policy", "someone/policy"),
+        (str(tmp_path), None),
+        ("a/b/c", None),
+        (None, None),
+        ("outputs/train", None),
+        ("./train", None),
+        ("../train", None),
+    ):
         assert shareable({"pretrained_path": path})["pretrained_path"] == told
         assert shareable({"policy": {"pretrained_path": path}})["policy"]["pretrained_path"] == told
 
