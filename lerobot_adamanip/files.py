@@ -66,6 +66,17 @@ def append_line(path: Path, line: str) -> None:
         os.close(descriptor)
 
 
+def last_line(path: Path, within: int = 4096) -> str:
+    """Returns the last line of a log that is not empty; "" where there is none in its last ``within`` bytes."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, path.stat().st_size - within))
+            lines = file.read().decode(errors="replace").splitlines()
+    except OSError:
+        return ""
+    return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
 @contextlib.contextmanager
 def locked(folder: Path, busy: str, hint: str) -> Iterator[int]:
     """Keeps other processes out of a folder; raises `DatasetError` that says ``busy`` if one is in it.

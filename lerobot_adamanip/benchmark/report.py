@@ -96,6 +96,18 @@ class BenchmarkReport:
         """Returns a number; None if there is none."""
         return self.entries.get((method, trials, category, objects))
 
+    @property
+    def rows_with_results(self) -> tuple[Row, ...]:
+        """The methods of which there is a number, or which cannot be run here: those that tables and pictures show."""
+        there = {place[0] for place in self.entries if place[1] is None} | set(self.unavailable)
+        return tuple(row for row in self.rows if row.name in there)
+
+    @property
+    def categories_with_results(self) -> tuple[str, ...]:
+        """The categories of which there is a number."""
+        there = {place[2] for place in self.entries if place[1] is None}
+        return tuple(category for category in self.categories if category in there)
+
     def mean(self, method: str, objects: str, within: int | None = None) -> float | None:
         """Returns a method's mean success over the categories, each counting alike; None unless there are all of them.
 

@@ -16,7 +16,7 @@ from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, R
 from lerobot_adamanip.evaluation.origin import machine_text
 from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.tables import is_half_of_range
-from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table, words
+from lerobot_adamanip.evaluation.texts import counted, duration_text, interval_text, markdown_table, words
 
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
@@ -85,7 +85,7 @@ def _extent(report: BenchmarkReport) -> str:
     """What was reached and what was not, with reasons."""
     legends = [
         report.note,
-        f"{len(report.results)} results.",
+        f"{counted(len(report.results), 'result')}.",
         _LEGEND,
         _PAPER_LEGEND * report.beside_paper,
     ]
@@ -100,14 +100,16 @@ def _extent(report: BenchmarkReport) -> str:
     if len({result.fingerprint for result in report.results}) > 1:
         lines.append("Mind: not all of it is of one fingerprint; numbers of different ones are not to be compared.")
     if report.missing:
-        lines.append(f"Declared and not reached: {len(report.missing)} cells.")
+        without = [_name(row) for row in report.rows if row not in report.rows_with_results]
+        methods = f" No result of: {', '.join(without)}." if without else ""
+        lines.append(f"Declared and not run: {counted(len(report.missing), 'cell')}.{methods}")
     lines += [f"- {_title(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
     return "\n".join(lines) + "\n"
 
 
 def _success(report: BenchmarkReport, objects: str) -> str:
     rows = []
-    for row in report.rows:
+    for row in report.rows_with_results:
         mean = report.mean(row.name, objects)
         cells = [_cell(report, row, category, objects) for category in report.categories]
         marks = "".join(mark for mark in _MARKS if any(mark in cell for cell in cells))
@@ -153,7 +155,7 @@ def _order(report: BenchmarkReport) -> str:
 
 def _differences(report: BenchmarkReport, objects: str) -> str:
     rows = []
-    for row in report.rows:
+    for row in report.rows_with_results:
         if row.name != report.reference:
             groups = [*((category,) for category in report.categories), report.categories]
             gaps = [report.to_reference(row.name, group, objects) for group in groups]
@@ -195,7 +197,7 @@ def _budgets(report: BenchmarkReport) -> str:
             if means[-1] is not None:
                 rows.append([_name(row), objects, *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)])
     if not rows:
-        return "Of no method there are all categories."
+        return "No method has results of all categories yet."
     return markdown_table(["mean over the categories", "objects", *map(str, BUDGETS)], rows)
 
 
@@ -257,7 +259,7 @@ def _hidden(report: BenchmarkReport) -> str:
 def _costs(report: BenchmarkReport) -> str:
     costs = report.costs()
     lines = [
-        f"- {_KINDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {len(found)} times"
+        f"- {_KINDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {counted(len(found), 'time')}"
         for kind, found in costs.items()
     ]
     machines = sorted(

@@ -28,6 +28,9 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
 """States of a cell. Stale: its result is of other code or other options. Begun: one of its steps is, or is done."""
 _POLL_SECONDS = 0.02
+SIGN_OF_LIFE_SECONDS = 30.0
+"""A step that runs is reported every so often, with the last line of its log."""
+_LINE_LENGTH = 120
 _WORDS = {COLLECT: "collecting", TRAIN: "training", EVALUATE: "evaluating"}
 
 
@@ -58,6 +61,7 @@ class _RunningStep:
     process: Running
     begin: float
     program: str
+    label: str
 
 
 @dataclass
@@ -163,7 +167,7 @@ class BenchmarkRun:
 
     def _begun(self, step: Step, lock: int, label: str) -> bool:
         """Begins a step; False if it was ended at once, for its command had nothing left to do."""
-        self.say(f"{label}: {_WORDS[step.kind]}")
+        self.say(f"{label}: {_WORDS[step.kind]}, log: {self.folder.log(step)}")
         self.folder.begin(step)
         begin = time.perf_counter()
         command = self._command(step)
@@ -173,11 +177,12 @@ class BenchmarkRun:
         threads = 0 if self.jobs == 1 else self._cores_of_a_job
         log = self.folder.log(step)
         process = self.runner(command, folder=self.folder.root, log=log, lock=lock, threads=threads)
-        self._running[step.key] = _RunningStep(step, process, begin, command[0])
+        self._running[step.key] = _RunningStep(step, process, begin, command[0], label)
         return True
 
     def _wait(self) -> None:
-        """Waits until a command ends."""
+        """Waits until a command ends; says now and then what runs."""
+        due = time.perf_counter() + SIGN_OF_LIFE_SECONDS
         while self._running:
             ended = [(each, status) for each in self._running.values() if (status := each.process.poll()) is not None]
             for each, status in ended:
@@ -185,6 +190,12 @@ class BenchmarkRun:
                 self._end(each.step, each.begin, status, each.program)
             if ended:
                 return
+            if time.perf_counter() >= due:
+                due += SIGN_OF_LIFE_SECONDS
+                for each in self._running.values():
+                    seconds = time.perf_counter() - each.begin
+                    line = files.last_line(self.folder.log(each.step))[:_LINE_LENGTH]
+                    self.say(f"{each.label}: {_WORDS[each.step.kind]} for {seconds:.0f} s: {line}")
             time.sleep(_POLL_SECONDS)
 
     def _end(self, step: Step, begin: float, status: int, program: str) -> None:

@@ -30,9 +30,10 @@ from lerobot_adamanip.demos.cluster import require_usable
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.origin import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate
-from lerobot_adamanip.evaluation.texts import interval_text
+from lerobot_adamanip.evaluation.texts import counted, interval_text
 from lerobot_adamanip.files import write_atomically
 
+DEFAULT_SCALE = "cpu"
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
@@ -44,8 +45,9 @@ class Benchmark:
     Ctrl-C, a crash or a power cut the same command goes on, and comes to the same results. See docs/benchmark.md.
     """
 
-    scale: str = "cpu"
-    """How much of everything: smoke shows that all of it runs, cpu is for two cores, full for a GPU."""
+    scale: str | None = None
+    """How much of everything: smoke shows that all of it runs, cpu is for two cores, full for a GPU. May be left out,
+    for cpu, where --methods or --categories choose some of its cells."""
 
     config: Path | None = None
     """Declaration of methods, demonstrations and scales (TOML), instead of the paper's table."""
@@ -91,7 +93,8 @@ class Benchmark:
     def run(self) -> int:
         """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
         declaration = with_packages(read_declaration(self.config or PAPER_TABLE))
-        cells = select_cells(declaration, self.scale, self._selection())
+        cells = select_cells(declaration, self.chosen_scale, self._selection())
+        self._require_choice(len(cells))
         if self.list_cells and self.report:
             raise ConfigurationError(
                 "Two things at once.", got="--list and --report", allowed="one of them", hint="--list"
@@ -111,6 +114,22 @@ class Benchmark:
             written = {} if self.list_cells else write_report(make_benchmark_report(made), made.folder.root / "report")
         self._print(states, written)
         return 1 if any(each.state == FAILED for each in states) else 0
+
+    @property
+    def chosen_scale(self) -> str:
+        """The scale, by name."""
+        return self.scale or DEFAULT_SCALE
+
+    def _require_choice(self, cells: int) -> None:
+        """Raises `ConfigurationError` if everything would be run, and nobody has asked for that."""
+        chosen = self.scale or self.config or any((self.methods, self.categories, self.splits, self.seeds))
+        if not chosen and not self._runs_nothing():
+            raise ConfigurationError(
+                f"Nothing was chosen, and scale {DEFAULT_SCALE} has {cells} cells: about a day of two cores.",
+                got="neither --scale nor --methods, --categories, --splits, --seeds",
+                allowed="one of them",
+                hint=f"--methods dp3_adaptive --categories safe; all of it: --scale {DEFAULT_SCALE}",
+            )
 
     def _runs_nothing(self) -> bool:
         return self.list_cells or self.report
@@ -132,8 +151,8 @@ class Benchmark:
         policies = find_policies(declaration.methods)
         return BenchmarkRun(
             declaration=declaration,
-            scale=self.scale,
-            folder=BenchmarkFolder((self.out / self.scale).absolute()),
+            scale=self.chosen_scale,
+            folder=BenchmarkFolder((self.out / self.chosen_scale).absolute()),
             code=Code(present_fingerprint(), environment_fingerprint(), policies.code),
             origin=present_origin(),
             machine=machine_class(),
@@ -148,7 +167,7 @@ class Benchmark:
             return run_cells(made, cells)
         from lerobot_adamanip.benchmark.cluster_command import cluster_commands
 
-        gpu = made.declaration.scale(self.scale).device.startswith("cuda")
+        gpu = made.declaration.scale(self.chosen_scale).device.startswith("cuda")
         with cluster_commands(self.cluster, made.folder.root, insecure=self.insecure_cluster, gpu=gpu) as commands:
             # No command computes with more than the smallest node has.
             machine = {"cores": min(commands.cores, commands.smallest * self.jobs), "gpu": gpu}
@@ -160,14 +179,14 @@ class Benchmark:
 
     def _print(self, states: Sequence[CellState], written: dict[str, str]) -> None:
         if self.json:
-            print(json.dumps({"scale": self.scale, "cells": [_state_json(each) for each in states], **written}))
+            print(json.dumps({"scale": self.chosen_scale, "cells": [_state_json(each) for each in states], **written}))
             return
         width = max(len(each.cell.name) for each in states)
         for each in states:
             if self.list_cells or each.state == FAILED:
                 print(f"{each.cell.name:<{width}}  {each.state:<11}  {_told(each)}".rstrip())
         counts = Counter(each.state for each in states)
-        print(f"{len(states)} cells: {', '.join(f'{count} {state}' for state, count in counts.items())}")
+        print(f"{counted(len(states), 'cell')}: {', '.join(f'{count} {state}' for state, count in counts.items())}")
         for what, path in written.items():
             print(f"{what}: {path}")
 
@@ -176,6 +195,7 @@ def run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
     """Runs what is missing of the cells; tells progress on stderr."""
     states = []
     with _terminable(), show_progress({"cells": "cells"}) as progress:
+        progress("cells", 0, len(cells))
         for number, state in enumerate(made.run(cells), start=1):
             states.append(state)
             progress("cells", number, len(cells))

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 MAX_BARS = 24
 """Groups that a picture has room for."""
+_LABEL_PERCENT = 16
+"""Height of a label of counts, of the whole axis [%]."""
 _CHARACTERS_FLAT = 60
 """Labels of groups longer than this in all are turned."""
 
@@ -102,11 +104,21 @@ def _draw_bars(axes: Axes, comparison: Comparison) -> None:
         axes.bar(places, values, 0.92 * width, yerr=errors, capsize=3, label=label, ecolor="0.25")
         for x, r in zip(places, rates, strict=True):
             if r.episodes:
-                text, color = f"{r.count}/{r.episodes}", "white" if (r.rate or 0.0) > 0.15 else "black"
-                axes.text(x, 1.5, text, ha="center", va="bottom", fontsize=7, color=color, rotation=90)
+                _label_bar(axes, x, r, width)
     names = [group.label for group in groups]
     turned = sum(map(len, names)) > _CHARACTERS_FLAT
     axes.set_xticks(range(len(groups)), names, rotation=35 if turned else 0, ha="right" if turned else "center")
     axes.tick_params(axis="x", labelsize=8)
     axes.set(ylabel="success [%]", ylim=(0, 103))
     axes.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, borderaxespad=0.2)
+
+
+def _label_bar(axes: Axes, x: float, success: Rate, width: float) -> None:
+    """Writes a bar's counts where its interval's line does not cross them: in the bar, above the line, or beside it."""
+    low, high = 100 * success.low, 100 * success.high
+    place = (
+        (x, 1.5) if low > _LABEL_PERCENT else (x, high + 1.5) if high < 100 - _LABEL_PERCENT else (x + width / 4, 1.5)
+    )
+    inside = place[1] == 1.5 and 100 * (success.rate or 0.0) > _LABEL_PERCENT
+    text, color = f"{success.count}/{success.episodes}", "white" if inside else "black"
+    axes.text(*place, text, ha="center", va="bottom", fontsize=7, color=color, rotation=90)

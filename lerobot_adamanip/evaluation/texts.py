@@ -12,6 +12,11 @@ def words(category: str) -> str:
     return category.replace("_", " ")
 
 
+def counted(count: int, noun: str) -> str:
+    """Returns a number with its noun: ``1 cell``, ``2 cells``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def duration_text(seconds: float) -> str:
     """Returns ``90 s``, ``45 min`` or ``3.2 h``."""
     return (

@@ -186,8 +186,22 @@ def test_a_missing_cell_is_marked_and_never_guessed(cells: Path) -> None:
     assert rows["Ours"][1].endswith("(1 of 2 trainings)")
     gaps = rows_of(benchmark_page(report), "Ours less the others on seen objects, in points")["Ours on static"]
     assert (gaps[0], gaps[2]) == ("-", "-")
-    assert "Declared and not reached: 3 cells." in benchmark_page(report)
+    assert "Declared and not run: 3 cells.\n" in benchmark_page(report)
     assert [cell["category"] for cell in report.to_json()["missing"]] == ["bottle", "bottle", "safe"]
+
+
+def test_a_method_without_a_result_has_a_line_and_no_row(cells: Path, tmp_path: Path) -> None:
+    for path in {*cells.glob("ours_on_static-*"), *cells.glob("*-bottle-*")}:
+        path.unlink()
+    report = report_of(cells)
+    page = benchmark_page(report)
+    assert "Ours on static" not in rows_of(page, "Success on seen objects")
+    assert "Declared and not run: 22 cells. No result of: Ours on static.\n" in page
+    assert report.categories_with_results == ("safe",)
+    paths = {path.stem: path for path in plot_report(report, tmp_path)}
+    assert "trials" not in paths
+    with Image.open(paths["success"]) as picture:
+        assert picture.width < 1200
 
 
 def test_what_cannot_be_run_is_marked_with_its_reason(cells: Path) -> None:

@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import random
+import re
 import signal
 import sys
 import threading
@@ -29,8 +30,9 @@ from benchmark_helpers import (
 )
 
 from lerobot_adamanip import files
+from lerobot_adamanip.benchmark import run
 from lerobot_adamanip.benchmark.command import Running, run_command
-from lerobot_adamanip.benchmark.plan import Code
+from lerobot_adamanip.benchmark.plan import Code, plan
 from lerobot_adamanip.benchmark.result import read_cell
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
@@ -94,6 +96,18 @@ def test_one_at_a_time_may_use_all_threads(tmp_path: Path) -> None:
     runner = FakeRunner(tmp_path)
     run_all(benchmark(tmp_path / "out", runner))
     assert (set(runner.threads), runner.most_at_once) == ({0}, 1)
+
+
+def test_a_step_that_takes_long_shows_the_end_of_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "SIGN_OF_LIFE_SECONDS", 0.05)
+    said: list[str] = []
+    made = benchmark(tmp_path / "out", FakeRunner(tmp_path, pause=0.02), say=said.append)
+    made.folder.make()
+    first = plan(cells_of(made)[0], made.declaration, made.scale, made.code)
+    made.folder.log(next(first.chain())).write_text("step 1\nstep 2\n\n")
+    next(made.run(cells_of(made)))
+    assert re.fullmatch(r"\[1/6\] \S+: evaluating, log: \S+", said[0])
+    assert re.fullmatch(r"\[1/6\] \S+: evaluating for \d+ s: step 2", said[1])
 
 
 def test_what_a_finished_step_was_made_of_is_no_longer_needed(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -63,8 +64,9 @@ def test_the_list_is_json_and_nothing_runs(runner: FakeRunner, capsys: pytest.Ca
 def test_it_runs_what_is_missing_and_writes_the_table(runner: FakeRunner, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["benchmark", *SMALL]) == 0
     said = capsys.readouterr()
-    assert "[2/3] dp3-safe-seen-1000: collecting" in said.err
+    assert re.search(r"\[2/3\] dp3-safe-seen-1000: collecting, log: \S+\.log$", said.err, re.MULTILINE)
     assert "cells: 3/3" in said.err
+    assert re.search(r"^cells: 0/3 \(0 %\) after 0 s$", said.err, re.MULTILINE), "time counts from the start"
     assert "3 cells: 1 unavailable, 2 done" in said.out
     assert "a library talks" not in said.out
     table = Path("outputs/benchmark/smoke/report/benchmark.md").absolute()
@@ -189,7 +191,8 @@ def test_a_declaration_of_ones_own(runner: FakeRunner, tmp_path: Path, capsys: p
         (["--seeds", "7"], "has no such cells"),
         (["--scale", "huge"], "Unknown scale"),
         (["--config", "absent.toml"], "Not a declaration of a benchmark"),
-        (["--jobs", "0"], "Not a number of jobs"),
+        (["--jobs", "0", "--methods", "dp3"], "Not a number of jobs"),
+        ([], "Nothing was chosen, and scale cpu has 194 cells"),
         (["--list", "--report"], "Two things at once"),
     ],
 )
