@@ -27,7 +27,8 @@ from lerobot.utils.utils import flatten_dict
 
 from lerobot_adamanip import files
 from lerobot_adamanip.hardware.calibration.file import save_calibration
-from lerobot_adamanip.hardware.features import CALIBRATIONS
+from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.session import BOARD
 
 _X265 = "x265-params"
@@ -61,6 +62,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
     ) -> None:
         """As LeRobot's; the episode is saved once ``meta/info.json`` has been replaced."""
         _keep_calibrations(self.root)
+        _keep_safety(self.root)
         told = {"episode_index": episode_index, "tasks": episode_tasks, "length": episode_length}
         self._save_episode_metadata({**told, **episode_metadata, **flatten_dict({"stats": episode_stats})})
         self._close_writer()
@@ -136,6 +138,13 @@ def _keep_calibrations(root: Path) -> None:
         return
     for key, calibration in session.calibrations.items():
         save_calibration(root / CALIBRATIONS, key, calibration)
+
+
+def _keep_safety(root: Path) -> None:
+    """Writes the limits of the connected robot's safety filter: a roll-out does not tell which target was accepted."""
+    session = BOARD.find()
+    if session is not None and isinstance(session.safety, SafetyLimits) and not (root / SAFETY).exists():
+        files.write_atomically(root / SAFETY, session.safety.to_json().encode())
 
 
 def _write_atomically(root: Path, write: Callable[[Path], None]) -> None:

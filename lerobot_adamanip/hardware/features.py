@@ -29,6 +29,8 @@ DEPTH_SUFFIX = "_depth"
 
 CALIBRATIONS = "meta/calibrations.json"
 """Of a recording: where its cameras stood, `lerobot_adamanip.hardware.calibration.file`."""
+SAFETY = "meta/safety.json"
+"""Of a recording: the limits of its robot's safety filter, `lerobot_adamanip.hardware.safety_limits`."""
 
 
 def names_of(feature: Mapping[str, Any] | None) -> list[str]:

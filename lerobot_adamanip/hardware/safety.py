@@ -213,6 +213,15 @@ class SafetyFilter:
         return self._into_box(moved_to(turned, position, float(goal.target[GRIPPER_DIM])))
 
 
+def accepted(target: NDArray[np.generic], limits: SafetyLimits) -> Target | None:
+    """Returns a target as a filter lets it through once step and lead allow it, (10,); None for a malformed one."""
+    wanted = canonical(target)
+    if wanted is None:
+        return None
+    pose = placed(wanted)
+    return _into(pose, *limits.reduced_box(pose.rotation)).target
+
+
 def _into(pose: Placed, lower: Array, upper: Array) -> Placed:
     """Returns a pose with its position moved into a box, rounded inwards."""
     position = np.clip(pose.position, lower, upper)

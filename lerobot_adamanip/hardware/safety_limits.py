@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 
 import numpy as np
 
+from lerobot_adamanip import checked_json
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.rotations import Array, angle_between, straight_path, transform
 
@@ -63,6 +65,10 @@ class SafetyLimits:
                     f"The safety limit {name} cannot be used.", got=getattr(self, name), allowed="above 0"
                 )
 
+    def to_json(self) -> str:
+        """Returns what `limits_from_json` takes."""
+        return json.dumps(asdict(self), indent=1)
+
     def reduced_box(self, rotation: Array) -> tuple[Array, Array]:
         """Returns the box of the tool's position in which a hand of this (3, 3) rotation has its corners inside."""
         return self._box_without(HAND_CORNERS @ rotation.T)
@@ -90,3 +96,19 @@ class SafetyLimits:
         lower, upper = self.reduced_box(tcp_in_base[:3, :3])
         position = tcp_in_base[:3, 3]
         return bool((position >= lower - margin).all() and (position <= upper + margin).all())
+
+
+_POSITIVE = checked_json.number(1e-6, 1e3)
+_CORNER = checked_json.listing(checked_json.number(-100.0, 100.0), 3, 3)
+_LIMITS = checked_json.table(
+    {
+        "box_lower": _CORNER,
+        "box_upper": _CORNER,
+        **dict.fromkeys(("speed", "angular_speed", "lead", "angular_lead", "max_dt"), _POSITIVE),
+    }
+)
+
+
+def limits_from_json(content: bytes) -> SafetyLimits:
+    """Inverse of `SafetyLimits.to_json`. Raises ValueError that names the field, `ConfigurationError` for the box."""
+    return SafetyLimits(**_LIMITS("the safety limits", checked_json.parse(content)))

@@ -18,12 +18,18 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.demos.dense.choose import choose_key_frames
 from lerobot_adamanip.demos.dense.convert import ConvertOptions, convert
+from lerobot_adamanip.demos.dense.recording import DenseRecording
 from lerobot_adamanip.demos.dense.rows import Camera, RowOptions, demonstration_columns
 from lerobot_adamanip.demos.loading import episode_table, open_dataset, read_info
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.hardware.features import CALIBRATIONS
+from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
+from lerobot_adamanip.hardware.safety import accepted
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_json
+from lerobot_adamanip.hardware.session import BOARD
 from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.check.repair import repair
+from lerobot_adamanip.lerobot_writer import _keep_safety
+from lerobot_adamanip.rotations import pose_from_vector
 
 POINTS = 64
 OPTIONS = ConvertOptions(rows=RowOptions(num_points=POINTS))
@@ -150,6 +156,28 @@ def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.stack([row[key] for row in rows[:-1]]), goals)
     assert [bool(row[schema.SUCCESS]) for row in rows] == [False] * (len(goals) - 1) + [True, True]
     assert json.loads(episode_table(tmp_path / "made")["recorded"][0].as_py())["corrections"]
+
+
+def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_path: Path) -> None:
+    episode = dense_episode(seed=3)
+    corrected = replace(episode, corrected=np.ones(len(episode), bool))
+    root = write_recording(tmp_path / "rollout", corrected)
+    highest = float(max(stop.goal[2] for stop in STOPS))
+    limits = SafetyLimits((-2.0, -2.0, -2.0), (2.0, 2.0, highest - 0.05))
+    BOARD.open("arm").safety = limits
+    _keep_safety(root)  # as the recorder does
+    BOARD.close("arm")
+    assert limits_from_json((root / SAFETY).read_bytes()) == limits
+    assert check(root).findings == ()
+    recording = DenseRecording.open(root)
+    read = recording.episode(0)
+    for asked, sent in zip(read.asked[:-1], read.sent[1:], strict=True):
+        assert limits.contains(pose_from_vector(sent)[0], 1e-6)
+        np.testing.assert_array_equal(sent, accepted(asked, limits))
+    assert (read.sent[1:] != read.asked[:-1]).any()
+    (root / SAFETY).write_text("{}")
+    with pytest.raises(DatasetError, match="box_lower"):
+        DenseRecording.open(root).episode(0)
 
 
 def test_what_a_corrector_asked_for_stands_beside_what_was_accepted() -> None:

@@ -84,16 +84,16 @@ def test_auto_streams_what_a_teleoperator_asks_for_at_any_rate(monkeypatch: pyte
     assert {execution for execution, _ in arm.sent} == {Execution.STREAM}
 
 
-@pytest.mark.parametrize("fps", [30, 10])
-@pytest.mark.parametrize(("x", "turn"), [(0.03, 0.0), (0.0, 0.2)])
+@pytest.mark.parametrize(("fps", "x", "turn"), [(30, 0.008, 0.0), (30, 0.0, 0.035), (10, 0.03, 0.0), (10, 0.0, 0.2)])
 def test_auto_takes_what_is_farther_or_turned_more_for_a_key_frame(
     monkeypatch: pytest.MonkeyPatch, fps: int, x: float, turn: float
 ) -> None:
     driver, arm, clock, _ = driving(monkeypatch, "auto")
+    driver.send(moved(), reading(arm.at, None))
     for count in (1, 2, 3):  # the time that a key frame takes is none between two actions
         clock.now += 1 / fps
         driver.send(moved(count * x, count * turn), reading(arm.at, None))
-    assert [execution for execution, _ in arm.sent] == [Execution.KEYFRAME] * 3
+    assert [execution for execution, _ in arm.sent] == [Execution.STREAM, *[Execution.KEYFRAME] * 3]
 
 
 def test_auto_counts_steps_where_time_passes_by_them(monkeypatch: pytest.MonkeyPatch) -> None:

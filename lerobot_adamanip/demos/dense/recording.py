@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.dense.choose import DenseEpisode
 from lerobot_adamanip.demos.loading import read_info
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.features import (
     CALIBRATIONS,
@@ -25,12 +25,15 @@ from lerobot_adamanip.hardware.features import (
     FRONT_CAMERA,
     LABEL_NAME,
     OUTCOME_NAME,
+    SAFETY,
     SENT_NAMES,
     STAMP_NAME,
     is_dense,
     names_of,
 )
 from lerobot_adamanip.hardware.frames import CameraCalibration
+from lerobot_adamanip.hardware.safety import accepted
+from lerobot_adamanip.hardware.safety_limits import limits_from_json
 
 INTERVENTION = "intervention"
 """Column of LeRobot's DAgger recordings: whether a person, or an expert, had taken over."""
@@ -132,8 +135,7 @@ class DenseRecording:
             found = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
             raise _unusable(self.root, found, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
         asked = asked[:, [asked_names.index(name) for name in schema.POSE_NAMES]]
-        # A roll-out does not tell what was sent: it is what was asked for, one tick later.
-        sent = told(SENT_NAMES, np.nan) if self._tells(SENT_NAMES) else np.concatenate([state[:1, :10], asked[:-1]])
+        sent = told(SENT_NAMES, np.nan) if self._tells(SENT_NAMES) else self._accepted(asked, state[0, :10])
         return DenseEpisode(
             state=state,
             effort=told(schema.EFFORT_NAMES, 0.0),
@@ -147,6 +149,27 @@ class DenseRecording:
             if INTERVENTION in table.column_names
             else None,
         )
+
+    def _accepted(self, asked: NDArray[np.float32], first: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns what the arm had accepted at each tick of a roll-out, which tells only what was asked for, (T, 10).
+
+        It is what was asked for a tick earlier, as the robot's safety filter lets it through; recordings of before the
+        filter's limits were kept have it unfiltered.
+        """
+        path = self.root / SAFETY
+        if not path.exists():
+            return np.concatenate([first[None], asked[:-1]])
+        try:
+            limits = limits_from_json(path.read_bytes())
+        except (OSError, ValueError, ConfigurationError) as error:
+            raise _unusable(
+                self.root, f"{SAFETY}: {error}", "the file that the recorder wrote", f"rm {path}"
+            ) from error
+        sent = [first]
+        for target in asked[:-1]:
+            let_through = accepted(target, limits)
+            sent.append(sent[-1] if let_through is None else let_through)
+        return np.stack(sent)
 
     def _tells(self, wanted: Sequence[str]) -> bool:
         return set(wanted) <= set(names_of(self.info["features"][schema.STATE]))
