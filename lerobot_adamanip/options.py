@@ -45,6 +45,7 @@ class EnvironmentOptions:
         episode_log: a file to which each ended episode's record is appended as a line of JSON.
         run_id: of the evaluation that those records belong to; drawn anew if left out.
         run_label: what to call it in reports, for instance the policy.
+        logged_seeds: log only episodes whose given seed is in this half-open range; all if left out.
         workspace: the box of which the cloud keeps the points, robot base frame [m].
 
     Raises:
@@ -68,6 +69,7 @@ class EnvironmentOptions:
     episode_log: str | None = None
     run_id: str | None = None
     run_label: str | None = None
+    logged_seeds: tuple[int, int] | None = None
     workspace: Workspace = DEFAULT_WORKSPACE
 
     def __post_init__(self) -> None:

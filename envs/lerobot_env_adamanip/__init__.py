@@ -39,7 +39,9 @@ if not os.environ.get(NO_PLUGIN):
     from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 
     _recorder = "lerobot.scripts.lerobot_record"
-    if _recorder in sys.modules or getattr(sys.modules["__main__"].__spec__, "name", None) == _recorder:
+    # An embedded interpreter may have no module of that name, or one without a specification.
+    _main = getattr(sys.modules.get("__main__"), "__spec__", None)
+    if _recorder in sys.modules or getattr(_main, "name", None) == _recorder:
         # Its loop tells robots and teleoperators of episodes then, in LeRobots that this was tested with.
         from lerobot_adamanip import lerobot_episodes
 

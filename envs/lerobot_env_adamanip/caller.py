@@ -27,9 +27,25 @@ def held_by_callers(config: object, *kinds: tuple[str, str]) -> Iterator[Any]:
 
 
 def images_wanted(config: object) -> bool:
-    """Returns whether whoever asks may look at images: everybody but the evaluation of a policy that takes none."""
-    for pipeline in held_by_callers(config, EVALUATION):
+    """Returns whether the caller may look at images.
+
+    All do but ``lerobot-eval`` and ``lerobot-train`` with a policy that takes none; a training makes its environments
+    once its policy knows its inputs.
+    """
+    for pipeline in held_by_callers(config, EVALUATION, TRAINING):
         features = getattr(getattr(pipeline, "policy", None), "input_features", None)
         if features:
             return any(feature.type.name == "VISUAL" for feature in features.values())
     return True
+
+
+def evaluation_seeds(config: object) -> tuple[int, int] | None:
+    """Returns the half-open range of the seeds that LeRobot counts; None outside its commands or without a seed.
+
+    LeRobot runs whole batches, gives the environments one seed after the other from the pipeline's ``seed``, and counts
+    the first ``eval.n_episodes`` of them. (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
+    """
+    for pipeline in held_by_callers(config, EVALUATION, TRAINING):
+        if pipeline.seed is not None:
+            return pipeline.seed, pipeline.seed + pipeline.eval.n_episodes
+    return None

@@ -28,8 +28,9 @@ from lerobot_adamanip.schema import (
     STATE,
     STATE_DIM,
 )
-from lerobot_env_adamanip.caller import images_wanted
+from lerobot_env_adamanip.caller import evaluation_seeds, images_wanted
 from lerobot_env_adamanip.split import AUTO, resolve_split
+from lerobot_env_adamanip.trained_on import tell_training_objects
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.vector import LazyAsyncVectorEnv
@@ -66,7 +67,7 @@ class AdaManipEnvConfig(EnvConfig):
     num_points: int = DEFAULT_NUM_POINTS
     # Side of the front image [px].
     image_size: int = IMAGE_SIZE
-    # Whether observations hold the front image. Left out: unless lerobot-eval runs a policy that takes no image.
+    # Whether observations hold the front image. Left out: unless LeRobot's commands run a policy that takes none.
     observe_images: bool | None = None
     # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
     poses: str = "randomized"
@@ -151,6 +152,7 @@ class AdaManipEnvConfig(EnvConfig):
             render_backend=self.render_backend,
             episode_log=self.episode_log,
             run_label=self.run_label,
+            logged_seeds=evaluation_seeds(self),
             workspace=Workspace(self.workspace_lower, self.workspace_upper),
             **others,
         )
@@ -163,6 +165,7 @@ class AdaManipEnvConfig(EnvConfig):
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
         options = self._options(self.category, run_id=self._new_run_id())
+        tell_training_objects(self, [options])
         return {self.type: {0: make_vector_env(options, n_envs, use_async_envs)}}
 
     def _new_run_id(self) -> str | None:

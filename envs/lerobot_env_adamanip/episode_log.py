@@ -125,15 +125,19 @@ class EpisodeLog:
 
     Args:
         path: file that other environments may append to as well.
+        seeds: half-open range of the given seeds that are logged; all if left out. The last batch of an evaluation
+            runs surplus episodes, which LeRobot does not count.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, seeds: tuple[int, int] | None = None) -> None:
+        self.path, self._seeds = path, None if seeds is None else range(*seeds)
         self._evaluation = 0
         self._logged: set[tuple[object, ...]] = set()
 
     def append(self, record: EpisodeRecord) -> None:
-        """Appends an ended episode."""
+        """Appends an ended episode, unless its given seed is not to be logged."""
+        if self._seeds is not None and record.given_seed not in self._seeds:
+            return
         if record.identity in self._logged:
             self._evaluation += 1
             self._logged.clear()

@@ -278,7 +278,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
 def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:
     """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
-    log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log))
+    log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log), options.logged_seeds)
     run_id = None if log is None else options.run_id or new_run_id()
     return log, Provenance(environment_fingerprint(), __version__, options.mechanism_preset, run_id, options.run_label)
 

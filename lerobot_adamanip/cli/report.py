@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
 FILE_WIDTH = 200
 """Columns of a table that goes into a file or a pipe."""
+OBJECT_SPLITS = (
+    "Seen, unseen and novel objects are splits of a category, whatever the policy was trained on. Which of them that "
+    "was, lerobot-eval says at its start."
+)
 Evaluations = dict[str, list[EpisodeRecord]]
 
 
@@ -44,8 +48,8 @@ class Report:
     """What to call them, in the same order; file names by default."""
 
     episodes: int | None = None
-    """Count the first so many episodes of each evaluation and category, by seed: what lerobot-eval was given as
-    --eval.n_episodes. Its last batch runs surplus episodes, which it does not count and the log holds."""
+    """Count only the first so many episodes of each evaluation and category, by seed. Left out: all of them; a log
+    holds the episodes that --eval.n_episodes asked for (logs of version 0.2.0 also the last batch's surplus)."""
 
     pool: bool = False
     """Count all evaluations of a log as one."""
@@ -184,6 +188,8 @@ def print_tables(comparison: Comparison) -> None:
         console.print(f"Failures by object, {label}: {text}", markup=False, highlight=False)
         ended = failures_text(summary.failures)
         console.print(f"Failures by how they ended, {label}: {ended}", markup=False, highlight=False)
+    if any(group.by == "objects" for group in comparison.groups):
+        console.print(OBJECT_SPLITS, markup=False, highlight=False)
     for warning in comparison.warnings:
         console.print(f"Mind: {warning}", style="bold yellow", markup=False, highlight=False)
 

@@ -199,6 +199,7 @@ DECIDING = (
 """Options of an environment that a manifest holds."""
 NOT_DECIDING = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
+    "logged_seeds",
 )  # fmt: skip
 """Options that it does not: category and objects stand beside them, the split is the same for every collection, a path
 is of one machine, a run is of an evaluation, and the fingerprint tells the renderer."""

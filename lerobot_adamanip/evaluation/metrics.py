@@ -117,8 +117,9 @@ def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[Episode
     """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
 
     LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
-    other, and counts the first ``n_episodes``: those given the lowest seeds. The log holds the last batch's surplus
-    too. (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
+    other, and counts the first ``n_episodes``: those given the lowest seeds. Logs of version 0.2.0, and of
+    evaluations without a seed, hold the last batch's surplus too.
+    (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
     """
     found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
     for record in records:

@@ -44,20 +44,26 @@ def keep_inputs(config: PreTrainedConfig, wanted: Sequence[str], num_points: int
         )
     cloud = tuple(inputs[POINT_CLOUD].shape)
     if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < num_points:
-        raise wrong_number_of_points(cloud, num_points)
+        raise wrong_number_of_points(cloud, num_points, trained=config.pretrained_path is not None)
     outputs: dict[str, PolicyFeature] = config.output_features or {}
     config.input_features = {key: inputs[key] for key in wanted}
     config.input_features[POINT_CLOUD] = PolicyFeature(FeatureType.ENV, cloud)
     config.output_features = {key: value for key, value in outputs.items() if key == ACTION}
 
 
-def wrong_number_of_points(shape: tuple[int, ...], num_points: int) -> ConfigurationError:
-    """Returns the error for clouds of a shape (N, 3) that is too small for a policy that uses ``num_points``."""
+def wrong_number_of_points(shape: tuple[int, ...], num_points: int, *, trained: bool = True) -> ConfigurationError:
+    """Returns the error for clouds of a shape (N, 3) that is too small for a policy that uses ``num_points``.
+
+    A policy that is not ``trained`` yet can use fewer points.
+    """
+    hint = f"clouds of {num_points} points (--env.num_points={num_points}), or a policy trained with fewer"
+    if not trained and shape and shape[0] > 0:
+        hint = f"--policy.num_points={shape[0]}, or a dataset of adamanip collect --num-points {num_points}"
     return ConfigurationError(
         "Wrong number of points.",
         got=f"clouds of shape {tuple(shape)}",
         allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
-        hint=f"clouds of {num_points} points (--num-points, --env.num_points), or a policy trained with fewer",
+        hint=hint,
     )
 
 

@@ -77,6 +77,7 @@ def test_every_option_of_an_environment_can_be_typed() -> None:
         "category": "type",
         "seed_offset": "type",
         "run_id": "type",
+        "logged_seeds": "episode_log",
     }
     names = {item.name for item in dataclasses.fields(AdaManipSafeEnvConfig)} | {"type"}
     assert {elsewhere.get(item.name, item.name) for item in dataclasses.fields(EnvironmentOptions)} <= names

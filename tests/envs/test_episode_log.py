@@ -1,0 +1,81 @@
+"""The log of an evaluation holds the episodes that LeRobot counts, no surplus of its last batch."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from lerobot.configs.default import EvalConfig
+from lerobot.configs.eval import EvalPipelineConfig
+from lerobot.scripts import lerobot_eval
+from records import record
+from torch import nn
+
+from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_env_adamanip import keyframe_env
+from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
+from lerobot_env_adamanip.episode_log import EpisodeLog
+from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
+
+
+class OneStep(gym.Env[Any, Any]):
+    """Logs an episode of one step, as `KeyframeEnv` does; every third succeeds."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+    observation_space = action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+
+    def __init__(self, options: EnvironmentOptions) -> None:
+        self._log, self._category = EpisodeLog(Path(str(options.episode_log)), options.logged_seeds), options.category
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        self._seed = seed or 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        success = self._seed % 3 == 0
+        episode = record(object_id=f"{self._category}_000", seed=self._seed, success=success)
+        self._log.append(episode)
+        return np.zeros(1, np.float32), float(success), True, False, {"is_success": success}
+
+
+def one_step(env: Any, seeds: list[int], **_: object) -> dict[str, torch.Tensor]:
+    """LeRobot's rollout, of one step."""
+    env.reset(seed=seeds)
+    _, reward, done, _, info = env.step(np.zeros((env.num_envs, 1), np.float32))
+    tensors = {"reward": torch.as_tensor(reward), "done": torch.as_tensor(done)}
+    return {key: each[:, None] for key, each in {**tensors, "success": torch.as_tensor(info["is_success"])}.items()}
+
+
+@pytest.mark.parametrize(("episodes", "batch"), [(5, 2), (1, 1), (1, 4), (4, 2), (4, 3), (7, 5), (3, 7), (10, 4)])
+@pytest.mark.parametrize("suite", [False, True])
+def test_the_log_holds_what_was_asked_for(
+    episodes: int, batch: int, suite: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keyframe_env, "KeyframeEnv", OneStep)
+    monkeypatch.setattr(lerobot_eval, "PreTrainedPolicy", nn.Module)
+    monkeypatch.setattr(lerobot_eval, "rollout", one_step)
+    log = str(tmp_path / "log.jsonl")
+    chosen = AdaManipSuiteEnvConfig(categories="safe,lamp", episode_log=log) if suite else None
+    pipeline = EvalPipelineConfig(
+        env=chosen or AdaManipSafeEnvConfig(episode_log=log), eval=EvalConfig(n_episodes=episodes, batch_size=batch)
+    )
+    envs = pipeline.env.create_envs(pipeline.eval.batch_size)
+    made = functools.partial(lerobot_eval.eval_policy, env_preprocessor=None, env_postprocessor=None)
+    for number, env in enumerate(each[0] for each in envs.values()):
+        info = made(
+            env, nn.Linear(1, 1), preprocessor=None, postprocessor=None, n_episodes=episodes, start_seed=pipeline.seed
+        )
+        logged = read_log(Path(log))[number * episodes :]
+        assert sorted(each.given_seed for each in logged) == [each["seed"] for each in info["per_episode"]]
+        rate = 100 * sum(each.success for each in logged) / episodes
+        assert rate == pytest.approx(info["aggregated"]["pc_success"])
+
+
+def test_outside_lerobots_commands_every_episode_is_logged(tmp_path: Path) -> None:
+    assert AdaManipSafeEnvConfig(episode_log=str(tmp_path / "log.jsonl")).options.logged_seeds is None
