@@ -30,6 +30,7 @@ def main() -> None:
     config = PreTrainedConfig.from_pretrained(options.checkpoint)
     policy = get_policy_class(config.type).from_pretrained(options.checkpoint)
     before, after = make_pre_post_processors(config, pretrained_path=options.checkpoint)
+    print("starting the simulator ...", flush=True)
     env = KeyframeEnv(options.category, observe_images=False, max_key_frames=options.key_frames)
 
     successes = 0
@@ -43,7 +44,7 @@ def main() -> None:
             observation, _, terminated, truncated, info = env.step(action)
             done = terminated or truncated
         successes += info["is_success"]
-        print(f"seed {seed}: {'success' if info['is_success'] else 'failed'}, hidden {env.hidden_state()}")
+        print(f"seed {seed}: {'success' if info['is_success'] else 'failed'}, hidden {env.hidden_state()}", flush=True)
     env.close()
     low, high = wilson_interval(successes, options.episodes)
     print(f"{successes}/{options.episodes}, 95 % interval {low:.2f} ... {high:.2f}")

@@ -18,7 +18,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=5)
     seed = parser.parse_args().seed
-    env = KeyframeEnv("safe", objects="0:4", image_size=128)
+    print("starting the simulator ...", flush=True)
+    env = KeyframeEnv("safe", objects="0:4", observe_images=False)
 
     seen: list[KeyFrame] = []
     observation, _ = env.reset(seed=seed, options={"hidden_overrides": {"locked": True}})
@@ -28,7 +29,8 @@ def main() -> None:
     other, _ = env.reset(seed=seed, options={"hidden_overrides": {"locked": False}})
     for number, frame in enumerate(seen):
         same = all(np.array_equal(frame.observation[key], other[key]) for key in ("point_cloud", "agent_pos", "effort"))
-        print(f"before key frame {number}, {frame.goal.phase.name}: {'the same to the bit' if same else 'they differ'}")
+        told = "the same to the bit" if same else "they differ"
+        print(f"before key frame {number}, {frame.goal.phase.name}: {told}", flush=True)
         if not same:
             break
         other, _, _, _, _ = env.step(frame.goal.action())

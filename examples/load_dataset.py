@@ -24,7 +24,7 @@ def main() -> None:
     # What a policy may see is under `observation.`; what is under `complementary_info.` are labels for people.
     first = dataset[episode["dataset_from_index"]]
     for key in (schema.POINT_CLOUD, schema.STATE, schema.FRONT_IMAGE, schema.ACTION):
-        print(f"{key:28} {tuple(first[key].shape)}")
+        print(f"{key:28} {tuple(first[key].shape) if key in first else 'not in this dataset'}")
     for index in range(episode["dataset_from_index"], episode["dataset_to_index"]):
         row = dataset[index]
         phase, outcome = Phase(int(row[schema.PHASE])), Outcome(int(row[schema.OUTCOME]))

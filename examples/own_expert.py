@@ -37,11 +37,12 @@ def expert(parts: Mapping[str, PartAnnotation]) -> KeyFrames:
 
 
 def main() -> None:
-    env = KeyframeEnv("microwave", objects="0:4", image_size=64)
+    print("starting the simulator ...", flush=True)
+    env = KeyframeEnv("microwave", objects="0:4", observe_images=False)
     for locked in (False, True):
         observation, _ = env.reset(seed=7, options={"hidden_overrides": {"locked": locked}})
         result = rollout(env, observation, expert(env.annotations))
-        print(f"locked {locked}: {result.reason} after {result.key_frames} key frames")
+        print(f"locked {locked}: {result.reason} after {result.key_frames} key frames", flush=True)
     env.close()
 
 

@@ -24,7 +24,8 @@ def main() -> None:
     parser.add_argument("--video", default="outputs/expert.mp4")
     options = parser.parse_args()
 
-    env = KeyframeEnv(options.category)
+    print("starting the simulator ...", flush=True)
+    env = KeyframeEnv(options.category, observe_images=False)  # `render` draws with or without a Vulkan device
     observation, _ = env.reset(seed=options.seed)
     print("hidden:", env.hidden_state())
     frames = [env.render()]
@@ -33,7 +34,8 @@ def main() -> None:
         frames.append(env.render())
         labels = env.labels
         tried = f", tried joint {labels.tried}: {'failed' if labels.failed else 'it gave'}" if labels.tried >= 0 else ""
-        print(f"{len(frames) - 1:2}  {key_frame.goal.phase.name:8} {key_frame.feedback.outcome.name}{tried}")
+        outcome = key_frame.feedback.outcome.name
+        print(f"{len(frames) - 1:2}  {key_frame.goal.phase.name:8} {outcome}{tried}", flush=True)
 
     expert = make_expert(options.category, "adaptive", env.annotations, generator=np.random.default_rng(options.seed))
     result = rollout(env, observation, expert, watch)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator
 
+GET_PICTURES = "bash scripts/setup_vulkan.sh in a checkout installs Mesa, adamanip doctor shows what is missing"
+"""How a machine gets a Vulkan device."""
+
 
 class AdaManipError(Exception):
     """Base of every error this project raises on purpose. It formats itself.
@@ -73,5 +76,16 @@ def no_vulkan_device(reason: object) -> SimulatorError:
         "SAPIEN found no Vulkan device to render with.",
         got=reason,
         allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
-        hint="adamanip doctor; or do without pictures: adamanip collect --no-images, --env.observe_images=false",
+        hint=f"{GET_PICTURES}; or do without pictures: observe_images=False (Python), --env.observe_images=false "
+        "(LeRobot's commands), adamanip collect --no-images",
+    )
+
+
+def no_simulator(reason: object) -> SimulatorError:
+    """Returns the error for an installation without the simulator."""
+    return SimulatorError(
+        "The simulator is not installed.",
+        got=reason,
+        allowed="mani-skill 3.0.1 and sapien 3.0.3",
+        hint="pip install 'lerobot_env_adamanip[sim]'",
     )

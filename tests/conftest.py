@@ -76,6 +76,13 @@ def refuses() -> Callable[[type[AdaManipError], Callable[[], Any]], str]:
     return check
 
 
+@pytest.fixture
+def no_vulkan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine without any Vulkan device: for this process and those that it starts."""
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/nonexistent.json")
+
+
 class _Progress:
     """Counts tests as they end and writes a line now and then: a log shows no row of dots before it is full."""
 

@@ -132,6 +132,7 @@ def run_block(code: str, folder: Path) -> None:
     assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
 
 
+@pytest.mark.usefixtures("no_vulkan")
 @pytest.mark.parametrize("block", python_blocks())
 def test_python_runs(block: Block, tmp_path: Path) -> None:
     if block.mark == "outputs/demos":

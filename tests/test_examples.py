@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -19,8 +20,8 @@ Run = Callable[..., str]
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
-    """Runs an example as its command would be; in this process, where the simulator's shaders are compiled once."""
+def run(no_vulkan: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Runs an example as its command would be; in this process, without a Vulkan device."""
 
     def run(name: str, *arguments: str) -> str:
         path = ROOT / "examples" / f"{name}.py"
@@ -48,6 +49,11 @@ def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:
     said = run("load_dataset", "outputs/demos")
     assert "observation.point_cloud" in said
     assert "failed tries so far" in said
+
+
+def test_a_dataset_without_pictures_is_read(tmp_path: Path, run: Run) -> None:
+    collect_fake_demos(tmp_path / "outputs" / "demos", observe_images=False)
+    assert re.search(r"observation.images.front +not in this dataset", run("load_dataset", "outputs/demos"))
 
 
 @pytest.mark.sim

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import logging
 import sys
+import warnings
+
+from lerobot_adamanip.errors import no_simulator
 
 LIBRARY = "pinocchio"
 _OWN = "sapien.pysapien_pinocchio"
@@ -19,10 +22,16 @@ def import_sapien() -> None:
     """Imports SAPIEN with its own kinematics. Warns if somebody has imported it before, with others.
 
     Raises:
-        ImportError: SAPIEN is not installed.
+        SimulatorError: SAPIEN is not installed.
     """
     if "sapien" not in sys.modules:
-        _import_without(LIBRARY)
+        with warnings.catch_warnings():
+            # Physics needs no Vulkan library, and whoever wants pictures without one gets an error that says more.
+            warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
+            try:
+                _import_without(LIBRARY)
+            except ImportError as error:
+                raise no_simulator(error) from error
     from sapien.wrapper.pinocchio_model import PinocchioModel
 
     if PinocchioModel.__module__ != _OWN:

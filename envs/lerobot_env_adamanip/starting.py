@@ -11,7 +11,6 @@ import gymnasium as gym
 
 from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import AdaManipError, SimulatorError, no_vulkan_device
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.own_kinematics import import_sapien
@@ -36,16 +35,7 @@ def sensors_name(options: EnvironmentOptions) -> str:
 
 def require_simulator() -> None:
     """Imports the simulator; raises `SimulatorError` if it is not installed."""
-    try:
-        import_sapien()
-        import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
-    except ImportError as error:
-        raise SimulatorError(
-            "The simulator is not installed.",
-            got=error,
-            allowed="mani-skill 3.0.1 and sapien 3.0.3",
-            hint="pip install 'lerobot_env_adamanip[sim]'",
-        ) from error
+    import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
 
 
 @functools.cache
@@ -72,12 +62,5 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
         SimulatorError: the simulator is not installed, or finds nothing to render with.
     """
     require_simulator()
-    try:
-        made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
-    except RuntimeError as error:
-        if isinstance(error, AdaManipError) or not any(
-            word in str(error).lower() for word in ("vulkan", "vk", "render", "device", "extension")
-        ):
-            raise
-        raise no_vulkan_device(error) from error
+    made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
     return cast("AdaManipTask", made)

@@ -49,7 +49,8 @@ def _objects(dataset: Any) -> frozenset[str] | None:
 
     if not isinstance(dataset, dict):
         return None
-    root = Path(dataset.get("root") or HF_LEROBOT_HOME / str(dataset.get("repo_id")))
+    given = dataset.get("root")
+    root = Path(str(given)) if given else HF_LEROBOT_HOME / str(dataset.get("repo_id"))
     if not (root / "meta" / "episodes").is_dir():
         return None
     try:

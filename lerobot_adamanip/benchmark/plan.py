@@ -130,7 +130,9 @@ def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) ->
         f"--root={FOLDERS[COLLECT]}/{_KEY}",
     )
     # Attempts of an episode end with the first success, so that a larger bound changes no dataset that is ever made.
-    return _step(COLLECT, command, code.demonstrations, aside=(f"--max-attempts={_ATTEMPTS}",))
+    # So does saying that pictures are wanted: where none can be taken, the step fails at once.
+    required = ("--images",) if wanted.image_size else ()
+    return _step(COLLECT, command, code.demonstrations, aside=(f"--max-attempts={_ATTEMPTS}", *required))
 
 
 def _training(cell: Cell, method: Method, scale: Scale, collected: Step, code: Code) -> Step:

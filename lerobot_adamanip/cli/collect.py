@@ -10,12 +10,15 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.external import select_placeable
-from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.cli.pictures import resolve_images
+from lerobot_adamanip.cli.progress import print_categories, show_progress
 from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, CollectionSpec
 from lerobot_adamanip.demos.parts import Part
@@ -64,8 +67,11 @@ class Collect:
     image_size: int = schema.IMAGE_SIZE
     """Side of the front image [px]."""
 
-    images: bool = True
-    """Whether pictures are recorded; without, no Vulkan device is needed, and `adamanip render` adds them later."""
+    images: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Record pictures, or fail at once where nothing renders. By default: pictures where something renders."""
+
+    no_images: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Record no pictures: no Vulkan device is needed, and `adamanip render` adds them later."""
 
     cloud_source: Literal["raycast", "render"] = "raycast"
     """raycast: clouds by ray casting. render: by the renderer, ten times slower. They are the same."""
@@ -152,7 +158,7 @@ class Collect:
         self._require_whole()
         if self.dense:
             return self._dense()
-        spec, options = self.spec(), self.options()
+        options, spec = self.options(), self.spec()
         try:
             summary = self._collect(spec, options)
         except KeyboardInterrupt:
@@ -204,12 +210,11 @@ class Collect:
             assets=None if self.assets is None else str(self.assets.resolve()),
             num_points=self.num_points,
             image_size=self.image_size,
-            observe_images=self.images,
             cloud_source=self.cloud_source,
             poses=self.poses,
             mechanism_preset=self.mechanism_preset,
         )
-        return CollectionSpec(
+        spec = CollectionSpec(
             environment=environment,
             objects=select_placeable(categories, self.objects, self.assets, self.poses),
             expert=self.expert,
@@ -222,6 +227,9 @@ class Collect:
             expert_share=1.0 if self.policy is None else self.expert_share,
             seed=self.seed,
         )
+        # Last: finding a renderer may take seconds.
+        images = resolve_images((self.root, *self.adopt), self.images, self.no_images or self.dense)
+        return dataclasses.replace(spec, environment=environment.changed(observe_images=images))
 
     def options(self) -> CollectOptions:
         """Returns how it is to be collected; raises `ConfigurationError` for what cannot be."""
@@ -267,15 +275,14 @@ class Collect:
         if summary.recorded == 0 and not self.adopt:
             print(f"Complete already: {summary.episodes} episodes in {summary.root}")
             return
-        driver = "expert" if self.policy is None else "policy"
         print(
             f"{summary.episodes} episodes in {summary.root} ({summary.bytes / 1e6:.1f} MB): "
             f"{summary.recorded} recorded in {summary.recording_seconds:.0f} s, "
-            f"{summary.episodes_per_minute:.1f} per minute; the {driver} succeeded in "
+            f"{summary.episodes_per_minute:.1f} per minute; the {'policy' if self.policy else 'expert'} succeeded in "
             f"{100 * summary.success_rate:.1f} % of its {summary.attempted} attempts."
         )
         if len(summary.categories) > 1:
-            _print_categories(summary)
+            print_categories(summary)
         for line in summary.failures:
             print(f"missing: {line}")
 
@@ -286,10 +293,3 @@ def factories() -> Factories:
     from lerobot_env_adamanip.factory import make_keyframe_env
 
     return Factories(make_keyframe_env, make_expert)
-
-
-def _print_categories(summary: CollectSummary) -> None:
-    print(f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}")
-    for name, row in summary.categories.items():
-        rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
-        print(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")

@@ -16,6 +16,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TextIO
 
+from lerobot_adamanip.demos.summary import CollectSummary
+
 EVERY_SECONDS, EVERY_SHARE = 15.0, 0.05
 """A line is written after so much time [s], or after so much more of the work, whichever comes first."""
 LEAST_SECONDS = 2.0
@@ -96,3 +98,11 @@ def show_progress(names: Mapping[str, str], *, every_stage: bool = False) -> Ite
             shown.update(tasks[stage], completed=done, total=total)
 
         yield listen
+
+
+def print_categories(summary: CollectSummary) -> None:
+    """Prints a row per category of a collection."""
+    print(f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}")
+    for name, row in summary.categories.items():
+        rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
+        print(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")

@@ -33,14 +33,17 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
         del values["policy"], values["expert_share"]
     if spec.environment.assets is not None:
         values["assets"] = "ASSETS"
-    line = f"adamanip collect {' '.join(_flag(name, value) for name, value in values.items())} --root {folder}"
+    flags = [flag for name, value in values.items() if (flag := _flag(name, value))]
+    line = f"adamanip collect {' '.join(flags)} --root {folder}"
     return "\n".join([*_comments(spec), line])
 
 
 def _flag(name: str, value: object) -> str:
     option = _OPTIONS.get(name, name).replace("_", "-")
+    if isinstance(value, bool) and not value:
+        return "--no-images" if name == "observe_images" else ""  # other flags are off unless they are given
     if isinstance(value, bool):
-        return f"--{option}" if value else f"--no-{option}"
+        return f"--{option}"
     return f"--{option} {value}"
 
 

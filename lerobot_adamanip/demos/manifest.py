@@ -6,6 +6,7 @@ assets from whoever has it (``--assets``); the manifest holds a hash of each obj
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections.abc import Mapping
@@ -31,7 +32,14 @@ from lerobot_adamanip.checked_json import (
     table,
     text,
 )
-from lerobot_adamanip.demos.collection import LIMITS, MAX_EPISODES, MAX_OBJECTS, CollectionSpec, environment_json
+from lerobot_adamanip.demos.collection import (
+    LIMITS,
+    MAX_EPISODES,
+    MAX_OBJECTS,
+    CollectionPaths,
+    CollectionSpec,
+    environment_json,
+)
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError, DatasetError
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
@@ -143,6 +151,14 @@ def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
             allowed="the file `adamanip collect` wrote",
             hint="another --root",
         ) from error
+
+
+def stored_images(paths: CollectionPaths) -> bool | None:
+    """Returns whether the collection that ``paths`` hold, finished or not, has images; None if they hold none."""
+    for path in (paths.manifest, paths.partial_manifest):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            return bool(read(path)["collection"]["environment"]["observe_images"])
+    return None
 
 
 def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
@@ -262,5 +278,5 @@ def _outdated(path: Path) -> DatasetError:
 
 __all__ = [
     "FORMAT", "HIDDEN_STATE", "AttemptCounts", "Manifest", "asset_hash", "differing_parts", "read_manifest",
-    "require_same", "write_manifest",
+    "require_same", "stored_images", "write_manifest",
 ]  # fmt: skip

@@ -97,6 +97,7 @@ def test_a_missing_module_harms_only_its_command(capsys: pytest.CaptureFixture[s
     assert cli.main(["probe"]) == 0
 
 
+@pytest.mark.usefixtures("no_vulkan")
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
 def test_every_command_of_the_table_loads_and_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:

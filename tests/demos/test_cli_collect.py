@@ -14,12 +14,15 @@ import tyro
 from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
+from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.cli.pictures import resolve_images
 from lerobot_adamanip.cli.push import Push
 from lerobot_adamanip.demos.collect import CollectOptions
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec
 from lerobot_adamanip.demos.loading import episode_table
+from lerobot_adamanip.demos.manifest import read_manifest
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
 SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--image-size", "64", "--late-starts",
@@ -31,7 +34,9 @@ import signal, sys
 sys.path.insert(0, sys.argv.pop(1))
 from demos_helpers import fakes
 from lerobot_adamanip.cli import collect as command
+from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.cli.pictures import resolve_images
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     command.factories = lambda: fakes(delay=0.1)
@@ -157,3 +162,37 @@ def test_every_option_that_decides_the_data_reaches_the_collection(
     assert (environment.image_size, environment.num_points) == (32, 9)
     assert (options.worker_timeout, options.max_attempts) == (5.0, 3)
     assert spec.objects[0] == "safe_036"
+
+
+@pytest.mark.parametrize("renders", [True, False])
+@pytest.mark.usefixtures("fake")
+def test_pictures_are_taken_where_something_renders_and_a_collection_keeps_its_choice(
+    renders: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pictures, "can_render", lambda: renders)
+    root = tmp_path / "dataset"
+    line = ["collect", "--root", str(root), *SMALL]
+    assert main(line) == 0
+    said = [line for line in capfd.readouterr().err.splitlines() if "No pictures" in line]
+    assert len(said) == (not renders)
+    assert all("setup_vulkan.sh" in each for each in said)
+    has = read_manifest(CollectionPaths(root).manifest).spec.environment.observe_images
+    assert has is renders
+    monkeypatch.setattr(pictures, "can_render", lambda: not renders)
+    assert main(line) == 0
+    assert "Complete already" in capfd.readouterr().out
+    assert resolve_images((tmp_path / "new", root), False, False) is renders, "a part's choice is that of the whole"
+
+
+@pytest.mark.usefixtures("fake")
+def test_pictures_that_are_wanted_and_cannot_be_taken_are_an_error_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pictures, "can_render", lambda: False)
+    for more, said in ((["--images"], "no Vulkan device"), (["--images", "--no-images"], "Contradicting")):
+        assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL, *more]) == 2
+        assert said in capfd.readouterr().err
+    monkeypatch.setattr(pictures, "can_render", lambda: pytest.fail("a typo is told before a renderer is looked for"))
+    assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL, "--late-starts", "2"]) == 2
+    assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL, "--workers", "0"]) == 2
+    assert list(tmp_path.iterdir()) == []

@@ -10,6 +10,7 @@ import pytest
 from lerobot_adamanip import trained_policy
 from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.demos.collect_command import PYTHON_ONLY, collect_command
 from lerobot_adamanip.demos.collection import DECIDING, CollectionSpec
@@ -24,10 +25,17 @@ _CHANGED: dict[str, Any] = {
 """Another value than the default for every field that a command can set."""
 
 
+@pytest.fixture(autouse=True)
+def _something_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pictures, "can_render", lambda: True)
+
+
 def _parsed(command: str) -> CollectionSpec:
+    """As `adamanip` itself parses it."""
     import tyro
 
-    return tyro.cli(Collect, args=command.splitlines()[-1].split()[2:]).spec()
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(Collect, args=command.splitlines()[-1].split()[2:], config=config).spec()
 
 
 def _options(spec: CollectionSpec) -> object:

@@ -10,7 +10,13 @@ import pytest
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_env_adamanip.sim import render_device
-from lerobot_env_adamanip.sim.render_device import cache_file, gpu_renders, resolve_render_backend
+from lerobot_env_adamanip.sim.render_device import (
+    cache_file,
+    can_render,
+    gpu_renders,
+    resolve_render_backend,
+    vulkan_drivers,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -97,3 +103,50 @@ def test_without_a_gpu_nothing_is_probed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert not gpu_renders(probe)
     assert probe.calls == 0
     assert not cache_file().exists()
+
+
+def manifests(folder: Path, *names: str) -> Path:
+    folder.mkdir(parents=True)
+    for name in names:
+        (folder / name).write_text("{}")
+    return folder
+
+
+def only_here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Leaves the Vulkan loader one folder to look for drivers in, which is not there yet."""
+    monkeypatch.setattr(render_device, "_DRIVER", tmp_path / "no_nvidia")
+    monkeypatch.setattr(render_device, "_ETC", tmp_path / "etc")
+    for name in ("XDG_CONFIG_DIRS", "XDG_DATA_DIRS", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "share"))
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_ADD_DRIVER_FILES"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_without_a_driver_nothing_renders_and_nothing_is_probed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only_here(monkeypatch, tmp_path)
+    probe = Probe(True)
+    assert not can_render(probe)
+    folder = manifests(tmp_path / "share" / "vulkan" / "icd.d", "lvp.json")
+    assert can_render(probe)
+    assert can_render(probe)
+    assert probe.calls == 1
+    (folder / "other.json").write_text("{}")  # another driver is installed: the answer may be another one
+    assert can_render(probe)
+    assert probe.calls == 2
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/dev/null")  # overrides what is installed
+        assert not can_render(probe)
+        monkeypatch.delenv(name)
+    assert probe.calls == 2
+
+
+def test_drivers_are_found_where_the_loader_finds_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    only_here(monkeypatch, tmp_path)
+    chosen = manifests(tmp_path / "chosen", "a.json", "b.json", "c.txt")
+    monkeypatch.setenv("VK_ADD_DRIVER_FILES", str(chosen))
+    manifests(tmp_path / "etc" / "vulkan" / "icd.d", "etc.json")
+    assert [Path(each.split()[0]).name for each in vulkan_drivers()] == ["etc.json", "a.json", "b.json"]
+    monkeypatch.setenv("VK_DRIVER_FILES", str(chosen / "a.json"))
+    assert [Path(each.split()[0]).name for each in vulkan_drivers()] == ["a.json"]

@@ -33,10 +33,15 @@ def blocks(language: str) -> list[Block]:
     return found
 
 
-def commands(prefix: str) -> list[Any]:
-    """Command lines of the bash blocks that start with ``prefix``, as argument lists, shell variables put in."""
+def commands(prefix: str | tuple[str, ...], *documents: str) -> list[Any]:
+    """Command lines of the bash blocks that start with ``prefix``, as argument lists, shell variables put in.
+
+    Of all documents, or of those named.
+    """
     found = []
     for block in blocks("bash"):
+        if documents and block.document not in documents:
+            continue
         variables: dict[str, str] = {}
         for line in block.code.replace("\\\n", " ").splitlines():
             for name, value in variables.items():

@@ -18,7 +18,7 @@ from sapien.wrapper.actor_builder import ActorBuilder
 from lerobot_adamanip.errors import no_vulkan_device
 from lerobot_env_adamanip.sim.building import add_visual
 from lerobot_env_adamanip.sim.camera import pinhole, take_image
-from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
+from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, has_vulkan_driver, resolve_render_backend
 from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
 from lerobot_env_adamanip.sim.scene import Visible, add_lights
 from lerobot_env_adamanip.sim.triangles import robot_outlines
@@ -89,6 +89,8 @@ def _show(component: Any, seen: bool) -> None:
 
 
 def _empty_scene(render_backend: str) -> ManiSkillScene:
+    if not has_vulkan_driver():  # SAPIEN would print errors of its own first
+        raise no_vulkan_device("no Vulkan driver is installed")
     backend = parse_sim_and_render_backend("physx_cpu", MANISKILL_NAMES[resolve_render_backend(render_backend)])
     try:
         keep_shaders(backend.render_device)

@@ -3,8 +3,16 @@
 The classes, `SafeTask` and so on, are made from the table in `categories` and can be imported from here.
 """
 
-from lerobot_env_adamanip.sim.tasks.base import AdaManipTask
-from lerobot_env_adamanip.sim.tasks.categories import CLASSES, TASKS
+from lerobot_adamanip.errors import no_simulator
+from lerobot_env_adamanip.own_kinematics import import_sapien
+
+import_sapien()  # before ManiSkill does
+
+try:
+    from lerobot_env_adamanip.sim.tasks.base import AdaManipTask
+except ImportError as error:
+    raise no_simulator(error) from error
+from lerobot_env_adamanip.sim.tasks.categories import CLASSES, TASKS  # noqa: E402
 
 
 def __getattr__(name: str) -> type[AdaManipTask]:

@@ -20,7 +20,7 @@ from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mecha
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
-from lerobot_env_adamanip.sim.backends import device_for, require_one_on_cpu
+from lerobot_env_adamanip.sim.backends import device_for, require_one_on_cpu, told_without_a_device
 from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
 from lerobot_env_adamanip.sim.garbage import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
@@ -102,9 +102,9 @@ class AdaManipTask(BaseEnv):
         self._cloud_source, self._renderer = resolve_cloud_source(cloud_source), render_backend
         kwargs.setdefault("reconfiguration_freq", 1)
         device = device_for(self._cloud_source, render_backend, kwargs)
-        super().__init__(
-            *args, robot_uids=robot_uids, num_envs=1, sim_backend="physx_cpu", render_backend=device, **kwargs
-        )
+        kwargs |= {"robot_uids": robot_uids, "sim_backend": "physx_cpu", "render_backend": device}
+        with told_without_a_device():
+            super().__init__(*args, num_envs=1, **kwargs)
         self._is_built = True
 
     @property

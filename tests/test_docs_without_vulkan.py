@@ -1,0 +1,99 @@
+"""README and tutorial on a machine without a Vulkan device: their commands in order, at the smallest size."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from documents import commands
+
+SMALLEST = {
+    "adamanip collect": {"--objects": "0:1", "--episodes-per-object": "1", "--late-starts": "0", "--workers": "1"},
+    "lerobot-train": {
+        "--steps": "2", "--batch_size": "2", "--num_workers": "0", "--save_freq": "2", "--policy.device": "cpu",
+        "--env_eval_freq": "0",
+    },
+    "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1", "--env.episode_length": "2"},
+}  # fmt: skip
+"""Options of commands, instead of what the documents say."""
+ELSEWHERE = ("USER/", "--policy.preset=paper", "--resume=true", "check_choices")
+"""Words of commands that need the Hub, a GPU or more steps; what other tests run."""
+PICTURES = ("VISUAL", "--sheet", "outputs/act/")
+"""Words of commands that need pictures, and of those that come after them."""
+ONE_CATEGORY = {"--env.type=adamanip": ("--env.categories=safe",)}
+"""Nine simulators, one after the other, take minutes."""
+
+
+def smallest(words: list[str]) -> list[str]:
+    """The command at its smallest size."""
+    name = " ".join(words[: 1 + (words[0] == "adamanip")])
+    changed = SMALLEST.get(name, {})
+    kept, skip = [], False
+    for word in words:
+        key, _, value = word.partition("=")
+        if not skip and key not in changed:
+            kept += [word, *ONE_CATEGORY.get(word, ())]
+        skip = key in changed and not value
+    options = changed.items()
+    more = (
+        [word for pair in options for word in pair] if words[0] == "adamanip" else ["=".join(pair) for pair in options]
+    )
+    return [*kept, *more]
+
+
+def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    modules = {"adamanip": "lerobot_adamanip.cli.main"}
+    module = modules.get(words[0]) or f"lerobot.scripts.{words[0].replace('-', '_')}"
+    return subprocess.run(
+        [sys.executable, "-m", module, *words[1:]], cwd=folder, capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.sim
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+@pytest.mark.usefixtures("no_vulkan")
+@pytest.mark.parametrize("document", ["README.md", "docs/tutorial.md"])
+def test_the_commands_of_a_document_run_without_a_vulkan_device(document: str, tmp_path: Path) -> None:
+    ran = 0
+    (tmp_path / "outputs").mkdir()
+    for (words,) in (each.values for each in commands(("adamanip", "lerobot-train", "lerobot-eval"), document)):
+        line = " ".join(words)
+        if words[:2] == ["adamanip", "doctor"] or any(word in line for word in ELSEWHERE):
+            continue
+        if "--sheet" in words:
+            done = run(words, tmp_path)
+            assert done.returncode == 2
+            assert re.match(r"error: .*\n  got:.*\n  allowed:.*\n  try:", done.stderr[done.stderr.index("error: ") :])
+        elif not any(word in line for word in PICTURES):
+            done = run(smallest(words), tmp_path)
+            assert done.returncode == 0, f"{line}\n{done.stdout[-3000:]}\n{done.stderr[-6000:]}"
+            ran += 1
+    assert ran > 5
+
+
+def test_options_are_replaced_not_repeated() -> None:
+    assert smallest(["adamanip", "collect", "--root", "x", "--workers", "2"]) == [
+        "adamanip",
+        "collect",
+        "--root",
+        "x",
+        "--objects",
+        "0:1",
+        "--episodes-per-object",
+        "1",
+        "--late-starts",
+        "0",
+        "--workers",
+        "1",
+    ]
+    assert smallest(["lerobot-eval", "--eval.n_episodes=100", "--x=1"]) == [
+        "lerobot-eval",
+        "--x=1",
+        "--eval.n_episodes=1",
+        "--eval.batch_size=1",
+        "--env.episode_length=2",
+    ]
