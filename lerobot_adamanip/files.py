@@ -12,18 +12,20 @@ from pathlib import Path
 from lerobot_adamanip.errors import DatasetError
 
 CRASH_POINTS = (
-    "collection prepared", "shard written", "shard in place", "all recorded", "assembly begun", "episode assembled",
-    "dataset written", "dataset described", "dataset synced", "dataset verified", "dataset renamed", "dataset in place",
-    "shards partly removed", "cleaned",
+    "output claimed", "collection prepared", "shard written", "shard in place", "all recorded", "assembly begun",
+    "episode assembled", "dataset written", "dataset described", "dataset synced", "dataset verified",
+    "dataset renamed", "dataset in place", "shards partly removed", "cleaned",
 )  # fmt: skip
 """Moments between the first episode and a finished dataset at which a test may end the process."""
+REPAIR_POINTS = ("moved aside", "partly mended")
+"""Those of a repair."""
 on_crash_point: Callable[[str], None] | None = None
 """Told of every crash point that is passed; set by tests alone."""
 
 
 def crash_point(name: str) -> None:
     """Marks a moment at which a crash must lose nothing. Does nothing unless a test has set `on_crash_point`."""
-    assert name in CRASH_POINTS
+    assert name in CRASH_POINTS + REPAIR_POINTS
     if on_crash_point is not None:
         on_crash_point(name)
 

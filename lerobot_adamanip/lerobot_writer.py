@@ -9,6 +9,7 @@ written.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import tempfile
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from lerobot.datasets.video_utils import StreamingVideoEncoder
 from lerobot.utils.utils import flatten_dict
 
 from lerobot_adamanip import files
+from lerobot_adamanip.demos.output_folder import lock_output, resolve_output
 from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
@@ -40,6 +42,7 @@ _log = logging.getLogger(__name__)
 class DurableMetadata(LeRobotDatasetMetadata):
     """LeRobot's metadata, written through with every episode; ``meta/info.json`` last."""
 
+    root: Path
     stats: dict[str, dict[str, Any]] | None
 
     @property
@@ -51,6 +54,19 @@ class DurableMetadata(LeRobotDatasetMetadata):
     def video_files_size_in_mb(self) -> float:
         """As `data_files_size_in_mb`."""
         return _FULL
+
+    def save_episode_tasks(self, tasks: list[str]) -> None:
+        """As LeRobot's, but a crash leaves the old list of tasks or the new one."""
+        root, save = self.root, super().save_episode_tasks
+
+        def write(folder: Path) -> None:
+            self.root = folder
+            try:
+                save(tasks)
+            finally:
+                self.root = root
+
+        _write_atomically(root, write)
 
     def save_episode(
         self,
@@ -99,6 +115,8 @@ class DurableWriter(DatasetWriter):
 
     def __init__(self, meta: LeRobotDatasetMetadata, *args: Any, **kwargs: Any) -> None:
         super().__init__(meta, *args, **kwargs)
+        self._lock = contextlib.ExitStack()
+        self._lock.enter_context(lock_output(resolve_output(meta.root), optional=True))
         meta.__class__ = DurableMetadata  # the same data, written otherwise
         self._depth_encoder = in_order(self._depth_encoder)
         if self._streaming_encoder is not None:
@@ -110,6 +128,11 @@ class DurableWriter(DatasetWriter):
                 self._batch_encoding_size,
             )
             self._batch_encoding_size = 1
+
+    def finalize(self) -> None:
+        """As LeRobot's; from then on another process may write the dataset, or repair it."""
+        super().finalize()
+        self._lock.close()
 
     def _save_episode_data(self, episode_buffer: dict[str, Any]) -> dict[str, Any]:
         """Writes the rows, and the end of their file."""

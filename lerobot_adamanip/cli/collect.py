@@ -25,7 +25,7 @@ from lerobot_adamanip.demos.parts import Part
 from lerobot_adamanip.demos.record import Factories
 from lerobot_adamanip.demos.summary import CollectSummary
 from lerobot_adamanip.errors import ConfigurationError, require_choice
-from lerobot_adamanip.hub.endpoint import require_hub_name
+from lerobot_adamanip.hub.endpoint import require_hub_name, require_repo_id
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
 from lerobot_adamanip.options import EnvironmentOptions, require_known
@@ -155,6 +155,7 @@ class Collect:
             require_known({"pose_preset": self.pose_preset})
         if self.push_to_hub:
             require_hub_name(self.repo_id)
+        require_repo_id(self.repo_id, suffix="-failed" if self.keep_failed else "")
         self._require_whole()
         if self.dense:
             return self._dense()

@@ -17,7 +17,7 @@ from lerobot_adamanip import files, schema
 from lerobot_adamanip.demos.append import append, in_order
 from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.demos.card import dataset_card
-from lerobot_adamanip.demos.collection import assembling, manifest_path
+from lerobot_adamanip.demos.collection import manifest_path
 from lerobot_adamanip.demos.crew import Crews
 from lerobot_adamanip.demos.loading import JSON_COLUMNS, read_back
 from lerobot_adamanip.demos.manifest import Manifest, write_manifest
@@ -60,19 +60,22 @@ class Contents:
     repo_id: str
 
 
-def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None], crews: Crews | None = None) -> Path:
-    """Writes a dataset, syncs it and reads it back. Starts over if it was interrupted.
+def assemble(
+    folder: Path, name: str, contents: Contents, progress: Callable[[int, int], None], crews: Crews | None = None
+) -> Path:
+    """Writes a dataset, syncs it and reads it back.
 
     Neither who prepares the episodes, nor whether LeRobot's writer does it, changes a byte.
 
     Args:
-        root: where it is to be put in the end, by `files.move_durably`.
+        folder: that does not exist.
+        name: of the folder that it is to be in at the end.
         contents: what it is made of.
         progress: told of episodes written, and all.
         crews: prepare episodes, where there are enough of them; else this process does.
 
     Returns:
-        The folder it is in.
+        ``folder``.
 
     Raises:
         DatasetError: if there are no shards, or one is damaged, or what was written cannot be read back.
@@ -81,14 +84,12 @@ def assemble(root: Path, contents: Contents, progress: Callable[[int, int], None
         raise DatasetError(
             "No episode was recorded.", got="0 episodes", allowed="1 or more", hint="a larger --max-attempts"
         )
-    folder = assembling(root)
-    files.remove_tree(folder)
     files.crash_point("assembly begun")
     dataset = _empty(folder, contents)
     records, lengths = append_shards(dataset, contents.shards, progress, crews)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
-    _write_card(folder, root.name, contents, records)
+    _write_card(folder, name, contents, records)
     files.crash_point("dataset described")
     files.sync_tree(folder)
     files.crash_point("dataset synced")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,20 +14,25 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.assemble import Contents, assemble
 from lerobot_adamanip.demos.attempts import all_attempts, count
 from lerobot_adamanip.demos.cluster import require_usable
-from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
+from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec
 from lerobot_adamanip.demos.crew import Crews, open_crews
 from lerobot_adamanip.demos.loading import read_back
-from lerobot_adamanip.demos.manifest import Manifest, read_manifest, require_same, write_manifest
+from lerobot_adamanip.demos.manifest import Manifest
 from lerobot_adamanip.demos.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
-from lerobot_adamanip.demos.parts import Part, adopt, given_up
+from lerobot_adamanip.demos.output_folder import COLLECTING, lock_output, lock_path, owned_output, resolve_output
+from lerobot_adamanip.demos.partial import is_own_partial, prepare_partial, require_finished
+from lerobot_adamanip.demos.parts import Part, adopt, belongs, failed_attempts, given_up
 from lerobot_adamanip.demos.record import Factories, RecordingJob
 from lerobot_adamanip.demos.shards import read_record
 from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize, summarize_part
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT, JobResult
 
 Listener = Callable[[str, int, int], None]
 """Told of progress: stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, in all."""
+_LEAST_ROWS = 3
+"""Rows that an episode has at least."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ class CollectOptions:
     adopt: tuple[Path, ...] = ()
 
     def __post_init__(self) -> None:
+        require_repo_id(self.repo_id)
         if self.workers < (self.cluster is None) or self.max_attempts < 1 or not self.worker_timeout > 0:
             raise ConfigurationError(
                 "Too small.",
@@ -93,16 +99,28 @@ def collect(
     begin = time.monotonic()
     if options.cluster is not None:
         require_usable(options.cluster, insecure=options.insecure_cluster)
-    paths = CollectionPaths(root.absolute())
-    manifest = Manifest.of(spec, _fingerprint(spec, factories))
-    if _is_complete(paths, manifest):
-        paths.clean()
+    paths = CollectionPaths(resolve_output(root))
+    if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
+        # Nothing is written: it may be read-only.
+        require_finished(paths.root, Manifest.of(spec, _fingerprint(spec, factories)))
         return summarize(paths.root, spec, [], begin=begin)
-    job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
-    with _prepared(paths, manifest):
+    with contextlib.ExitStack() as stack:
+        output = stack.enter_context(owned_output(paths.root, COLLECTING))
+        if spec.keep_failed:
+            stack.enter_context(lock_output(paths.failed))
+        if not paths.manifest.exists():
+            output.require_free()
+            output.require_room(_least_bytes(spec))
+        manifest = Manifest.of(spec, _fingerprint(spec, factories))
+        if _is_complete(paths, manifest):
+            if is_own_partial(paths, manifest):
+                output.discard()
+            return summarize(paths.root, spec, [], begin=begin)
+        prepare_partial(paths, manifest)
+        job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
         summary = _collected(job, paths, manifest, options, listener=listener, begin=begin)
         if options.part is None:
-            paths.clean()
+            output.discard()
     return summary
 
 
@@ -139,39 +157,17 @@ def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
 
 def _is_complete(paths: CollectionPaths, manifest: Manifest) -> bool:
     """Returns whether the dataset is there: read back once more, if episode files are still beside it."""
-    if paths.manifest.exists():
-        require_same(read_manifest(paths.manifest, manifest.spec.environment.assets), manifest, paths.root)
-        if paths.episodes.is_dir():
-            read_back(paths.root)
-        return True
-    if paths.root.is_file() or (paths.root.is_dir() and any(paths.root.iterdir())):
-        raise DatasetError(
-            "There is something else at the root of the dataset.",
-            got=paths.root,
-            allowed="a folder that does not exist, is empty, or was made by `adamanip collect`",
-            hint="another --root",
-        )
-    return False
+    if not paths.manifest.exists():
+        return False
+    require_finished(paths.root, manifest)
+    if paths.episodes.is_dir():
+        read_back(paths.root)
+    return True
 
 
-@contextlib.contextmanager
-def _prepared(paths: CollectionPaths, manifest: Manifest) -> Iterator[None]:
-    """Makes the partial folder, or checks the one there, and keeps other collections out of it meanwhile."""
-    for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
-        folder.mkdir(parents=True, exist_ok=True)
-    busy = "Another collection is at work here."
-    with files.locked(paths.partial, busy, "--workers 2 for more speed, or another --root"):
-        if any(paths.episodes.glob("*.safetensors")) and paths.partial_manifest.exists():
-            assets = manifest.spec.environment.assets
-            require_same(read_manifest(paths.partial_manifest, assets), manifest, paths.partial)
-        else:
-            write_manifest(paths.partial_manifest, manifest)
-        for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
-            files.remove_temporaries(folder)
-        files.sync_tree(paths.partial)
-        files.sync(paths.root.parent)
-        files.crash_point("collection prepared")
-        yield
+def _least_bytes(spec: CollectionSpec) -> int:
+    """Returns a lower bound for the size of the clouds of a collection, as episode files and as a dataset."""
+    return 2 * _LEAST_ROWS * len(spec.items()) * spec.environment.num_points * 3 * 4
 
 
 def _crews(options: CollectOptions) -> contextlib.AbstractContextManager[Crews]:
@@ -252,12 +248,24 @@ def _publish(
     attempts = all_attempts(paths, items, records)
     counted = replace(manifest, attempts=count(attempts, len(items)))
     repo_id = options.repo_id or f"local/{paths.root.name}"
-    failed = sorted(paths.failed_episodes.glob("*.safetensors")) if manifest.spec.keep_failed else []
-    if failed:
-        built = assemble(paths.failed, Contents(counted, failed, attempts, f"{repo_id}-failed"), progress, crews)
-        if manifest_path(paths.failed).exists():  # left by a run that was interrupted before the other was in place
-            files.remove_tree(paths.failed)
+    if manifest.spec.keep_failed and (failed := _failed(paths, manifest)):
+        contents = Contents(counted, failed, attempts, f"{repo_id}-failed")
+        files.remove_tree(paths.building_failed)
+        built = assemble(paths.building_failed, paths.failed.name, contents, progress, crews)
+        # What an interrupted run has put there: `prepare_partial` has seen that it is of this collection.
+        files.remove_tree(paths.failed)
         files.move_durably(built, paths.failed)
-    built = assemble(paths.root, Contents(counted, shards, attempts, repo_id), progress, crews)
+    files.remove_tree(paths.building)
+    built = assemble(paths.building, paths.root.name, Contents(counted, shards, attempts, repo_id), progress, crews)
     files.move_durably(built, paths.root)
     files.crash_point("dataset in place")
+
+
+def _failed(paths: CollectionPaths, manifest: Manifest) -> list[Path]:
+    """Returns the files of failed attempts at items of this collection."""
+    return sorted(
+        path
+        for item in manifest.spec.items()
+        for path in failed_attempts(paths.failed_episodes, item)
+        if belongs(path, manifest, item)
+    )

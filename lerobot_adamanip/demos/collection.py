@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import files
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.categories import ALL
+from lerobot_adamanip.demos.output_folder import COLLECTING
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
 from lerobot_adamanip.options import EnvironmentOptions
@@ -136,7 +136,7 @@ class CollectionPaths:
     @property
     def partial(self) -> Path:
         """What was recorded so far."""
-        return self.root.with_name(self.root.name + ".partial")
+        return self.root.with_name(self.root.name + COLLECTING)
 
     @property
     def episodes(self) -> Path:
@@ -154,6 +154,16 @@ class CollectionPaths:
         return self.partial / "failed"
 
     @property
+    def building(self) -> Path:
+        """The dataset, while it is assembled."""
+        return self.partial / "dataset"
+
+    @property
+    def building_failed(self) -> Path:
+        """The dataset of failed episodes, while it is assembled."""
+        return self.partial / "dataset-failed"
+
+    @property
     def failed(self) -> Path:
         """The dataset of failed episodes."""
         return self.root.with_name(self.root.name + "-failed")
@@ -167,18 +177,6 @@ class CollectionPaths:
     def manifest(self) -> Path:
         """Manifest of a finished one."""
         return manifest_path(self.root)
-
-    def clean(self) -> None:
-        """Removes what only an unfinished collection needs."""
-        for folder in (assembling(self.root), assembling(self.failed), self.episodes, self.partial):
-            files.remove_tree(folder)
-            files.crash_point("shards partly removed")
-        files.crash_point("cleaned")
-
-
-def assembling(root: Path) -> Path:
-    """Returns where the dataset of ``root`` is being built."""
-    return root.with_name(root.name + ".assembling")
 
 
 def manifest_path(root: Path) -> Path:

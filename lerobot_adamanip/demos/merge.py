@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.demos.editing.compose import Pieces, Progress, compose_whole
+from lerobot_adamanip import files
+from lerobot_adamanip.demos.editing.compose import Pieces, Progress, compose
 from lerobot_adamanip.demos.editing.selection import Selection
 from lerobot_adamanip.demos.editing.source import Source
+from lerobot_adamanip.demos.output_folder import WRITING, owned_output
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hub.endpoint import require_repo_id
 
 _FINGERPRINT = "fingerprint"
 
@@ -59,45 +62,51 @@ def merge(
         ConfigurationError: fewer than two parts, or this LeRobot writes datasets otherwise.
     """
     _require_several(roots)
-    out = out.absolute()
-    require_free(out)
+    require_repo_id(repo_id)
+    with owned_output(out, WRITING) as output:
+        output.require_free()
+        output.require_room(sum(map(files.tree_bytes, roots)))
+        built = output.fresh("dataset")
+        merged = merge_into(built, roots, repo_id or f"local/{output.root.name}", progress)
+        output.publish(built)
+    return merged
+
+
+def merge_into(
+    folder: Path, roots: Sequence[Path], repo_id: str, progress: Progress = lambda done, total: None
+) -> Merged:
+    """As `merge`, into a folder that does not exist and that nobody else looks at."""
     sources = [Source.open(root) for root in roots]
     _require_equal_features(sources)
     pieces, selection = _in_order(sources)
-    compose_whole(out, pieces, repo_id, selection, progress)
+    compose(folder, pieces, repo_id, selection, progress)
     whole = selection is not None and selection.is_whole
     return Merged(len(pieces), selection is not None, whole, _fingerprints(sources))
-
-
-def require_free(out: Path) -> None:
-    """Raises `DatasetError` if there is something at ``out``."""
-    if out.exists():
-        raise DatasetError(
-            "There is something where the new dataset is to be.",
-            got=out,
-            allowed="a folder that does not exist",
-            hint="another --out",
-        )
 
 
 def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
     """Returns the episodes in the order of the new dataset, and what it is a part of, if of one."""
     pieces = [(source, episode) for source in sources for episode in range(source.info["total_episodes"])]
+    _require_each_once(sources)
     first = sources[0].selection
     known = [index for source in sources for index in source.selection.episodes]
-    one = {(each.selection.source, each.selection.source_episodes) for each in sources}
-    if len(one) > 1 or all(len(source.selection.episodes) == first.source_episodes for source in sources):
+    if len({(each.selection.source, each.selection.source_episodes) for each in sources}) > 1:
         return pieces, None
-    if twice := sorted(index for index, count in Counter(known).items() if count > 1):
-        raise DatasetError(
-            "These parts of one dataset share episodes, which would be in the new one twice.",
-            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in the dataset that was parted)",
-            allowed="parts without a common episode",
-            hint="one `adamanip filter` with the condition that takes both",
-        )
     order = sorted(range(len(known)), key=known.__getitem__)
     selection = Selection(first.source, first.source_episodes, tuple(sorted(known)))
     return [pieces[place] for place in order], selection
+
+
+def _require_each_once(sources: Sequence[Source]) -> None:
+    """Raises `DatasetError` if two sources hold the same episode: the same dataset, or parts of it that overlap."""
+    known = Counter((each.selection.source, index) for each in sources for index in each.selection.episodes)
+    if twice := sorted(index for (_, index), count in known.items() if count > 1):
+        raise DatasetError(
+            "These datasets share episodes, which would be in the new one twice.",
+            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in the dataset that they come from)",
+            allowed="datasets, or parts of one, without a common episode",
+            hint="name each dataset once; for overlapping parts, one `adamanip filter` whose condition takes both",
+        )
 
 
 def _fingerprints(sources: Sequence[Source]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from lerobot_adamanip import files
 from lerobot_adamanip.demos.collection import CollectionPaths, EpisodeSpec
 from lerobot_adamanip.demos.manifest import Manifest, read_manifest, require_same
 from lerobot_adamanip.demos.outcome import ItemReport, read_given_up
+from lerobot_adamanip.demos.output_folder import lock_output, resolve_output
 from lerobot_adamanip.demos.shards import read_record, write_shard_bytes
 from lerobot_adamanip.demos.summary import ItemResult
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
@@ -59,7 +60,7 @@ def adopt(paths: CollectionPaths, manifest: Manifest, sources: Iterable[Path]) -
         DatasetError: one of them is no part, or one of another collection, or still at work, or damaged.
     """
     for source in sources:
-        part = CollectionPaths(source.absolute())
+        part = CollectionPaths(resolve_output(source))
         if part.root == paths.root or not part.partial_manifest.is_file():
             raise DatasetError(
                 "Nothing was recorded there.",
@@ -67,22 +68,36 @@ def adopt(paths: CollectionPaths, manifest: Manifest, sources: Iterable[Path]) -
                 allowed="the --root of `adamanip collect --part K/N`",
                 hint="the same options and --part K/N, on the machine that lacks it",
             )
-        with files.locked(part.partial, "A collection is still at work there.", "wait for it"):
+        with lock_output(part.root, optional=True):  # a part may be read-only
             stored = read_manifest(part.partial_manifest, manifest.spec.environment.assets)
             require_same(stored, manifest, part.partial)
             for item in manifest.spec.items():
                 _adopt_item(paths, part, manifest, item)
 
 
+def belongs(path: Path, manifest: Manifest, item: EpisodeSpec) -> bool:
+    """Whether a file holds an episode, or a failed attempt, of this item of this collection."""
+    record = read_record(path)
+    whose = None if record is None else (record.get("slot"), record.get("object_id"), record.get("fingerprint"))
+    return whose == (item.slot, item.object_id, combined(manifest.fingerprint))
+
+
+def failed_attempts(folder: Path, item: EpisodeSpec) -> list[Path]:
+    """Returns the files of an item's failed attempts, in their order."""
+    stem = item.file_name.removesuffix(".safetensors")
+    return [
+        path
+        for path in sorted(folder.glob(f"{stem}-*.safetensors"))
+        if re.fullmatch(r"\d{3,6}", path.stem.removeprefix(f"{stem}-"))
+    ]
+
+
 def _adopt_item(paths: CollectionPaths, part: CollectionPaths, manifest: Manifest, item: EpisodeSpec) -> None:
     stem = item.file_name.removesuffix(".safetensors")
     if not (paths.episodes / item.file_name).exists() and (part.episodes / item.file_name).exists():
         _copy_shard(part.episodes / item.file_name, paths.episodes, manifest, item)
-    for path in sorted(part.failed_episodes.glob(f"{stem}-*.safetensors")):
-        if (
-            re.fullmatch(r"\d{3,6}", path.stem.removeprefix(f"{stem}-"))
-            and not (paths.failed_episodes / path.name).exists()
-        ):
+    for path in failed_attempts(part.failed_episodes, item):
+        if not (paths.failed_episodes / path.name).exists():
             _copy_shard(path, paths.failed_episodes, manifest, item)
     account = part.attempts / f"{stem}.json"
     if account.exists() and not (paths.attempts / account.name).exists():
@@ -90,9 +105,7 @@ def _adopt_item(paths: CollectionPaths, part: CollectionPaths, manifest: Manifes
 
 
 def _copy_shard(path: Path, folder: Path, manifest: Manifest, item: EpisodeSpec) -> None:
-    record = read_record(path)
-    whose = None if record is None else (record.get("slot"), record.get("object_id"), record.get("fingerprint"))
-    if whose != (item.slot, item.object_id, combined(manifest.fingerprint)):
+    if not belongs(path, manifest, item):
         raise DatasetError(
             "An episode of a part is damaged, or is not what its name says.",
             got=path,

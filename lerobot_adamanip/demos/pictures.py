@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from lerobot_adamanip import files, schema
@@ -17,16 +18,36 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.checked_json import flag, integer, optional, parse, text
 from lerobot_adamanip.demos.assemble import Contents, assemble
 from lerobot_adamanip.demos.attempts import attempts_path, read_attempts
-from lerobot_adamanip.demos.collection import CollectionPaths, manifest_path
-from lerobot_adamanip.demos.loading import episode_table, load_check
-from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, differing_parts, read_manifest, write_manifest
+from lerobot_adamanip.demos.collection import manifest_path
+from lerobot_adamanip.demos.editing.selection import identity, selection_path
+from lerobot_adamanip.demos.editing.source import Rows, Source
+from lerobot_adamanip.demos.loading import episode_table, load_check, read_back
+from lerobot_adamanip.demos.manifest import (
+    HIDDEN_STATE,
+    Manifest,
+    differing_parts,
+    read_manifest,
+    require_same,
+    write_manifest,
+)
+from lerobot_adamanip.demos.output_folder import (
+    RENDERING,
+    OutputFolder,
+    count_episodes,
+    is_free,
+    owned_output,
+    resolve_output,
+)
 from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.fingerprint import combined
+from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.rollout import SimulatedEnvironment
 
 Progress = Callable[[str, int, int], None]
+MANIFEST, SOURCE = "collection.json", "source"
+"""Files of the work folder: the manifest of the new dataset, and which one it is made from."""
 TOLERANCE = 1e-5
 """How far the first joints of an episode may be from those of its scene set up anew [rad or m]."""
 _JSON = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "failures", "episode_record")
@@ -34,12 +55,21 @@ _JSON = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "fai
 
 @dataclass(frozen=True)
 class _Stored:
-    """A dataset as it lies there: its rows, what each episode is, its tasks, and its manifest."""
+    """A dataset as it lies there: its episodes and rows, what its columns tell of each episode, and its manifest."""
 
-    rows: Any
+    source: Source
     episodes: list[dict[str, Any]]
-    tasks: list[str]
     manifest: Manifest
+
+    @property
+    def identity(self) -> str:
+        """Hash of what tells the episodes apart from those of any other dataset."""
+        return identity(self.source.root)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Reads an episode's rows; holds one episode at a time."""
+        return Rows()
 
 
 def add_pictures(
@@ -53,7 +83,7 @@ def add_pictures(
 ) -> int:
     """Writes a copy of a dataset with the column of images; returns its number of episodes.
 
-    Each finished episode is safe on disk, in ``<out>.partial``: the same call goes on where another was interrupted.
+    Each finished episode is safe on disk, in ``<out>.rendering``: the same call goes on where another was interrupted.
 
     Args:
         root: of a dataset collected without images.
@@ -67,27 +97,43 @@ def add_pictures(
         DatasetError: it has images, or is not whole, or its scenes come out differently now.
         SimulatorError: there is nothing to render with.
     """
-    root, paths = root.absolute(), CollectionPaths(out.absolute())
-    _require_free(root, paths)
-    stored = _read(root, assets)
-    manifest = _pictured(stored, make_env)
-    _prepare(paths, manifest)
-    shards = _rendered(paths, stored, manifest, make_env, progress)
-    contents = Contents(manifest, shards, read_attempts(attempts_path(root)), repo_id or f"local/{paths.root.name}")
-    built = assemble(paths.root, contents, lambda done, total: progress("assemble", done, total))
-    files.move_durably(built, paths.root)
-    paths.clean()
+    require_repo_id(repo_id)
+    with owned_output(out, RENDERING) as output:
+        root, manifest_file = resolve_output(root), output.work / MANIFEST
+        if not manifest_file.exists():
+            output.require_free()
+        stored = _read(root, assets)
+        output.require_room(2 * files.tree_bytes(root))
+        manifest = _pictured(stored, make_env)
+        _require_same_work(output, manifest, stored)
+        if not is_free(output.root):  # an earlier run was interrupted after it had moved the dataset there
+            _require_finished_copy(output.root, manifest, len(stored.episodes))
+            output.discard()
+            return len(stored.episodes)
+        output.require_free()
+        write_manifest(manifest_file, manifest)
+        files.write_atomically(output.work / SOURCE, stored.identity.encode())
+        (output.work / "episodes").mkdir(exist_ok=True)
+        files.remove_temporaries(output.work / "episodes")
+        shards = _rendered(output.work / "episodes", stored, manifest, make_env, progress)
+        name = output.root.name
+        contents = Contents(manifest, shards, read_attempts(attempts_path(root)), repo_id or f"local/{name}")
+        told = functools.partial(progress, "assemble")
+        built = assemble(output.fresh("dataset"), name, contents, told)
+        if selection_path(root).exists():
+            files.write_atomically(selection_path(built), selection_path(root).read_bytes())
+        output.publish(built)
     return len(shards)
 
 
 def _rendered(
-    paths: CollectionPaths, stored: _Stored, manifest: Manifest, make_env: EnvFactory, progress: Progress
+    folder: Path, stored: _Stored, manifest: Manifest, make_env: EnvFactory, progress: Progress
 ) -> list[Path]:
     """Renders the episodes that are not there yet; returns all their files, in order."""
     shards = []
     with _Environments(make_env, manifest) as environments:
         for number, row in enumerate(stored.episodes):
-            path = paths.episodes / f"{number:06d}.safetensors"
+            path = folder / f"{number:06d}.safetensors"
             if read_record(path) is None:
                 env = environments.of(category_of(row["object_id"]))
                 write_shard(path, _with_images(env, stored, row, combined(manifest.fingerprint)))
@@ -119,23 +165,31 @@ class _Environments:
         self._env = None
 
 
-def _require_free(root: Path, paths: CollectionPaths) -> None:
-    if paths.root == root or (paths.root.exists() and (paths.root.is_file() or any(paths.root.iterdir()))):
+def _require_same_work(output: OutputFolder, manifest: Manifest, stored: _Stored) -> None:
+    """Raises `DatasetError` if the work folder holds pictures of another dataset, or by other code."""
+    if count_episodes(output.work) == 0 and is_free(output.root):
+        return
+    require_same(read_manifest(output.work / MANIFEST, manifest.spec.environment.assets), manifest, output.work)
+    source = output.work / SOURCE
+    if not source.exists() or source.read_text() != stored.identity:
         raise DatasetError(
-            "There is something at the root of the new dataset.",
-            got=paths.root,
-            allowed="a folder that does not exist, or is empty",
-            hint="another --out",
+            "Pictures of another dataset wait there.",
+            got=output.work,
+            allowed="pictures of the same episodes",
+            hint="another --out; or finish the other dataset first",
         )
 
 
-def _prepare(paths: CollectionPaths, manifest: Manifest) -> None:
-    """Makes the partial folder; what other code, or another dataset, left in it is thrown away."""
-    known = paths.partial_manifest.read_bytes() if paths.partial_manifest.exists() else b""
-    if known != (json.dumps(manifest.to_json(), indent=2, sort_keys=True) + "\n").encode():
-        files.remove_tree(paths.partial)
-    paths.episodes.mkdir(parents=True, exist_ok=True)
-    write_manifest(paths.partial_manifest, manifest)
+def _require_finished_copy(root: Path, manifest: Manifest, episodes: int) -> None:
+    require_same(read_manifest(manifest_path(root), manifest.spec.environment.assets), manifest, root)
+    read_back(root)
+    if load_check(root)["total_episodes"] != episodes or selection_path(root).exists():
+        raise DatasetError(
+            "There is another dataset at the root of the new one.",
+            got=root,
+            allowed=f"a folder that does not exist, or the {episodes} episodes with pictures",
+            hint="another --out",
+        )
 
 
 def _read(root: Path, assets: str | Path | None) -> _Stored:
@@ -148,11 +202,8 @@ def _read(root: Path, assets: str | Path | None) -> _Stored:
             allowed="one made by `adamanip collect --no-images`",
             hint="another dataset",
         )
-    rows = pq.read_table(sorted((root / "data").glob("*/*.parquet"))).sort_by("index")
-    tasks = pq.read_table(root / "meta" / "tasks.parquet").to_pydict()
-    names = next(values for key, values in tasks.items() if key != "task_index")
-    ordered = [name for _, name in sorted(zip(tasks["task_index"], names, strict=True))]
-    return _Stored(rows, episode_table(root).to_pylist(), ordered, read_manifest(manifest_path(root), assets))
+    manifest = read_manifest(manifest_path(root), assets)
+    return _Stored(Source(root, info), episode_table(root).to_pylist(), manifest)
 
 
 def _pictured(stored: _Stored, make_env: EnvFactory) -> Manifest:
@@ -207,16 +258,22 @@ def _record(row: dict[str, Any], stored: _Stored, fingerprint: str) -> dict[str,
 
 def _columns(stored: _Stored, row: dict[str, Any]) -> tuple[str, dict[str, NDArray[Any]]]:
     """Returns an episode's task and columns."""
-    first, end = (
-        integer(0, stored.rows.num_rows)(name, row[name]) for name in ("dataset_from_index", "dataset_to_index")
-    )
-    part = stored.rows.slice(first, end - first)
-    environment = stored.manifest.spec.environment
-    features = schema.dataset_features(environment.num_points, images=False)
-    return stored.tasks[part["task_index"][0].as_py()], {
-        key: np.asarray(part[key].to_pylist(), feature["dtype"]).reshape(-1, *feature["shape"])
+    part = stored.rows.of(stored.source, row)
+    features = schema.dataset_features(stored.manifest.spec.environment.num_points, images=False)
+    columns = {
+        key: _array(part[key]).astype(feature["dtype"], copy=False).reshape(len(part), *feature["shape"])
         for key, feature in features.items()
     }
+    return stored.source.tasks[part["task_index"][0].as_py()], columns
+
+
+def _array(column: pa.ChunkedArray) -> NDArray[Any]:
+    """Returns the values of a column of numbers, or of lists of such, in one dimension."""
+    values = column.combine_chunks()
+    while pa.types.is_nested(values.type):
+        values = values.flatten()
+    array: NDArray[Any] = values.to_numpy(zero_copy_only=False)
+    return array
 
 
 def _require_same_scene(env: SimulatedEnvironment, record: Mapping[str, Any], first: NDArray[np.float32]) -> None:

@@ -167,7 +167,7 @@ class RayCrew[Item]:
             if call.death is not None:
                 self._node_died(call, queue)
             else:
-                self._died(call, reason(error))
+                self._died(call, crash(error), reason(error))
             return
         if call.death is not None:
             yield from self._actor_died(call, queue)
@@ -198,15 +198,21 @@ class RayCrew[Item]:
 
     # Deaths -----------------------------------------------------------------------------------------------------
 
-    def _died(self, call: _Call[Item], cause: str) -> None:
-        """Lets an actor go, and asks whether its node still lives before anybody is blamed."""
+    def _died(self, call: _Call[Item], cause: str, told: str = "") -> None:
+        """Lets an actor go, and asks whether its node still lives before anybody is blamed.
+
+        Args:
+            call: that it did not answer.
+            cause: of the crash, as a dataset may say it.
+            told: by Ray, for the screen.
+        """
         _kill(call.actor)
         self._actors.remove(call.actor)
         if call.actor.node is None:
             self._failed_starts += 1
             # One node's death may end all starts once; what cannot be imported there cannot be the next time either.
-            if "creation task" in cause or self._failed_starts > MAX_DEATHS_IN_A_ROW + self._count:
-                raise WorkerError(f"No worker starts on a node of the cluster: {cause}")
+            if "creation task" in told or self._failed_starts > MAX_DEATHS_IN_A_ROW + self._count:
+                raise WorkerError(f"No worker starts on a node of the cluster: {told or cause}")
             return
         alone = NodeAffinitySchedulingStrategy(call.actor.node, soft=False)
         ping = ray.remote(_nothing).options(num_cpus=0, max_retries=0, scheduling_strategy=alone).remote()
@@ -237,7 +243,17 @@ def _kill(actor: _Actor) -> None:
         ray.kill(actor.handle, no_restart=True)
 
 
+EXIT_KINDS = ("INTENDED_USER_EXIT", "INTENDED_SYSTEM_EXIT", "NODE_OUT_OF_MEMORY", "SYSTEM_ERROR", "USER_ERROR")
+"""How Ray says that a process has ended."""
+
+
+def crash(error: RayError) -> str:
+    """Returns the type of a crash and how the process ended: what a dataset may say, without addresses and ids."""
+    kind = next((name for name in EXIT_KINDS if f"exit type: {name}" in str(error)), None)
+    return type(error).__name__ + (f", {kind}" if kind else "")
+
+
 def reason(error: RayError) -> str:
-    """Returns what Ray says of a death, in one line."""
+    """Returns what Ray says of a crash, in one line; for the screen only."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {' '.join(lines)[:400]}"

@@ -19,6 +19,32 @@ class HubError(AdaManipError, RuntimeError):
     """The Hub cannot be reached, refuses, or holds something else than was sent."""
 
 
+def require_repo_id(repo_id: str | None, *, suffix: str = "") -> None:
+    """Raises `ConfigurationError` if the Hub would refuse the name of a dataset or policy; None is a default's place.
+
+    Args:
+        repo_id: ``name`` or ``owner/name``.
+        suffix: that is appended for another repository.
+    """
+    if repo_id is None:
+        return
+    from huggingface_hub.errors import HFValidationError
+    from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
+
+    try:
+        if not repo_id:
+            raise HFValidationError("it is empty")
+        validate_repo_id(repo_id)
+        validate_repo_id(repo_id + suffix)
+    except HFValidationError as error:
+        raise ConfigurationError(
+            "The Hub takes no repository of this name.",
+            got=f"{repo_id!r}: {error}",
+            allowed="user/name, of letters, digits, '-', '_' and '.', at most 96 of them; no '--', no '..'",
+            hint="--repo-id YOUR_NAME/adamanip-safe",
+        ) from error
+
+
 def require_hub_name(repo_id: str | None) -> str:
     """Returns ``repo_id`` if it can be a repository of the Hub; raises `ConfigurationError` if not."""
     from huggingface_hub.errors import HFValidationError

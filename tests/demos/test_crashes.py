@@ -149,7 +149,7 @@ def test_shards_are_kept_if_the_dataset_cannot_be_read_back(tmp_path: Path, monk
 
     def spoil(point: str) -> None:
         if point == "dataset synced":
-            for folder in tmp_path.glob("*.assembling"):
+            for folder in tmp_path.glob("*.partial/dataset"):
                 (path,) = (folder / "videos").glob("*/*/*.mp4")
                 path.write_bytes(path.read_bytes()[:-300])
 
@@ -195,7 +195,7 @@ def test_everything_is_synced_before_anything_is_removed(tmp_path: Path, monkeyp
     monkeypatch.setattr(files.shutil, "rmtree", rmtree)
     run(root)
     moved = order.index(("rename", root))
-    building = root.with_name("dataset.assembling")
+    building = CollectionPaths(root).building
     synced = {path for what, path in order[:moved] if what == "sync"}
     for path in root.rglob("*"):
         assert building / path.relative_to(root) in synced, path

@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 from recorded_robot import SAVED
 
-from lerobot_adamanip import lerobot_recording, lerobot_version
+from lerobot_adamanip import files, lerobot_recording, lerobot_version, schema
 from lerobot_adamanip.demos.loading import read_info
-from lerobot_adamanip.hardware.features import is_dense
+from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
 from lerobot_adamanip.hub.check.repair import repair
 
 HERE = Path(__file__).parent
@@ -227,3 +228,30 @@ def test_settings_of_ones_own_are_kept() -> None:
     for own in ({"x265-params": "lossless=1:bframes=2"}, {"x265-params": "bframes=0"}):
         assert in_order(DepthEncoderConfig(extra_options=own)).extra_options == own
     assert in_order(DepthEncoderConfig(extra_options={})).extra_options == {"x265-params": "bframes=0"}
+
+
+def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    assert lerobot_recording.apply()
+    root = tmp_path / "dense"
+    features = {
+        schema.STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},
+        schema.ACTION: {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
+    }
+    dataset = LeRobotDataset.create("local/dense", 30, features, root=root)
+    written: list[Path] = []
+    write = files.write_atomically
+    monkeypatch.setattr(files, "write_atomically", lambda path, content: (written.append(path), write(path, content)))
+    for task in ("open it", "close it"):
+        values = {key: np.zeros(feature["shape"], np.float32) for key, feature in features.items()}
+        dataset.add_frame({**values, "task": task})
+        dataset.save_episode()
+    assert written.count(root / "meta" / "tasks.parquet") == 2
+    with pytest.raises(DatasetError, match="Another command is at work"):
+        repair(root)
+    dataset.finalize()
+    assert sorted(LeRobotDataset("local/dense", root=root).meta.tasks.index) == ["close it", "open it"]
+    assert repair(root).mended == []

@@ -8,19 +8,27 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from demos_helpers import another
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.demos.editing.choose import filter_episodes
 from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
 from lerobot_adamanip.demos.merge import merge
 from lerobot_adamanip.errors import AdaManipError
 
 
 @pytest.fixture(scope="module")
-def merged(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset merged with itself."""
+def other(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Another dataset with the same rows: its metadata are written otherwise."""
+    return another(finished, tmp_path_factory.mktemp("other") / "dataset")
+
+
+@pytest.fixture(scope="module")
+def merged(finished: Path, other: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two datasets of the same rows in one."""
     out = tmp_path_factory.mktemp("merged") / "both"
-    assert merge([finished, finished], out).episodes == 2 * load_check(finished)["total_episodes"]
+    assert merge([finished, other], out).episodes == 2 * load_check(finished)["total_episodes"]
     return out
 
 
@@ -65,7 +73,8 @@ def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(finished: P
     for parts, out, said in (
         ([finished], tmp_path / "new", "nothing to merge"),
         ([finished, tmp_path / "none"], tmp_path / "new", "none"),
-        ([finished, finished], tmp_path, "There is something"),
+        ([finished, finished], tmp_path / "new", "share episodes"),
+        ([finished, finished.parent / ".." / finished.parent.name / finished.name], tmp_path / "new", "share episodes"),
     ):
         with pytest.raises(AdaManipError, match=said):
             merge(parts, out)
@@ -78,15 +87,36 @@ def test_parts_of_different_columns_are_refused(finished: Path, unpictured: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_untested_lerobot_is_refused(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dataset_and_its_part_are_refused_whatever_else_is_merged(
+    unpictured: Path, tmp_path: Path, finished: Path
+) -> None:
+    filter_episodes(unpictured, ["episode_index=1:3"], tmp_path / "part")
+    third = another(unpictured, tmp_path / "third")
+    for parts in ([unpictured, tmp_path / "part"], [third, tmp_path / "part", unpictured]):
+        with pytest.raises(AdaManipError, match=r"share episodes(.|\n)*2 of them: 1, 2 "):
+            merge(parts, tmp_path / "new")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["part", "third"]
+
+
+def test_nothing_there_is_overwritten(finished: Path, other: Path, tmp_path: Path) -> None:
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "mine").touch()
+    with pytest.raises(AdaManipError, match="There is something"):
+        merge([finished, other], tmp_path / "new")
+    assert [path.name for path in tmp_path.rglob("*")] == ["new", "mine"]
+
+
+def test_an_untested_lerobot_is_refused(
+    finished: Path, other: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("lerobot_adamanip.demos.prepare.TESTED_WRITER", {})
     with pytest.raises(AdaManipError, match="writes datasets otherwise"):
-        merge([finished, finished], tmp_path / "new")
+        merge([finished, other], tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
-def test_the_command_reports(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["merge", str(finished), str(finished), "--out", str(tmp_path / "new"), "--json"]) == 0
+def test_the_command_reports(finished: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["merge", str(finished), str(other), "--out", str(tmp_path / "new"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     count = 2 * load_check(finished)["total_episodes"]
     assert told["episodes"] == load_check(tmp_path / "new")["total_episodes"] == count

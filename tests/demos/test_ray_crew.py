@@ -208,3 +208,15 @@ def test_a_run_with_given_up_items_says_so(tmp_path: Path, two: TwoNodes) -> Non
     options = patiently(workers=2, cluster=two.address)
     with pytest.raises(DatasetError, match="its worker died twice"):
         collect(tmp_path / "dataset", spec, fakes(crash="safe_001"), options)
+
+
+def test_what_a_dataset_says_of_a_crash_names_no_machine() -> None:
+    """Attempts are published with the dataset; what Ray tells beside it is for the screen."""
+    from ray.exceptions import NodeDiedError, RayError
+
+    from lerobot_adamanip.demos.ray_crew import crash, reason
+
+    told = "The actor died. pid: 4242 namespace: ns-abc ip: 10.20.30.40 Worker exit type: SYSTEM_ERROR"
+    assert crash(RayError(told)) == "RayError, SYSTEM_ERROR"
+    assert crash(NodeDiedError("ip: 10.20.30.40 exit type: /home/me")) == "NodeDiedError"
+    assert "10.20.30.40" in reason(RayError(told))

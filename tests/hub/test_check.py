@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from check_damages import ATTEMPTS, CAMERAS, COLLECTION, DATA, INFO, META, STATS, TASKS, VIDEO, Damage
+from demos_helpers import another
 from sound_demos import collect_sound, make_sound_env
 
 from lerobot_adamanip import schema
@@ -193,7 +194,7 @@ def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(tmp_path: Pa
     one, other = (collect_sound(tmp_path / str(seed), seed=seed, observe_images=False) for seed in (0, 1))
     merge([one, other], tmp_path / "both")
     assert check(tmp_path / "both").findings == ()
-    merge([one, one], tmp_path / "twice")
+    merge([one, another(one, tmp_path / "again")], tmp_path / "twice")
     found = check(tmp_path / "twice").findings
     assert {(each.kind, each.episode) for each in found} == {("facts", number) for number in range(6, 12)}
 

@@ -28,12 +28,14 @@ from lerobot_adamanip.demos.dense.rows import (
     demonstration_columns,
 )
 from lerobot_adamanip.demos.loading import load_check, read_back, read_info
-from lerobot_adamanip.demos.merge import merge, require_free
+from lerobot_adamanip.demos.merge import merge_into
+from lerobot_adamanip.demos.output_folder import CONVERTING, owned_output
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.demos.statistics import sort_statistics
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
 from lerobot_adamanip.hardware.frames import CameraCalibration
+from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 
 Progress = Callable[[str, int, int], None]
@@ -103,24 +105,22 @@ def convert(
         DatasetError: a source is missing, damaged or of another kind, an episode has no motion, or ``out`` is taken.
         ConfigurationError: there is no dense recording among the sources.
     """
-    out = out.absolute()
-    require_free(out)
-    simulated = [each for each in sources if _is_demonstrations(each)]
-    chosen = _fitting(options or ConvertOptions(), simulated)
-    recordings = _recordings(sources, simulated, chosen)
-    work = out.with_name(out.name + ".converting")
-    files.remove_tree(work)
-    (work / "episodes").mkdir(parents=True)
-    conversion = _Conversion(work, chosen, progress)
-    shards = list(conversion.shards(recordings))
-    built = _assembled(work, shards, chosen, chosen.repo_id or f"local/{out.name}", progress)
-    merged = 0
-    if simulated:
-        told = functools.partial(progress, "merge")
-        merged = merge([built, *simulated], out, repo_id=chosen.repo_id, progress=told).episodes - len(shards)
-    else:
-        files.move_durably(built, out)
-    files.remove_tree(work)
+    require_repo_id(options.repo_id if options else None)
+    with owned_output(out, CONVERTING) as output:
+        output.require_free()
+        output.require_room()
+        simulated = [each for each in sources if _is_demonstrations(each)]
+        chosen = _fitting(options or ConvertOptions(), simulated)
+        recordings = _recordings(sources, simulated, chosen)
+        output.fresh("episodes").mkdir()
+        conversion = _Conversion(output.work, chosen, progress)
+        shards = list(conversion.shards(recordings))
+        repo_id = chosen.repo_id or f"local/{output.root.name}"
+        built, merged = _assembled(output.fresh("dataset"), shards, chosen, repo_id, progress), 0
+        if simulated:
+            parts, built = [built, *simulated], output.fresh("merged")
+            merged = merge_into(built, parts, repo_id, functools.partial(progress, "merge")).episodes - len(shards)
+        output.publish(built)
     return Converted(len(shards), conversion.ticks, conversion.key_frames, merged, tuple(conversion.skipped))
 
 
@@ -253,13 +253,12 @@ def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
     return parts
 
 
-def _assembled(work: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:
+def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:
     """Writes a dataset of these episodes, syncs it and reads it back."""
     if not shards:
         raise DatasetError(
             "No episode was converted.", got="0 episodes", allowed="1 or more", hint="adamanip check RECORDING"
         )
-    root = work / "dataset"
     first = read_record(shards[0]) or {}
     dataset = create_dataset(
         root,

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_adamanip import files
-from lerobot_adamanip.demos.editing.compose import Progress, compose_whole
+from lerobot_adamanip.demos.editing.compose import Progress, compose
 from lerobot_adamanip.demos.editing.conditions import Facts, choose
 from lerobot_adamanip.demos.editing.facts import episode_facts
 from lerobot_adamanip.demos.editing.source import Source
-from lerobot_adamanip.demos.merge import require_free
+from lerobot_adamanip.demos.output_folder import WRITING, owned_output
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hub.endpoint import require_repo_id
 
 EPISODE = "episode_index"
 _SUM = 1e-6
@@ -45,14 +46,20 @@ def filter_episodes(
         ConfigurationError: a condition names no column, or compares it with what it cannot be, or none is fulfilled.
         DatasetError: the dataset is missing or damaged, or something is at ``out``.
     """
-    if out is not None:
-        require_free(out)
-    source = Source.open(root)
-    chosen = choose(conditions, episode_facts(source))
-    if out is not None:
+    require_repo_id(repo_id)
+    if out is None:
+        return choose(conditions, episode_facts(Source.open(root)))
+    with owned_output(out, WRITING) as output:
+        output.require_free()
+        source = Source.open(root)
+        chosen = choose(conditions, episode_facts(source))
+        output.require_room(files.tree_bytes(source.root) * len(chosen) // source.info["total_episodes"])
+        built = output.fresh("dataset")
+        name = output.root.name
         words = [word for condition in conditions for word in ("--where", condition)]
-        command = ["adamanip", "filter", "DATASET", *words, "--out", out.name]
-        _write(source, {out.name: chosen}, {out.name: (out.absolute(), command)}, repo_id, progress)
+        command = ["adamanip", "filter", "DATASET", *words, "--out", name]
+        _write(source, {name: chosen}, {name: (built, command)}, repo_id, progress)
+        output.publish(built)
     return chosen
 
 
@@ -79,16 +86,18 @@ def split_episodes(
         ConfigurationError: shares that are none, an unknown column, or fewer values than parts.
         DatasetError: the dataset is missing or damaged, or something is at ``out``.
     """
-    require_free(out)
-    source = Source.open(root)
-    parts = assign(episode_facts(source), shares, by=by, seed=seed)
-    half = out.absolute().with_name(out.name + ".writing")
-    files.remove_tree(half)
-    half.mkdir(parents=True)
-    said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
-    command = ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed), "--out", out.name]
-    _write(source, parts, {name: (half / name, command) for name in parts}, None, progress)
-    files.move_durably(half, out.absolute())
+    with owned_output(out, WRITING) as output:
+        output.require_free()
+        source = Source.open(root)
+        parts = assign(episode_facts(source), shares, by=by, seed=seed)
+        output.require_room(files.tree_bytes(source.root))
+        built = output.fresh("dataset")
+        built.mkdir()
+        said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
+        command = ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed), "--out", output.root.name]
+        _write(source, parts, {name: (built / name, command) for name in parts}, None, progress)
+        files.sync(built)
+        output.publish(built)
     return parts
 
 
@@ -118,7 +127,7 @@ def _write(
     for name, chosen in parts.items():
         folder, command = places[name]
         pieces, selection = [(source, episode) for episode in chosen], source.selection.of(list(chosen), command)
-        compose_whole(folder, pieces, repo_id, selection, _after(progress, before, total))
+        compose(folder, pieces, repo_id or f"local/{name}", selection, _after(progress, before, total))
         before += len(chosen)
 
 

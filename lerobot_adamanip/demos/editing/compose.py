@@ -60,23 +60,17 @@ def compose(
     schema, rows, lengths = _schema(dataset.meta.features), Rows(), []
     for done, (source, episode) in enumerate(pieces, start=1):
         lengths.append(_append(dataset, schema, rows, source, episode))
+        files.crash_point("episode assembled")
         progress(done, len(pieces))
     dataset.finalize()
+    files.crash_point("dataset written")
     _restore_info(out, [of[root] for root in sources])
     describe(out, pieces, selection)
+    files.crash_point("dataset described")
     files.sync_tree(out)
+    files.crash_point("dataset synced")
     read_back(out, lengths)
-
-
-def compose_whole(
-    out: Path, pieces: Pieces, repo_id: str | None, selection: Selection | None, progress: Progress
-) -> None:
-    """As `compose`, named ``local/<folder name>`` by default; half of a dataset is never at ``out``."""
-    half = out.with_name(out.name + ".writing")
-    files.remove_tree(half)
-    half.parent.mkdir(parents=True, exist_ok=True)
-    compose(half, pieces, repo_id or f"local/{out.name}", selection, progress)
-    files.move_durably(half, out)
+    files.crash_point("dataset verified")
 
 
 def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:

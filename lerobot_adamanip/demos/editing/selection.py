@@ -84,7 +84,7 @@ def read_selection(root: Path, episodes: int) -> Selection:
     """
     path = selection_path(root)
     if not path.exists():
-        return Selection(_identity(root), episodes, tuple(range(episodes)))
+        return Selection(identity(root), episodes, tuple(range(episodes)))
     try:
         written = read(path, max_bytes=100_000_000)
         if isinstance(written, dict):
@@ -110,7 +110,8 @@ def write_selection(root: Path, selection: Selection) -> None:
         files.write_atomically(selection_path(root), (json.dumps(selection.to_json(), sort_keys=True) + "\n").encode())
 
 
-def _identity(root: Path) -> str:
+def identity(root: Path) -> str:
+    """Returns a hash of a dataset's metadata, which hold statistics of every episode."""
     made = hashlib.sha256()
     for path in (root / "meta" / "info.json", *sorted((root / "meta" / "episodes").glob("*/*.parquet"))):
         made.update(path.read_bytes())

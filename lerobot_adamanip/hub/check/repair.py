@@ -19,6 +19,7 @@ import pyarrow.compute as pc
 
 from lerobot_adamanip import files
 from lerobot_adamanip.demos.loading import read_info
+from lerobot_adamanip.demos.output_folder import lock_output, require_not_written, resolve_output
 from lerobot_adamanip.hub.check.dataset import require_dataset
 from lerobot_adamanip.hub.check.findings import Progress, Report, listed
 from lerobot_adamanip.hub.check.inventory import Found, Run, Videos, data_files, find_episodes, frames_of, runs_of
@@ -64,6 +65,11 @@ class Repair:
         backup = str(self.backup) if self.backup.exists() else None
         return {"mended": self.mended, "left": self.left, "backup": backup}
 
+    def did(self, line: str) -> None:
+        """Notes what was mended."""
+        self.mended.append(line)
+        files.crash_point("partly mended")
+
     def keep(self, name: str, *, move: bool) -> None:
         """Puts a file or folder of the dataset, as it is, into the backup, unless one of that name is there already."""
         source, target = self.root / name, self.backup / name
@@ -78,6 +84,7 @@ class Repair:
             shutil.copytree(source, target)
         else:
             shutil.copy2(source, target)
+        files.crash_point("moved aside")
 
 
 def repair(root: str | Path, *, progress: Progress = lambda stage, done, total: None) -> Repair:
@@ -90,21 +97,28 @@ def repair(root: str | Path, *, progress: Progress = lambda stage, done, total: 
         progress: told of stage ``rows``, data files looked at, and all.
 
     Raises:
-        DatasetError: there is no dataset.
+        DatasetError: there is no dataset, or a process is writing it.
     """
-    folder = require_dataset(root)
+    folder = resolve_output(require_dataset(root))
     done = Repair(folder, folder.with_name(folder.name + ".before-repair"))
+    with lock_output(folder, optional=True):
+        require_not_written(folder)
+        _repair(done, progress)
+    return done
+
+
+def _repair(done: Repair, progress: Progress) -> None:
     _move_leftovers(done)
     layout = _described(done)
     if layout is None:
-        return done
+        return
     runs: list[Run] = []
-    names = data_files(folder)
+    names = data_files(done.root)
     for number, name in enumerate(names, start=1):
         runs += _runs(done, layout, name)
         progress("rows", number, len(names))
     listed_ones = {episode.number: episode for episode in layout.episodes}
-    videos = {key: Videos.of(folder, key, layout.fps) for key in layout.video_keys}
+    videos = {key: Videos.of(done.root, key, layout.fps) for key in layout.video_keys}
     found, later = find_episodes(runs, listed_ones, videos)
     if later:
         damaged, whole = len(found), listed(later)
@@ -112,19 +126,18 @@ def repair(root: str | Path, *, progress: Progress = lambda stage, done, total: 
             f"episode {damaged} is damaged and episodes after it ({whole}) are whole: no kill does that. "
             "Take it out with `adamanip filter`, or get its file back"
         )
-        return done
+        return
     if not found:
         done.left.append("no episode is there in full")
-        return done
+        return
     _mend(done, layout, found, runs)
-    return done
 
 
 def _move_leftovers(done: Repair) -> None:
     for path in list(leftovers(done.root)):
         name = path.relative_to(done.root).as_posix()
         done.keep(name, move=True)
-        done.mended.append(f"{name}: moved away")
+        done.did(f"{name}: moved away")
 
 
 def _described(done: Repair) -> Layout | None:
@@ -139,7 +152,7 @@ def _described(done: Repair) -> Layout | None:
             return None
         done.keep(INFO, move=False)
         write_info(done.root, info, 0, 0, 0)
-        done.mended.append(f"{INFO}: made again from the columns of the data")
+        done.did(f"{INFO}: made again from the columns of the data")
     return read_layout(done.root, Report())
 
 
@@ -153,7 +166,7 @@ def _runs(done: Repair, layout: Layout, name: str) -> list[Run]:
         return []
     done.keep(name, move=False)
     files.write_atomically(done.root / name, saved[0])
-    done.mended.append(f"{name}: {saved[1]} rows before the cut can be read again")
+    done.did(f"{name}: {saved[1]} rows before the cut can be read again")
     return runs_of(done.root, name) or []
 
 
@@ -181,7 +194,7 @@ def _tasks(done: Repair, layout: Layout, found: list[Found]) -> dict[int, str] |
     if tasks != layout.tasks or not layout.tasks:
         done.keep(TASKS, move=False)
         write_tasks(done.root, tasks)
-        done.mended.append(f"{TASKS}: made again from the episodes")
+        done.did(f"{TASKS}: made again from the episodes")
     return tasks
 
 
@@ -194,11 +207,11 @@ def _cut_data(done: Repair, found: list[Found], runs: list[Run]) -> None:
         rows = sum(run.length for run in runs if run.file == name)
         if name not in ends:
             done.keep(name, move=True)
-            done.mended.append(f"{name}: moved away, no whole episode is in it")
+            done.did(f"{name}: moved away, no whole episode is in it")
         elif ends[name] < rows:
             done.keep(name, move=False)
             keep_rows(done.root / name, ends[name])
-            done.mended.append(f"{name}: {rows - ends[name]} rows after the last whole episode taken out")
+            done.did(f"{name}: {rows - ends[name]} rows after the last whole episode taken out")
 
 
 def _cut_videos(done: Repair, layout: Layout, found: list[Found]) -> None:
@@ -212,11 +225,11 @@ def _cut_videos(done: Repair, layout: Layout, found: list[Found]) -> None:
             name = path.relative_to(done.root).as_posix()
             if name not in ends:
                 done.keep(name, move=True)
-                done.mended.append(f"{name}: moved away, no whole episode is in it")
+                done.did(f"{name}: moved away, no whole episode is in it")
             elif (after := frames_of(path) - ends[name]) > 0:
                 done.keep(name, move=False)
                 if keep_frames(path, ends[name]):
-                    done.mended.append(f"{name}: {after} frames after the last whole episode taken out")
+                    done.did(f"{name}: {after} frames after the last whole episode taken out")
                 else:
                     done.left.append(f"{name}: {after} frames after the last episode cannot be cut off")
 
@@ -231,18 +244,18 @@ def _write_episodes(done: Repair, layout: Layout, found: list[Found], tasks: Map
         gone = None if mine is None else [number for number in mine["episode_index"].to_pylist() if number not in kept]
         if mine is None or len(gone or ()) == len(mine):
             done.keep(name, move=True)
-            done.mended.append(f"{name}: moved away, it tells of no whole episode")
+            done.did(f"{name}: moved away, it tells of no whole episode")
         elif gone:
             done.keep(name, move=False)
             left = mine.filter(pc.is_in(mine["episode_index"], pa.array(sorted(kept), pa.int64())))
             write_table(path, left.drop_columns(["listed_in"]))
-            done.mended.append(f"{name}: metadata of episode {listed(gone)}, which is not there in full, taken out")
+            done.did(f"{name}: metadata of episode {listed(gone)}, which is not there in full, taken out")
     new = [each for each in found if not each.listed]
     if new:
         place = next_episode_file(done.root)
         rows = [episode_row(done.root, each, layout.features, tasks, place) for each in new]
         write_episode_rows(done.root, rows, place, layout.table.slice(0, 0) if kept else pa.table({}))
-        done.mended.append(f"{place}: metadata of {len(new)} episodes made again from their rows")
+        done.did(f"{place}: metadata of {len(new)} episodes made again from their rows")
 
 
 def _write_totals(done: Repair, layout: Layout, found: list[Found], tasks: Mapping[int, str]) -> None:
@@ -251,7 +264,7 @@ def _write_totals(done: Repair, layout: Layout, found: list[Found], tasks: Mappi
     if told != (len(found), rows, len(tasks)):
         done.keep(INFO, move=False)
         write_info(done.root, layout.info, len(found), rows, len(tasks))
-        done.mended.append(f"{INFO}: {len(found)} episodes, {rows} rows, where it said {told[0]} and {told[1]}")
+        done.did(f"{INFO}: {len(found)} episodes, {rows} rows, where it said {told[0]} and {told[1]}")
     report = Report()
     again = read_layout(done.root, Report())
     if again is None:
@@ -261,4 +274,4 @@ def _write_totals(done: Repair, layout: Layout, found: list[Found], tasks: Mappi
     if not report.clean:
         done.keep(STATS, move=False)
         write_statistics(done.root, aggregated(stored, again.picture_keys))
-        done.mended.append(f"{STATS}: computed again from the episodes")
+        done.did(f"{STATS}: computed again from the episodes")
