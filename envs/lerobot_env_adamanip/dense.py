@@ -24,12 +24,11 @@ from lerobot_adamanip.demos.record import EpisodeRequest, ExpertFactory, attempt
 from lerobot_adamanip.errors import ConfigurationError, DatasetError, UnreachableError
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.rotations import pose_vector
+from lerobot_env_adamanip.dense_folder import KEY_FRAMES, ROBOT_TYPE, claimed
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 FPS = 50
 """Control ticks per second: every one is recorded."""
-KEY_FRAMES = "meta/key_frames.jsonl"
-"""One line for each episode: where its key frames ended, and what they were."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -185,8 +184,9 @@ def collect_dense(
 
     Raises:
         ConfigurationError: LeRobot is not one whose recordings outlive a kill.
-        DatasetError: an expert did not succeed.
+        DatasetError: an expert did not succeed, or there is something else at ``root``.
     """
+    root = claimed(root, spec)
     items, dataset, watches = spec.items(), _opened(root), _Watches(spec)
     try:
         for number in range(dataset.meta.total_episodes, len(items)):
@@ -237,7 +237,7 @@ def _opened(root: Path) -> Any:
         schema.STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},
         schema.ACTION: {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
     }
-    return LeRobotDataset.create(f"local/{root.name}", FPS, features, root=root, robot_type="adamanip_dense")
+    return LeRobotDataset.create(f"local/{root.name}", FPS, features, root=root, robot_type=ROBOT_TYPE)
 
 
 def _save(dataset: Any, episode: DenseEpisode, known: KnownKeyFrames, number: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,14 @@ from lerobot_adamanip.demos.crew import Crews, open_crews
 from lerobot_adamanip.demos.loading import read_back
 from lerobot_adamanip.demos.manifest import Manifest
 from lerobot_adamanip.demos.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
-from lerobot_adamanip.demos.output_folder import COLLECTING, lock_output, lock_path, owned_output, resolve_output
+from lerobot_adamanip.demos.output_folder import (
+    COLLECTING,
+    OutputFolder,
+    lock_output,
+    lock_path,
+    owned_output,
+    resolve_output,
+)
 from lerobot_adamanip.demos.partial import is_own_partial, prepare_partial, require_finished
 from lerobot_adamanip.demos.parts import Part, adopt, belongs, failed_attempts, given_up
 from lerobot_adamanip.demos.record import Factories, RecordingJob
@@ -97,24 +104,16 @@ def collect(
         WorkerError: if a worker failed for good.
     """
     begin = time.monotonic()
-    if options.cluster is not None:
-        require_usable(options.cluster, insecure=options.insecure_cluster)
+    _require_cluster(options)
     paths = CollectionPaths(resolve_output(root))
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
         # Nothing is written: it may be read-only.
         require_finished(paths.root, Manifest.of(spec, _fingerprint(spec, factories)))
         return summarize(paths.root, spec, [], begin=begin)
-    with contextlib.ExitStack() as stack:
-        output = stack.enter_context(owned_output(paths.root, COLLECTING))
-        if spec.keep_failed:
-            stack.enter_context(lock_output(paths.failed))
-        if not paths.manifest.exists():
-            output.require_free()
-            output.require_room(_least_bytes(spec))
+    with _claimed(paths, spec) as output:
         manifest = Manifest.of(spec, _fingerprint(spec, factories))
         if _is_complete(paths, manifest):
-            if is_own_partial(paths, manifest):
-                output.discard()
+            _discard_own(output, paths, manifest)
             return summarize(paths.root, spec, [], begin=begin)
         prepare_partial(paths, manifest)
         job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
@@ -122,6 +121,11 @@ def collect(
         if options.part is None:
             output.discard()
     return summary
+
+
+def _require_cluster(options: CollectOptions) -> None:
+    if options.cluster is not None:
+        require_usable(options.cluster, insecure=options.insecure_cluster)
 
 
 def _collected(
@@ -153,6 +157,22 @@ def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
         return dict(env.fingerprint())
     finally:
         env.close()
+
+
+@contextlib.contextmanager
+def _claimed(paths: CollectionPaths, spec: CollectionSpec) -> Iterator[OutputFolder]:
+    """Locks the output folders; where no dataset is yet, one can be put there."""
+    failed = lock_output(paths.failed) if spec.keep_failed else contextlib.nullcontext()
+    with owned_output(paths.root, COLLECTING) as output, failed:
+        if not paths.manifest.exists():
+            output.require_free()
+            output.require_room(_least_bytes(spec))
+        yield output
+
+
+def _discard_own(output: OutputFolder, paths: CollectionPaths, manifest: Manifest) -> None:
+    if is_own_partial(paths, manifest):
+        output.discard()
 
 
 def _is_complete(paths: CollectionPaths, manifest: Manifest) -> bool:

@@ -78,7 +78,7 @@ def episode_records(root: str | Path) -> list[dict[str, Any]]:
 
 def missing_dataset(folder: Path) -> DatasetError:
     """Returns the error for a folder without a dataset: a collection may be under way beside it."""
-    partial = CollectionPaths(folder)
+    partial = CollectionPaths(folder.resolve())
     if partial.partial.is_dir():
         done = len(list(partial.episodes.glob("*.safetensors")))
         return DatasetError(

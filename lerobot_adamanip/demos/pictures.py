@@ -99,31 +99,39 @@ def add_pictures(
     """
     require_repo_id(repo_id)
     with owned_output(out, RENDERING) as output:
-        root, manifest_file = resolve_output(root), output.work / MANIFEST
-        if not manifest_file.exists():
+        if not (output.work / MANIFEST).exists():
             output.require_free()
-        stored = _read(root, assets)
-        output.require_room(2 * files.tree_bytes(root))
+        stored = _read(resolve_output(root), assets)
+        output.require_room(2 * files.tree_bytes(stored.source.root))
         manifest = _pictured(stored, make_env)
         _require_same_work(output, manifest, stored)
-        if not is_free(output.root):  # an earlier run was interrupted after it had moved the dataset there
+        if is_free(output.root):
+            shards = _rendered(_prepared(output, manifest, stored), stored, manifest, make_env, progress)
+            attempts = read_attempts(attempts_path(stored.source.root))
+            contents = Contents(manifest, shards, attempts, repo_id or f"local/{output.root.name}")
+            output.publish(_assembled(output, stored, contents, functools.partial(progress, "assemble")))
+        else:  # an earlier run was interrupted after it had moved the dataset there
             _require_finished_copy(output.root, manifest, len(stored.episodes))
             output.discard()
-            return len(stored.episodes)
-        output.require_free()
-        write_manifest(manifest_file, manifest)
-        files.write_atomically(output.work / SOURCE, stored.identity.encode())
-        (output.work / "episodes").mkdir(exist_ok=True)
-        files.remove_temporaries(output.work / "episodes")
-        shards = _rendered(output.work / "episodes", stored, manifest, make_env, progress)
-        name = output.root.name
-        contents = Contents(manifest, shards, read_attempts(attempts_path(root)), repo_id or f"local/{name}")
-        told = functools.partial(progress, "assemble")
-        built = assemble(output.fresh("dataset"), name, contents, told)
-        if selection_path(root).exists():
-            files.write_atomically(selection_path(built), selection_path(root).read_bytes())
-        output.publish(built)
-    return len(shards)
+    return len(stored.episodes)
+
+
+def _prepared(output: OutputFolder, manifest: Manifest, stored: _Stored) -> Path:
+    """Notes in the work folder what is made there; returns its folder of episodes."""
+    output.require_free()
+    write_manifest(output.work / MANIFEST, manifest)
+    files.write_atomically(output.work / SOURCE, stored.identity.encode())
+    folder = output.work / "episodes"
+    folder.mkdir(exist_ok=True)
+    files.remove_temporaries(folder)
+    return folder
+
+
+def _assembled(output: OutputFolder, stored: _Stored, contents: Contents, progress: Callable[[int, int], None]) -> Path:
+    built = assemble(output.fresh("dataset"), output.root.name, contents, progress)
+    if (selection := selection_path(stored.source.root)).exists():
+        files.write_atomically(selection_path(built), selection.read_bytes())
+    return built
 
 
 def _rendered(

@@ -191,7 +191,7 @@ def test_only_one_collection_at_a_time(tmp_path: Path, refuses: Refuses) -> None
     try:
         wait_for(CollectionPaths(root).partial_manifest.exists)
         message = refuses(DatasetError, lambda: collect(root, make_spec(), fakes()))
-        assert "Another collection" in message
+        assert "Another command" in message
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()

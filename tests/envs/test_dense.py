@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from lerobot_adamanip.demos.collection import CollectionSpec
 from lerobot_adamanip.demos.dense.choose import choose_key_frames
 from lerobot_adamanip.demos.dense.score import score
 from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
+from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.options import EnvironmentOptions
@@ -55,3 +57,7 @@ def test_a_dense_collection_is_a_recording_that_goes_on(tmp_path: Path) -> None:
     assert [line["success"] for line in lines] == [True]
     assert check(root).findings == ()
     assert collect_dense(root, spec(), make_expert, max_attempts=5) == 1  # nothing is left to do
+    before = (root / KEY_FRAMES).read_bytes()
+    with pytest.raises(DatasetError, match="something else at the root"):
+        collect_dense(root, replace(spec(), seed=1, episodes_per_object=2), make_expert, max_attempts=5)
+    assert (root / KEY_FRAMES).read_bytes() == before
