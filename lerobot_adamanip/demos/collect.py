@@ -89,7 +89,7 @@ def collect(
 ) -> CollectSummary:
     """Records the episodes that ``root`` still lacks and makes a LeRobotDataset of them all.
 
-    Neither workers nor interruptions change the data. A complete dataset is left as it is. Until it is complete,
+    Neither workers nor interruptions change the data. A complete one is left as it is, and may be read-only; until then
     episodes are kept in ``<root>.partial``; nothing there is removed before the dataset is synced and read back.
 
     Args:
@@ -107,13 +107,11 @@ def collect(
     _require_cluster(options)
     paths = CollectionPaths(resolve_output(root))
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
-        # Nothing is written: it may be read-only.
         require_finished(paths.root, Manifest.of(spec, _fingerprint(spec, factories)))
         return summarize(paths.root, spec, [], begin=begin)
     with _claimed(paths, spec) as output:
         manifest = Manifest.of(spec, _fingerprint(spec, factories))
-        if _is_complete(paths, manifest):
-            _discard_own(output, paths, manifest)
+        if _is_complete(output, paths, manifest):
             return summarize(paths.root, spec, [], begin=begin)
         prepare_partial(paths, manifest)
         job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
@@ -170,18 +168,18 @@ def _claimed(paths: CollectionPaths, spec: CollectionSpec) -> Iterator[OutputFol
         yield output
 
 
-def _discard_own(output: OutputFolder, paths: CollectionPaths, manifest: Manifest) -> None:
-    if is_own_partial(paths, manifest):
-        output.discard()
+def _is_complete(output: OutputFolder, paths: CollectionPaths, manifest: Manifest) -> bool:
+    """Returns whether the dataset is there.
 
-
-def _is_complete(paths: CollectionPaths, manifest: Manifest) -> bool:
-    """Returns whether the dataset is there: read back once more, if episode files are still beside it."""
+    Where its episode files are still beside it, it is read back once more before they are removed.
+    """
     if not paths.manifest.exists():
         return False
     require_finished(paths.root, manifest)
     if paths.episodes.is_dir():
         read_back(paths.root)
+    if is_own_partial(paths, manifest):
+        output.discard()
     return True
 
 

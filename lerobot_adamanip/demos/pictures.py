@@ -83,7 +83,7 @@ def add_pictures(
 ) -> int:
     """Writes a copy of a dataset with the column of images; returns its number of episodes.
 
-    Each finished episode is safe on disk, in ``<out>.rendering``: the same call goes on where another was interrupted.
+    Finished episodes are kept in ``<out>.rendering``: the same call goes on where another was interrupted.
 
     Args:
         root: of a dataset collected without images.
@@ -102,23 +102,21 @@ def add_pictures(
         if not (output.work / MANIFEST).exists():
             output.require_free()
         stored = _read(resolve_output(root), assets)
-        output.require_room(2 * files.tree_bytes(stored.source.root))
-        manifest = _pictured(stored, make_env)
-        _require_same_work(output, manifest, stored)
+        _require_same_work(output, manifest := _pictured(stored, make_env), stored)
         if is_free(output.root):
             shards = _rendered(_prepared(output, manifest, stored), stored, manifest, make_env, progress)
-            attempts = read_attempts(attempts_path(stored.source.root))
-            contents = Contents(manifest, shards, attempts, repo_id or f"local/{output.root.name}")
+            tried = read_attempts(attempts_path(stored.source.root))
+            contents = Contents(manifest, shards, tried, repo_id or f"local/{output.root.name}")
             output.publish(_assembled(output, stored, contents, functools.partial(progress, "assemble")))
-        else:  # an earlier run was interrupted after it had moved the dataset there
-            _require_finished_copy(output.root, manifest, len(stored.episodes))
-            output.discard()
+        else:
+            _finish(output, manifest, len(stored.episodes))
     return len(stored.episodes)
 
 
 def _prepared(output: OutputFolder, manifest: Manifest, stored: _Stored) -> Path:
     """Notes in the work folder what is made there; returns its folder of episodes."""
     output.require_free()
+    output.require_room(2 * files.tree_bytes(stored.source.root))
     write_manifest(output.work / MANIFEST, manifest)
     files.write_atomically(output.work / SOURCE, stored.identity.encode())
     folder = output.work / "episodes"
@@ -188,7 +186,9 @@ def _require_same_work(output: OutputFolder, manifest: Manifest, stored: _Stored
         )
 
 
-def _require_finished_copy(root: Path, manifest: Manifest, episodes: int) -> None:
+def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
+    """Cleans up after a run that was interrupted when it had moved the dataset into place."""
+    root = output.root
     require_same(read_manifest(manifest_path(root), manifest.spec.environment.assets), manifest, root)
     read_back(root)
     if load_check(root)["total_episodes"] != episodes or selection_path(root).exists():
@@ -198,6 +198,7 @@ def _require_finished_copy(root: Path, manifest: Manifest, episodes: int) -> Non
             allowed=f"a folder that does not exist, or the {episodes} episodes with pictures",
             hint="another --out",
         )
+    output.discard()
 
 
 def _read(root: Path, assets: str | Path | None) -> _Stored:
