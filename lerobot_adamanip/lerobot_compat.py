@@ -67,7 +67,7 @@ def apply() -> bool:
         return False
     from lerobot.datasets import lerobot_dataset
 
-    from lerobot_adamanip import lerobot_batches, lerobot_offline
+    from lerobot_adamanip import lerobot_batches, lerobot_offline, lerobot_streaming
     from lerobot_adamanip.lerobot_reader import FastDatasetReader
 
     stock = lerobot_dataset.DatasetReader
@@ -83,6 +83,7 @@ def apply() -> bool:
     lerobot_dataset.DatasetReader = make_reader
     lerobot_batches.register()
     lerobot_offline.register(is_ours)
+    lerobot_streaming.register(is_ours)
     return True
 
 

@@ -14,6 +14,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+import tyro
+
 from lerobot_adamanip import schema
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.external import select_placeable
@@ -42,8 +44,8 @@ class Collect:
     seed gives one dataset, whatever the number of workers and of interruptions.
     """
 
-    root: Path
-    """Folder of the dataset. Until it is complete, episodes wait in ROOT.partial."""
+    root: tyro.conf.Positional[Path]
+    """Folder of the dataset; `--root DIR` means the same. Until it is complete, episodes wait in ROOT.partial."""
 
     category: str = "safe"
     """Which kind of object; all for one dataset of every category."""

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol, cast
 
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
+from lerobot_adamanip.cli.folder_argument import folder_first
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError
 from lerobot_adamanip.jobs import preload
 
@@ -143,8 +144,8 @@ def execute(name: str, options: Sequence[str]) -> int:
     command = load(name)
     import tyro
 
-    config = (tyro.conf.FlagCreatePairsOff,)
-    chosen = tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=options, config=config)
+    config, words = (tyro.conf.FlagCreatePairsOff,), folder_first(command, options)
+    chosen = tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=words, config=config)
     try:
         return chosen.run()
     except ModuleNotFoundError as error:

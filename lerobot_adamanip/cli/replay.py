@@ -9,6 +9,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import tyro
+
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.demos.replay import ReplayResult, replay
 
@@ -20,8 +22,8 @@ class Replay:
     Exit status 0 if the same happened again, 1 if not. Says which part of the code has changed since.
     """
 
-    root: Path
-    """Folder of a dataset that `adamanip collect` wrote."""
+    root: tyro.conf.Positional[Path]
+    """Folder of a dataset that `adamanip collect` wrote. `--root DIR` means the same."""
 
     episode: int = 0
     """Index of the episode."""

@@ -65,11 +65,10 @@ def _print(found: Contents) -> None:
 
 
 def _cells(found: GroupContents) -> Iterator[str]:
-    count = max(1, found.episodes)
     yield str(found.episodes)
-    yield f"{found.key_frames}, {found.key_frames / count:.1f} each"
-    yield f"{found.tries}, {found.tries / count:.2f} each"
-    yield f"{found.failed_tries}, {found.failed_tries / count:.2f} each"
+    yield f"{found.key_frames}, {found.key_frames / max(1, found.episodes):.1f} each"
+    for tries in (found.tries, found.failed_tries):
+        yield f"{tries}, {tries / found.labelled:.2f} each" if found.labelled else "-"
     yield "-" if not found.recovered.episodes else f"{found.recovered.count}/{found.recovered.episodes}"
     yield percent(found.success)
 
@@ -78,7 +77,10 @@ def _lines(found: Contents) -> Iterator[str]:
     lengths = found.length_summary()
     told = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
     yield f"Key frames of an episode: {told}"
-    yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in found.failures.items())}"
+    if found.failures:
+        yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in found.failures.items())}"
+    if unlabelled := found.overall.episodes - found.overall.labelled:
+        yield f"Recorded on a robot, so without labels of tries: {unlabelled} episodes"
     yield f"Objects: {found.objects}. Late starts: {found.late}. Rows: {found.rows}. Size: {found.bytes / 1e6:.1f} MB"
     if found.recovery is not None:
         yield f"After a try that failed, the same again: {percent(found.recovery.repeated)}"

@@ -18,7 +18,8 @@ from lerobot_adamanip.errors import ConfigurationError
 class View:
     """Shows an episode in rerun: cloud, tool path, goals, tries, phases, effort, pictures if there are any.
 
-    Opens rerun's viewer, unless a file is to be written or --web is given. The viewer comes with lerobot[viz].
+    Opens rerun's viewer, unless a file is to be written or --web is given. The viewer comes with lerobot[viz]. On a
+    machine without a display, use --image, --save or --web.
     """
 
     root: tyro.conf.Positional[Path]
@@ -44,6 +45,10 @@ class View:
         if self.save is not None and self.save.suffix.lower() != ".rrd":
             raise ConfigurationError("Unknown kind of recording.", got=self.save, allowed=".rrd", hint="--save x.rrd")
         watched = self.image is None or self.save is not None or self.web
+        if watched and self.save is None and not self.web:
+            from lerobot_adamanip.demos.view import viewer
+
+            viewer.require_display()
         with contextlib.redirect_stdout(sys.stderr):
             episode = read_episode(self.root, self.episode, images=watched)
         print(episode.title)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +13,10 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.checked_json import parse, read
-from lerobot_adamanip.demos.collection import CollectionPaths
+from lerobot_adamanip.demos.collection import CollectionPaths, manifest_path
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, is_dense
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
@@ -25,12 +28,13 @@ _KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 _DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
 
-def load_check(root: str | Path, *, num_points: int | None = None) -> dict[str, Any]:
+def load_check(root: str | Path, *, num_points: int | None = None, recordings: bool = False) -> dict[str, Any]:
     """Checks a dataset without decoding it, and returns its ``meta/info.json``.
 
     Args:
         root: folder of a LeRobotDataset.
         num_points: points per cloud it has to have; any number if None.
+        recordings: whether a robot's recording will do, whose rows are ticks and have no cloud.
 
     Raises:
         DatasetError: if it is missing, half written (no metadata, no Parquet footer, rows or videos missing), or lacks
@@ -41,7 +45,10 @@ def load_check(root: str | Path, *, num_points: int | None = None) -> dict[str, 
         raise missing_dataset(folder)
     info = _info(folder)
     _check_rows(folder, info)
-    _check_features(folder, info, num_points)
+    if not is_dense(info["features"]):
+        _check_features(folder, info, num_points)
+    elif not recordings:
+        raise _recording(folder, info["features"])
     return info
 
 
@@ -91,7 +98,43 @@ def missing_dataset(folder: Path) -> DatasetError:
         "There is no dataset.",
         got=folder,
         allowed="a folder that `adamanip collect` wrote",
-        hint=f"adamanip collect --category safe --root {folder.name}",
+        hint=f"adamanip collect --category safe --root {as_typed(folder)}",
+    )
+
+
+def as_typed(folder: Path) -> str:
+    """Returns a folder's path as a user types it here: relative where it lies below the working directory."""
+    here = Path.cwd()
+    return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
+
+
+def workspace_of(root: Path, features: dict[str, Any]) -> Workspace:
+    """Returns the box of a dataset's clouds: its collection's, or what the column's description says, or the default.
+
+    Args:
+        root: of the dataset.
+        features: as its ``meta/info.json`` has them.
+    """
+    told: Any = (features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("workspace")
+    if manifest_path(root).exists():
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # `read_manifest` says what is wrong
+            told = read(manifest_path(root))["collection"]["environment"]["workspace"]
+    try:
+        return DEFAULT_WORKSPACE if told is None else Workspace(tuple(told["lower"]), tuple(told["upper"]))
+    except (KeyError, TypeError, ValueError):
+        return DEFAULT_WORKSPACE
+
+
+def _recording(folder: Path, features: dict[str, Any]) -> DatasetError:
+    name = as_typed(folder)
+    hint: str = f"adamanip keyframes {name} --out {name}-keyframes"
+    if not any(key.endswith(DEPTH_SUFFIX) for key in features):
+        hint = "adamanip collect without --dense: this recording has no depth to make clouds of"
+    return DatasetError(
+        "This is a recording of ticks, not a dataset of key frames.",
+        got=f"{name}, without {schema.POINT_CLOUD}",
+        allowed="a dataset of `adamanip collect` or `adamanip keyframes`",
+        hint=hint,
     )
 
 
@@ -154,7 +197,7 @@ def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
         DatasetError: if anything is missing, or cannot be read.
     """
     folder = Path(root).absolute()
-    info = load_check(folder)
+    info = load_check(folder, recordings=True)
     try:
         found = [int(row["length"]) for row in episode_table(folder).to_pylist()]
         rows = sum(pq.read_table(path).num_rows for path in (folder / "data").glob("*/*.parquet"))

@@ -12,9 +12,13 @@ from lerobot_adamanip import files
 from lerobot_adamanip.demos.editing.compose import Pieces, Progress, compose
 from lerobot_adamanip.demos.editing.selection import Selection
 from lerobot_adamanip.demos.editing.source import Source
+from lerobot_adamanip.demos.loading import as_typed, load_check, workspace_of
 from lerobot_adamanip.demos.output_folder import WRITING, owned_output
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.hub.endpoint import require_repo_id
+from lerobot_adamanip.pointcloud import Workspace
+from lerobot_adamanip.schema import FRONT_IMAGE
 
 _FINGERPRINT = "fingerprint"
 
@@ -78,6 +82,7 @@ def merge_into(
     """As `merge`, into a folder that does not exist and that nobody else looks at."""
     sources = [Source.open(root) for root in roots]
     _require_equal_features(sources)
+    one_workspace(roots)
     pieces, selection = _in_order(sources)
     compose(folder, pieces, repo_id, selection, progress)
     whole = selection is not None and selection.is_whole
@@ -115,6 +120,7 @@ def _fingerprints(sources: Sequence[Source]) -> tuple[str, ...]:
         for source in sources
         if _FINGERPRINT in source.own_columns.column_names
         for value in source.own_columns[_FINGERPRINT].to_pylist()
+        if value is not None  # a robot's episodes have none
     }
     return tuple(sorted(found))
 
@@ -137,8 +143,33 @@ def _require_equal_features(sources: Sequence[Source]) -> None:
                 "Datasets of different features cannot be one.",
                 got=f"{source.root.name} has {', '.join(differing[:3])} otherwise than {sources[0].root.name}",
                 allowed="the same columns, of the same shapes",
-                hint="the same --num-points, and pictures in all of them or in none",
+                hint=_way_to_equal(differing, sources[0], source),
             )
+
+
+def _way_to_equal(differing: Sequence[str], *pair: Source) -> str:
+    """Returns the command that gives two datasets the same columns."""
+    dense = [is_dense(source.info["features"]) for source in pair]
+    if dense[0] != dense[1]:
+        return f"adamanip keyframes {' '.join(as_typed(source.root) for source in pair)} --out BOTH"
+    bare = [source for source in pair if FRONT_IMAGE not in source.info["features"]]
+    if differing == [FRONT_IMAGE] and len(bare) == 1:
+        name = as_typed(bare[0].root)
+        return f"adamanip render {name} --out {name}-images, then merge that"
+    return "the same --num-points and --image-size, and pictures in all of them or in none"
+
+
+def one_workspace(roots: Sequence[Path]) -> Workspace:
+    """Returns the box of the clouds of all these datasets; raises `DatasetError` if they differ."""
+    found = {root: workspace_of(root, load_check(root, recordings=True)["features"]) for root in roots}
+    if len(set(found.values())) > 1:
+        raise DatasetError(
+            "The clouds of these datasets have different workspaces.",
+            got="; ".join(f"{root.name}: {box}" for root, box in found.items()),
+            allowed="one workspace for all",
+            hint="leave one of them out",
+        )
+    return found[roots[0]]
 
 
 def _features(info: dict[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.checked_json import flag, integer, optional, parse, text
 from lerobot_adamanip.demos.collection import manifest_path
 from lerobot_adamanip.demos.late_starts import read_start
-from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
+from lerobot_adamanip.demos.loading import as_typed, episode_table, load_check, open_dataset
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, asset_hash, differing_parts, read_manifest
 from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.demos.video import write_video
@@ -98,6 +98,7 @@ def replay(
         ConfigurationError: if it has no such episode.
     """
     load_check(root)
+    _require_collected(Path(root))
     manifest = read_manifest(manifest_path(Path(root)), assets)
     recording = _read(Path(root), episode, manifest)
     if assets is not None:
@@ -111,6 +112,25 @@ def replay(
     if video is not None:
         _write_side_by_side(video, recording, pictures)
     return _compared(episode, recording, seen, success, changed)
+
+
+def _require_collected(root: Path) -> None:
+    """Raises `DatasetError` for a dataset that does not say how its scenes were made."""
+    if manifest_path(root).exists():
+        return
+    columns = episode_table(root)
+    told = columns["recorded"].to_pylist() if "recorded" in columns.column_names else [None]
+    of_robot = all(each is not None for each in told)
+    raise DatasetError(
+        "These episodes were recorded on a robot: there is no scene to replay them in."
+        if of_robot
+        else "This dataset is put together of several, and does not say how each was collected.",
+        got=f"{as_typed(root.absolute())}, without meta/collection.json",
+        allowed="a dataset of `adamanip collect`, or a part of one",
+        hint=f"adamanip view {as_typed(root.absolute())}"
+        if of_robot
+        else "adamanip replay with one of the datasets that were merged",
+    )
 
 
 def _compared(

@@ -31,6 +31,8 @@ CALIBRATIONS = "meta/calibrations.json"
 """Of a recording: where its cameras stood, `lerobot_adamanip.hardware.calibration.file`."""
 SAFETY = "meta/safety.json"
 """Of a recording: the limits of its robot's safety filter, `lerobot_adamanip.hardware.safety_limits`."""
+KEY_FRAMES = "meta/key_frames.jsonl"
+"""Of a simulated recording: one line for each episode, where its key frames ended and what they were."""
 
 
 def names_of(feature: Mapping[str, Any] | None) -> list[str]:

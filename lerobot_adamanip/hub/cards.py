@@ -14,7 +14,7 @@ from lerobot_adamanip.errors import ConfigurationError, DatasetError
 
 LICENSE = "apache-2.0"
 TAGS = ("LeRobot", "lerobot_env_adamanip", "adamanip", "point-cloud", "articulated-objects", "simulation")
-TEMPLATES = ("dataset_card.md", "model_card.md", "environment_card.md", "citation.md", "env.py")
+TEMPLATES = ("dataset_card.md", "recorded_card.md", "model_card.md", "environment_card.md", "citation.md", "env.py")
 LICENSES = {
     "afl-3.0", "agpl-3.0", "apache-2.0", "artistic-2.0", "bigcode-openrail-m", "bigscience-bloom-rail-1.0",
     "bigscience-openrail-m", "bsd", "bsd-2-clause", "bsd-3-clause", "bsd-3-clause-clear", "bsl-1.0", "c-uda", "cc",

@@ -20,11 +20,14 @@ from lerobot_adamanip.demos.collection import manifest_path
 from lerobot_adamanip.demos.editing.selection import selection_path
 from lerobot_adamanip.demos.loading import episode_table, load_check
 from lerobot_adamanip.errors import AdaManipError, DatasetError
-from lerobot_adamanip.evaluation.groups import Group, group_records, groups_of, hidden_boundaries, worth_showing
+from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.evaluation.recovery import Recovery, recovery
 from lerobot_adamanip.seeds import split_of
+
+RECORDED = Group("source", "recorded on a robot")
+"""Episodes of a mix that tell no object of ours."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ class GroupContents:
 
     Attributes:
         episodes: how many.
+        labelled: of those, how many tell their tries; a robot's episodes do not.
         key_frames: in all; an episode's last row, the final observation, is none.
         tries: at a joint.
         failed_tries: of those.
@@ -41,6 +45,7 @@ class GroupContents:
     """
 
     episodes: int
+    labelled: int
     key_frames: int
     tries: int
     failed_tries: int
@@ -74,7 +79,7 @@ class Contents:
         bytes: of all files.
         late: episodes that start late.
         lengths: key frames of an episode -> episodes.
-        failures: failed tries of an episode -> episodes.
+        failures: failed tries of an episode -> episodes, of those that tell their tries.
         groups: all episodes first, then by category, split of objects, and hidden value.
         recovery: what follows a try that failed; None where no episode tells its tries in order.
         attempts: that were made for it; None if it does not say, as merged datasets and parts of others do not.
@@ -117,9 +122,8 @@ def contents(root: str | Path) -> Contents:
     folder = Path(root).absolute()
     info = load_check(folder)
     rows = episode_table(folder).to_pylist()
-    counted = None if "tries" in rows[0] else _counted(folder, info["features"])
     try:
-        facts = [row if counted is None else {**row, **counted[row["episode_index"]]} for row in rows]
+        facts = _with_counts(rows, folder, info["features"])
         records = [_record(row) for row in facts]
         attempts = _attempts(folder)
     except (OSError, ValueError, KeyError, TypeError, AdaManipError) as error:
@@ -137,7 +141,7 @@ def contents(root: str | Path) -> Contents:
         bytes=files.tree_bytes(folder),
         late=sum(bool(row.get("late")) for row in rows),
         lengths=_tally(int(row["length"]) - 1 for row in rows),
-        failures=_tally(int(row["failed_tries"]) for row in facts),
+        failures=_tally(int(row["failed_tries"]) for row in facts if _is_labelled(row)),
         groups=_groups(facts, records),
         recovery=recovery(told) if told else None,
         attempts=attempts,
@@ -149,23 +153,32 @@ def _tally(values: Iterable[int]) -> dict[int, int]:
 
 
 def _groups(rows: Sequence[Mapping[str, Any]], records: Sequence[EpisodeRecord]) -> dict[Group, GroupContents]:
-    """Counts by group; of a dataset that does not tell its objects, all episodes alone."""
-    boundaries = hidden_boundaries(records)
-    ordered = group_records(records, boundaries)
-    shown = worth_showing(ordered) if all(record.object_id for record in records) else list(ordered)[:1]
+    """Counts all episodes, then by group those that tell their object, and then a robot's, which do not."""
+    known = [record for record in records if record.object_id]
+    boundaries = hidden_boundaries(known)
     # All seeds of demonstrations are of one split of scenes.
-    found: dict[Group, list[Mapping[str, Any]]] = {group: [] for group in shown if group.by != "scenes"}
+    shown = [group for group in worth_showing(group_records(known, boundaries)) if group.by not in ("all", "scenes")]
+    found: dict[Group, list[Mapping[str, Any]]] = {ALL: list(rows), **{group: [] for group in shown}}
     for row, record in zip(rows, records, strict=True):
-        for group in groups_of(record, boundaries):
-            if group in found:
+        own = groups_of(record, boundaries) if record.object_id else [RECORDED] if known else []
+        for group in own:
+            if group == RECORDED:
+                found.setdefault(RECORDED, []).append(row)
+            elif group in shown:
                 found[group].append(row)
     return {group: _count(mine) for group, mine in found.items()}
+
+
+def _is_labelled(row: Mapping[str, Any]) -> bool:
+    """Whether an episode tells its tries: nobody has labelled those that a robot recorded."""
+    return row.get("recorded") is None
 
 
 def _count(rows: Sequence[Mapping[str, Any]]) -> GroupContents:
     failing = [row for row in rows if row["failed_tries"] > 0]
     return GroupContents(
         episodes=len(rows),
+        labelled=sum(map(_is_labelled, rows)),
         key_frames=sum(int(row["length"]) - 1 for row in rows),
         tries=sum(int(row["tries"]) for row in rows),
         failed_tries=sum(int(row["failed_tries"]) for row in rows),
@@ -202,6 +215,18 @@ def _sequence(row: Mapping[str, Any]) -> tuple[tuple[int, int, bool], ...]:
         return EpisodeRecord.from_json(parse(row.get("episode_record") or "null")).try_sequence
     except ValueError:
         return ()
+
+
+def _with_counts(
+    rows: Sequence[Mapping[str, Any]], folder: Path, features: Mapping[str, Any]
+) -> list[Mapping[str, Any]]:
+    """Returns the columns of episodes; ``tries``, ``failed_tries``, ``success`` that are unknown come from the rows."""
+    names = ("tries", "failed_tries", "success")
+    if all(row.get(name) is not None for row in rows for name in names):
+        return list(rows)
+    counted = _counted(folder, features)
+    known = ({name: value for name, value in row.items() if value is not None or name not in names} for row in rows)
+    return [{**counted[row["episode_index"]], **row} for row in known]
 
 
 def _counted(folder: Path, features: Mapping[str, Any]) -> dict[int, dict[str, Any]]:

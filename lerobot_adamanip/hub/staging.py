@@ -15,6 +15,7 @@ from lerobot_adamanip import checked_json
 from lerobot_adamanip.categories import ALL
 from lerobot_adamanip.demos.card import read_dataset_card
 from lerobot_adamanip.demos.loading import load_check
+from lerobot_adamanip.demos.recorded_card import has_recorded_episodes, recorded_card
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.cards import check_card
@@ -113,7 +114,10 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
             "This dataset names no version of LeRobot's format.", got=version[:40], allowed="v3.0", hint=str(root)
         )
     _link(root, (file for file in _file_names(root) if file.startswith(_DATASET) and "/." not in file), into)
-    card = read_dataset_card(root, name, repo_id, assets)
+    if has_recorded_episodes(root):
+        card = recorded_card(root, name, repo_id)
+    else:
+        card = read_dataset_card(root, name, repo_id, assets)
     return _finished(Staged("dataset", repo_id, into, _DATASET, version), card, root)
 
 

@@ -40,7 +40,7 @@ def keep_inputs(config: PreTrainedConfig, wanted: Sequence[str], num_points: int
             f"{config.type} misses an input.",
             got=", ".join(inputs) or "no inputs",
             allowed=f"a dataset with {', '.join(wanted)}",
-            hint="adamanip collect, or another --policy.type",
+            hint="adamanip collect; of a robot's recording, adamanip keyframes RECORDING --out DATASET",
         )
     cloud = tuple(inputs[POINT_CLOUD].shape)
     if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < num_points:

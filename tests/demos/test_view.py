@@ -13,6 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
@@ -216,3 +217,32 @@ def test_a_missing_viewer_says_what_to_install(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ConfigurationError, match="--image"):
         viewer.spawn(safe)
+
+
+def test_without_a_display_the_ways_to_look_are_named_before_anything_is_loaded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert main(["view", str(tmp_path / "none")]) == 2
+    told = capsys.readouterr().err
+    assert told.count("error: ") == 1
+    assert "no dataset" not in told
+    assert all(option in told for option in ("--image", "--save", "--web"))
+
+
+def test_what_nobody_has_labelled_is_not_shown_as_a_label(safe: ViewedEpisode, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(SAFE, tmp_path / "unlabelled"))
+    (path,) = (root / "data").rglob("*.parquet")
+    table = pq.read_table(path)
+    for name in (schema.PHASE, schema.OUTCOME, schema.TRIED):
+        at = table.schema.get_field_index(name)
+        table = table.set_column(at, table.schema.field(at), pa.array([-1] * len(table), table.schema.field(at).type))
+    pq.write_table(table, path)
+    found = read_episode(root, 0)
+    assert set(found.phases) == set(found.outcomes) == {None}
+    assert found.title.endswith("success")
+    shown = drawn(draw(found))
+    assert "phases" not in shown
+    assert "not labelled" in str(shown["phase"])
+    assert "phases" in drawn(draw(safe))

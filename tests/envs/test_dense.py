@@ -19,7 +19,7 @@ from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_env_adamanip.dense import FPS, KEY_FRAMES, TickWatch, collect_dense, dense_episode
+from lerobot_env_adamanip.dense import FPS, TickWatch, collect_dense, dense_episode
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 pytestmark = pytest.mark.sim

@@ -28,7 +28,7 @@ from lerobot_adamanip.demos.dense.rows import (
     demonstration_columns,
 )
 from lerobot_adamanip.demos.loading import load_check, read_back, read_info
-from lerobot_adamanip.demos.merge import merge_into
+from lerobot_adamanip.demos.merge import merge_into, one_workspace
 from lerobot_adamanip.demos.output_folder import CONVERTING, owned_output
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.demos.statistics import sort_statistics
@@ -132,7 +132,7 @@ def _recordings(sources: Sequence[Path], simulated: Sequence[Path], options: Con
         "There is no dense recording.",
         got=", ".join(each.name for each in sources) or "nothing",
         allowed="one or more of `lerobot-record`",
-        hint="adamanip merge, for datasets of key frames alone",
+        hint="use a dataset of key frames as it is; adamanip merge puts several together",
     )
 
 
@@ -147,10 +147,19 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
     """Columns like those of the simulated datasets, if there are any."""
     if not simulated:
         return options
+    box = one_workspace(simulated)
+    if options.rows.workspace not in (box, DEFAULT_WORKSPACE):
+        raise ConfigurationError(
+            "The clouds of a mix need one workspace.",
+            got=f"{options.rows.workspace}",
+            allowed=f"{box}, as in {simulated[0].name}",
+            hint="leave out --workspace-lower and --workspace-upper",
+        )
     features = load_check(simulated[0])["features"]
     image = features.get(schema.FRONT_IMAGE)
     rows = replace(
         options.rows,
+        workspace=box,
         num_points=int(features[schema.POINT_CLOUD]["shape"][0]),
         image_size=None if image is None else int(image["shape"][0]),
     )

@@ -74,7 +74,10 @@ class DenseRecording:
         depth = f"{_IMAGES}{camera}{DEPTH_SUFFIX}"
         if depth not in info["features"]:
             pictures = [key for key in info["features"] if key.startswith(_IMAGES)]
-            raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a camera that told depth")
+            hint = "--camera with a camera that told depth"
+            if not pictures:
+                hint = "adamanip collect without --dense, or lerobot-record with a camera that tells depth"
+            raise _unusable(folder, f"pictures {pictures}", depth, hint)
         return cls(folder, info, camera)
 
     @property

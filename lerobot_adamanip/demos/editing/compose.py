@@ -19,12 +19,15 @@ from lerobot_adamanip.checked_json import parse
 from lerobot_adamanip.demos.append import append_rows
 from lerobot_adamanip.demos.assemble import cameras_json
 from lerobot_adamanip.demos.editing.cutting import cut_episode
+from lerobot_adamanip.demos.editing.recordings import describe_recording, require_same_calibrations
 from lerobot_adamanip.demos.editing.selection import Selection, write_selection
 from lerobot_adamanip.demos.editing.source import Rows, Source
-from lerobot_adamanip.demos.loading import read_back
+from lerobot_adamanip.demos.loading import read_back, workspace_of
 from lerobot_adamanip.demos.prepare import is_tested
 from lerobot_adamanip.demos.statistics import sort_statistics
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.schema import POINT_CLOUD
 
 Progress = Callable[[int, int], None]
 """Told of episodes done, and all."""
@@ -56,6 +59,7 @@ def compose(
     _require_tested()
     sources = list(dict.fromkeys(source.root for source, _ in pieces))
     of = {source.root: source for source, _ in pieces}
+    require_same_calibrations(list(of.values()))
     dataset = _create(out, [of[root] for root in sources], repo_id)
     schema, rows, lengths = _schema(dataset.meta.features), Rows(), []
     for done, (source, episode) in enumerate(pieces, start=1):
@@ -91,6 +95,7 @@ def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     _write_columns(out, columns)
     if cameras := _cameras(columns):
         files.write_atomically(out / "meta" / "cameras.json", cameras_json(cameras))
+    describe_recording(out, pieces)
     if selection is not None:
         write_selection(out, selection)
         for name in _TOLD_WITH:
@@ -180,6 +185,10 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
             feature["info"] = {
                 name: value for name, value in told[0].items() if all(each.get(name) == value for each in told)
             }
+    box = workspace_of(sources[0].root, sources[0].info["features"])
+    if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest to tell it
+        told = info["features"][POINT_CLOUD].setdefault("info", {})
+        told["workspace"] = {"lower": list(box.lower), "upper": list(box.upper)}
     files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
 
 

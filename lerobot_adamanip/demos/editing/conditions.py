@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -69,7 +70,7 @@ def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
             hint="--where 'failed_tries>=1'",
         )
     column, operation, value = match.groups()
-    kind = _kind(column, facts)
+    kind = _kind(column, operation + value, facts)
     operation = "=" if operation in _EQUAL else operation
     if operation in _ORDERED:
         if kind in (bool, str):
@@ -99,14 +100,26 @@ def choose(conditions: Sequence[str], facts: Sequence[Facts]) -> list[int]:
     return chosen
 
 
-def _kind(column: str, facts: Sequence[Facts]) -> type:
+def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
     kinds = {type(each[column]) for each in facts if each.get(column) is not None}
     if not kinds:
         names = sorted({name for each in facts for name, value in each.items() if value is not None})
+        near = _nearest(column, names)
         raise ConfigurationError(
-            "Episodes have no such column.", got=repr(column), allowed=", ".join(names), hint="--where 'success=true'"
+            "Episodes have no such column.",
+            got=repr(column),
+            allowed=", ".join(names),
+            hint=f"--where '{near}{rest}'" if near else "--where 'success=true'",
         )
     return float if kinds == {int, float} else kinds.pop() if len(kinds) == 1 else str
+
+
+def _nearest(column: str, names: Sequence[str]) -> str | None:
+    """Returns the column that a word stands for: one that begins or ends so, or else looks alike."""
+    word = column.lower()
+    ends = [name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word)]
+    near = ends or difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    return near[0] if near else None
 
 
 def _value(text: str, column: str, kind: type, word: str, facts: Sequence[Facts]) -> Value:

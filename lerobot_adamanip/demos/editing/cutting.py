@@ -33,6 +33,13 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         cut = Path(scratch) / "episode.mp4"
         frames = _copied(path, cut, first, end, fps)
+        if frames is None and (feature.get("info") or {}).get("is_depth_map"):
+            raise DatasetError(
+                "Depth cannot be encoded anew without loss.",
+                got=f"episode {row['episode_index']} begins within a group of frames of {path}",
+                allowed="videos in which each episode begins with a key frame, as `lerobot-record` writes them",
+                hint="the recording of before it was edited",
+            )
         if frames is None:
             frames = _encoded_anew(path, cut, (first, end), fps, feature)
         if frames != row["length"]:

@@ -35,8 +35,12 @@ class Source:
 
     @classmethod
     def open(cls, root: Path) -> Source:
-        """Returns a dataset of ours, checked; raises `DatasetError` if it is missing, half written or another kind."""
-        return cls(root.absolute(), load_check(root))
+        """Returns a dataset of ours, or a robot's recording, checked.
+
+        Raises:
+            DatasetError: it is missing, half written or another kind.
+        """
+        return cls(root.absolute(), load_check(root, recordings=True))
 
     @cached_property
     def episodes(self) -> pa.Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.catalog import is_asset_id, make_object
 from lerobot_adamanip.checked_json import parse
 from lerobot_adamanip.demos.editing.source import Rows, Source
-from lerobot_adamanip.demos.loading import open_dataset
+from lerobot_adamanip.demos.loading import load_check, open_dataset
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.keyframes import Outcome, Phase
 from lerobot_adamanip.mechanisms import make_mechanism
@@ -54,8 +55,8 @@ class ViewedEpisode:
         tools: (T, 10) poses of the tool, as in the contract's action.
         goals: (T - 1, 10) poses it was sent to.
         effort: (T, 7) external joint torque [N m]; empty if it was not recorded.
-        phases: of each key frame.
-        outcomes: of each key frame.
+        phases: of each key frame; None where nobody has labelled it.
+        outcomes: of each key frame; None where it was not recorded.
         tries: in their order.
         seconds: (T,) time of each row [s].
         camera: (4, 4) pose of the camera in the robot's base frame [m], z ahead and y down; None if unknown.
@@ -67,8 +68,8 @@ class ViewedEpisode:
     tools: Array
     goals: Array
     effort: Array
-    phases: tuple[Phase, ...]
-    outcomes: tuple[Outcome, ...]
+    phases: tuple[Phase | None, ...]
+    outcomes: tuple[Outcome | None, ...]
     tries: tuple[Try, ...]
     seconds: Array
     camera: NDArray[np.float64] | None
@@ -79,8 +80,8 @@ class ViewedEpisode:
         """How many actions were sent."""
         return len(self.goals)
 
-    def phase_runs(self) -> Iterator[tuple[Phase, int, int]]:
-        """Yields phases with the first key frame of each and that after its last."""
+    def phase_runs(self) -> Iterator[tuple[Phase | None, int, int]]:
+        """Yields phases, None for unlabelled ones, with the first key frame of each and that after its last."""
         place = 0
         for phase, run in itertools.groupby(self.phases):
             end = place + len(list(run))
@@ -100,14 +101,14 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
         DatasetError: the dataset is missing, half written or damaged.
         ConfigurationError: it has no such episode.
     """
-    source = Source.open(root)
+    source = Source(root.absolute(), load_check(root))
     total = source.info["total_episodes"]
     if not 0 <= number < total:
         raise ConfigurationError("No such episode.", got=number, allowed=f"0 to {total - 1}", hint="--episode 0")
     row = source.row(number)
     table = Rows().of(source, row)
     columns = {name: np.asarray(table[name].to_pylist()) for name in table.column_names if name in _READ}
-    length, label = len(table), _labels(columns, len(table))
+    length = len(table)
     sent = length - 1 if columns.get(schema.DONE, np.zeros(1))[-1] else length
     pictures = _images(root, number) if images and schema.FRONT_IMAGE in source.info["features"] else None
     tries = tuple(_tries(columns, sent, _joint_names(row.get("object_id"))))
@@ -117,8 +118,8 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
         tools=columns[schema.STATE][:, : schema.ACTION_DIM].astype(np.float32),
         goals=columns.get(schema.EXECUTED, columns[schema.ACTION])[:sent].astype(np.float32),
         effort=columns.get(schema.EFFORT, np.zeros((length, 0))).astype(np.float32),
-        phases=tuple(Phase(value) for value in label[schema.PHASE][:sent]),
-        outcomes=tuple(Outcome(value) for value in label[schema.OUTCOME][:sent]),
+        phases=_labels(Phase, columns.get(schema.PHASE), sent),
+        outcomes=_labels(Outcome, columns.get(schema.OUTCOME), sent),
         tries=tries,
         seconds=columns["timestamp"].astype(np.float32),
         camera=_camera(row.get("camera")),
@@ -132,11 +133,14 @@ _READ = (
 )  # fmt: skip
 
 
-def _labels(columns: Mapping[str, NDArray[Any]], length: int) -> dict[str, list[int]]:
-    """Returns phases and outcomes that are known ones, 0 where none were recorded."""
-    known: dict[str, set[int]] = {schema.PHASE: set(map(int, Phase)), schema.OUTCOME: set(map(int, Outcome))}
-    found = {key: columns.get(key, np.zeros(length, int)).astype(int).tolist() for key in known}
-    return {key: [value if value in known[key] else 0 for value in values] for key, values in found.items()}
+def _labels[Label: enum.IntEnum](
+    kind: type[Label], column: NDArray[Any] | None, count: int
+) -> tuple[Label | None, ...]:
+    """Returns the labels of the first rows; None where there is no column, or no label of this kind in it."""
+    if column is None:
+        return (None,) * count
+    known = {int(label): label for label in kind}
+    return tuple(known.get(value) for value in column[:count].astype(int).tolist())
 
 
 def _tries(columns: Mapping[str, NDArray[Any]], sent: int, names: tuple[str, ...]) -> Iterator[Try]:
@@ -180,8 +184,9 @@ def _images(root: Path, number: int) -> NDArray[np.uint8]:
 def _title(number: int, row: Mapping[str, Any], tries: tuple[Try, ...]) -> str:
     failed = sum(each.failed for each in tries)
     success = row.get("success")
-    ended = "" if success is None else "success after " if success else "no success, "
-    told = f"{ended}{failed} failed {'try' if failed == 1 else 'tries'}" if tries else ended.rstrip(", ")
+    ended = "" if success is None else "success" if success else "no success"
+    counted = f"{failed} failed {'try' if failed == 1 else 'tries'}" if tries else ""
+    told = (" after " if success else ", ").join(filter(None, (ended, counted)))
     parts = [f"episode {number}", str(row.get("object_id") or ", ".join(row["tasks"])), _hidden(row), told]
     return " · ".join(part for part in parts if part)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_adamanip.demos.view.episode import ViewedEpisode
-from lerobot_adamanip.keyframes import Outcome, Phase
+from lerobot_adamanip.keyframes import Phase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,15 +22,18 @@ _PHASES = {
 def draw_phases(axes: Axes, episode: ViewedEpisode) -> None:
     """Draws what the expert was doing, and where the arm did not get where it was sent."""
     for phase, first, end in episode.phase_runs():
+        if phase is None:
+            axes.text((first + end) / 2, 0.5, "not labelled", ha="center", va="center", fontsize=8, gid="phase")
+            continue
         axes.axvspan(first, end, color=_PHASES[phase], linewidth=0, gid="phases")
         name = phase.name.lower()
         if end - first >= 0.055 * len(name) * episode.key_frames / 10:
             axes.text((first + end) / 2, 0.5, name, ha="center", va="center", fontsize=8, gid="phase")
     for number, outcome in enumerate(episode.outcomes):
         axes.axvline(number, color="white", linewidth=0.8)
-        if outcome is not Outcome.REACHED:
+        if outcome:  # neither reached nor unknown
             axes.plot([number + 0.5], [0.1], marker="v", color=_STALLED, markersize=5, gid=outcome.name.lower())
-    missed = dict.fromkeys(outcome.name.lower() for outcome in episode.outcomes if outcome is not Outcome.REACHED)
+    missed = dict.fromkeys(outcome.name.lower() for outcome in episode.outcomes if outcome)
     if missed:
         told = "\u25bc " + ",\n".join(missed)
         axes.text(1.006, 0.5, told, transform=axes.transAxes, va="center", fontsize=7.5, color=_STALLED, gid="missed")

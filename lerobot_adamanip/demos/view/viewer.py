@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ APPLICATION = "adamanip"
 KEY_FRAME, SECONDS = "key_frame", "time"
 """The timelines: number of the key frame, and seconds since the start."""
 _TOOL, _GOAL, _FAILED, _WORKED = (31, 78, 156), (90, 90, 90), (198, 40, 40), (46, 125, 50)
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _AXIS = 0.05
 """Length of the axes of a pose [m]."""
 _AXES = np.array([(220, 60, 60), (60, 160, 60), (70, 90, 220)], np.uint8)
@@ -41,11 +43,30 @@ def save(episode: ViewedEpisode, path: Path) -> None:
 
 
 def spawn(episode: ViewedEpisode) -> None:
-    """Opens rerun's own window with the episode."""
+    """Opens rerun's own window with the episode; raises `ConfigurationError` if it does not open."""
     recording = _rerun().RecordingStream(APPLICATION)
-    recording.spawn(default_blueprint=_blueprint(episode))
-    log_episode(recording, episode)
-    recording.flush()
+    try:
+        recording.spawn(default_blueprint=_blueprint(episode))
+        log_episode(recording, episode)
+        recording.flush()
+    except (RuntimeError, OSError) as error:
+        raise no_display(str(error).partition("\n")[0][:200]) from error
+
+
+def require_display() -> None:
+    """Raises `ConfigurationError` where rerun's window cannot open: on Linux, without X11 and Wayland."""
+    if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
+        raise no_display(f"neither {' nor '.join(_DISPLAYS)} is set")
+
+
+def no_display(reason: str) -> ConfigurationError:
+    """Returns the error for a machine on which rerun's window does not open."""
+    return ConfigurationError(
+        "rerun's window does not open here.",
+        got=reason,
+        allowed="a desktop; or --image FILE.png, --save FILE.rrd or --web, which need none",
+        hint="--image episode.png",
+    )
 
 
 def serve(episode: ViewedEpisode, port: int) -> str:
@@ -102,9 +123,10 @@ def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
     rr = _rerun()
     goal, phase, outcome = episode.goals[number], episode.phases[number], episode.outcomes[number]
     _log_pose(recording, "world/goal/pose", goal)
-    recording.log("world/goal/point", rr.Points3D([goal[:3]], colors=[_GOAL], radii=0.008, labels=[phase.name.lower()]))
-    level = "INFO" if outcome is Outcome.REACHED else "WARN"
-    recording.log("log", rr.TextLog(f"{number}: {phase.name.lower()}, {outcome.name.lower()}", level=level))
+    doing, ended = ("not labelled" if label is None else label.name.lower() for label in (phase, outcome))
+    recording.log("world/goal/point", rr.Points3D([goal[:3]], colors=[_GOAL], radii=0.008, labels=[doing]))
+    level = "INFO" if outcome in (Outcome.REACHED, None) else "WARN"
+    recording.log("log", rr.TextLog(f"{number}: {doing}, {ended}", level=level))
     for each in episode.tries:
         if each.key_frame == number:
             told = "failed" if each.failed else "worked, after one that failed" if each.recovers else "worked"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.demos.loading import missing_dataset
+from lerobot_adamanip.demos.loading import missing_dataset, workspace_of
 from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.check.contract import check_features
@@ -30,7 +30,7 @@ from lerobot_adamanip.hub.check.statistics import (
 )
 from lerobot_adamanip.hub.check.values import check_values
 from lerobot_adamanip.hub.check.videos import check_videos
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_adamanip.pointcloud import Workspace
 
 
 @dataclass
@@ -73,7 +73,7 @@ def check(
         return _result(folder, report, 0, 0)
     collected = read_collection(folder, assets, report)
     check_features(layout.features, report, collected=collected is not None)
-    workspace = _workspace(layout, collected)
+    workspace = workspace_of(folder, layout.features)
     shared = _Checked(layout, collected, workspace, stored_statistics(layout.table), report, progress)
     for name in unlisted_files(layout):
         report.add("unlisted", "no episode is in this file", name)
@@ -99,17 +99,6 @@ def require_dataset(root: str | Path) -> Path:
             hint="adamanip collect, or another folder",
         )
     return folder
-
-
-def _workspace(layout: Layout, collected: Collected | None) -> Workspace:
-    """The box of clouds: the collection's, or what the column's description says, or the default one."""
-    if collected is not None and collected.manifest is not None:
-        return collected.manifest.spec.environment.workspace
-    told = (layout.features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("workspace")
-    try:
-        return DEFAULT_WORKSPACE if told is None else Workspace(tuple(told["lower"]), tuple(told["upper"]))
-    except (KeyError, TypeError):
-        return DEFAULT_WORKSPACE
 
 
 def _check_data(shared: _Checked, name: str, episodes: list[Episode]) -> None:

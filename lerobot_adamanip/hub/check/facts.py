@@ -128,7 +128,7 @@ def check_facts(
     names = [name for name in layout.table.column_names if not name.startswith("stats/")]
     fixed = _fixed_camera(layout, report)
     fingerprint = None if collected is None else combined(collected.fingerprint)
-    rows = layout.table.select(names).to_pylist()
+    rows, sound = layout.table.select(names).to_pylist(), []
     for row in rows:
         number, file = row["episode_index"], row["listed_in"]
         if row["object_id"] is None and row.get("recorded") is not None:
@@ -138,16 +138,19 @@ def check_facts(
             for name, value in counted.get(number, {}).items():
                 if name in row and int(row[name]) != value and number not in report.damaged:
                     raise ValueError(f"{name} is {row[name]}, but the rows say {value}")
+            if collected is not None:
+                _check_place_columns(row)
         except (ValueError, TypeError, KeyError, AdaManipError) as error:
             report.add("facts", str(error).partition("\n")[0][:200], file, number)
             continue
+        sound.append(row)
         if fingerprint is not None and row.get("fingerprint", fingerprint) != fingerprint:
             report.add("fingerprint", f"{row['fingerprint']}, not the collection's {fingerprint}", file, number)
         if collected is not None and collected.manifest is not None:
             _check_place(row, collected.manifest.spec, report)
     _check_once(layout, rows, report)
     if collected is not None:
-        _check_attempts(layout.root, rows, collected, report)
+        _check_attempts(layout.root, sound, collected, report)
 
 
 def _check_row(row: Mapping[str, Any], fixed: Mapping[str, Any]) -> None:
@@ -174,6 +177,13 @@ def _check_row(row: Mapping[str, Any], fixed: Mapping[str, Any]) -> None:
     for name, value in fixed.items():
         if camera and camera.get(name) != value:
             raise ValueError(f"camera.{name} is not the constant one of {CAMERAS}")
+
+
+def _check_place_columns(row: Mapping[str, Any]) -> None:
+    """Raises ValueError for an episode of a collection that does not tell its place in it."""
+    for name in ("slot", "attempt"):
+        _COUNT(name, row.get(name))
+    flag("late", row.get("late"))
 
 
 def _fixed_camera(layout: Layout, report: Report) -> Mapping[str, Any]:
@@ -217,7 +227,7 @@ def _check_once(layout: Layout, rows: list[dict[str, Any]], report: Report) -> N
 
 
 def _check_attempts(root: Path, rows: list[dict[str, Any]], collected: Collected, report: Report) -> None:
-    """Every episode has its line; there are as many lines as the manifest counts."""
+    """Every episode whose columns are sound has its line; there are as many lines as the manifest counts."""
     path = attempts_path(root)
     if not path.exists():
         report.add("missing", "the attempts of the collection", ATTEMPTS)
@@ -233,8 +243,8 @@ def _check_attempts(root: Path, rows: list[dict[str, Any]], collected: Collected
         report.add("attempts", f"{len(listed)} lines, where {COLLECTION} counts {counts.attempted}", ATTEMPTS)
         return
     for row in rows:
-        if row["episode_index"] in report.damaged or row["object_id"] is None:
-            continue  # nothing tells which attempt it was
+        if row["episode_index"] in report.damaged:
+            continue
         line = told.get((row["object_id"], row["slot"], row["attempt"]))
         right = {"seed": row["seed"], "hidden_state": json.loads(row["hidden_state"]), "late": row["late"]}
         if line is None:
