@@ -1,4 +1,4 @@
-"""Streaming of a dataset of ours is refused, with the reason, where LeRobot would train on nothing or on other actions."""
+"""Streaming a dataset of ours is refused where LeRobot would train on nothing, or on actions that were not executed."""
 
 from __future__ import annotations
 

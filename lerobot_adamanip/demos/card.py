@@ -110,18 +110,18 @@ def dataset_card(
         **_recorded(records),
         **_attempted(None if selection else manifest, attempts, records),
         **_seen(info, records),
-        front_matter=front_matter("dataset", _header(info, name)),
+        front_matter=front_matter("dataset", card_header(info, name)),
         repo_id=repo_id,
         frames=info["total_frames"],
         key_frames=info["total_frames"] - len(records),
         root_option=" --dataset.root=DIR" if repo_id.startswith("local/") else "",
-        features=_features(info["features"]),
+        features=features_table(info["features"]),
         fps=info["fps"],
         citation=citation(),
     )
 
 
-def _header(info: dict[str, Any], name: str) -> dict[str, Any]:
+def card_header(info: dict[str, Any], name: str) -> dict[str, Any]:
     rows = info["total_frames"]
     size = next((text for least, text in _SIZES if rows < least), "n>1T")
     return {
@@ -238,7 +238,7 @@ def _as_attempt(record: dict[str, Any]) -> AttemptRecord:
     return AttemptRecord(**facts, kept=True, reason=SUCCESS if record["success"] else "no success", key_frames=0)
 
 
-def _features(features: dict[str, Any]) -> str:
+def features_table(features: dict[str, Any]) -> str:
     """Returns a table of a dataset's columns; raises KeyError for one that nobody has described."""
     rows = [
         f"| `{key}` | {'video, ' if feature['dtype'] == 'video' else ''}{tuple(feature['shape'])} | {COLUMNS[key]} |"

@@ -10,7 +10,7 @@ from typing import Any
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.checked_json import parse
-from lerobot_adamanip.demos.card import _features, _header
+from lerobot_adamanip.demos.card import card_header, features_table
 from lerobot_adamanip.demos.loading import episode_table
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.cards import card_template, citation, front_matter
@@ -48,7 +48,7 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
             hint="adamanip keyframes RECORDING --out DATASET",
         ) from error
     return card_template("recorded_card.md").substitute(
-        front_matter=front_matter("dataset", _header(info, name)),
+        front_matter=front_matter("dataset", card_header(info, name)),
         episodes=len(rows),
         frames=info["total_frames"],
         key_frames=info["total_frames"] - len(rows),
@@ -56,7 +56,7 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
         sources="\n".join(f"| {count} | {source} |" for source, count in sources.items()),
         repo_id=repo_id,
         fps=info["fps"],
-        features=_features(info["features"]),
+        features=features_table(info["features"]),
         citation=citation(),
     )
 

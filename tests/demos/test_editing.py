@@ -28,7 +28,7 @@ from lerobot_adamanip.demos.loading import episode_table, load_check, open_datas
 from lerobot_adamanip.demos.merge import merge
 from lerobot_adamanip.demos.replay import replay
 from lerobot_adamanip.demos.video import write_video
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 HALVES = {"one": 0.5, "other": 0.5}
@@ -453,3 +453,14 @@ def test_the_commands_count_write_and_report(
     parts = json.loads(capsys.readouterr().out)["parts"]
     objects = episode_table(unpictured)["object_id"].to_pylist()
     assert [len({objects[index] for index in mine}) for mine in parts.values()] == [1, 1]
+
+
+def test_an_unknown_column_gets_the_nearest_one() -> None:
+    facts: list[Facts] = [{"failed_tries": 1, "success": True, "hidden.locked": False}]
+    for typed, meant in (
+        ("fail>=1", "failed_tries>=1"),
+        ("sucess=true", "success=true"),
+        ("locked=true", "hidden.locked=true"),
+    ):
+        with pytest.raises(ConfigurationError, match=f"try: .*{meant}"):
+            parse_condition(typed, facts)

@@ -17,6 +17,7 @@ from lerobot_adamanip.demos.dense.score import score
 from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.hardware.features import KEY_FRAMES
 from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_env_adamanip.dense import FPS, TickWatch, collect_dense, dense_episode

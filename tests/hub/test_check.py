@@ -314,3 +314,11 @@ def test_the_documented_kinds_are_the_codes(project_root: Path) -> None:
     assert match is not None
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in match[1].splitlines()[2:]]
     assert rows == [[f"`{kind}`", told.meaning, told.repair] for kind, told in KINDS.items()]
+
+
+def test_an_episode_that_does_not_tell_its_place_is_a_finding(published: Path, tmp_path: Path) -> None:
+    for name in ("slot", "attempt", "late"):
+        root = Path(shutil.copytree(published, tmp_path / name))
+        (path,) = (root / "meta" / "episodes").rglob("*.parquet")
+        pq.write_table(pq.read_table(path).drop_columns([name]), path)
+        assert "facts" in check(root).counts

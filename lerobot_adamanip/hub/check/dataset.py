@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.demos.loading import missing_dataset, workspace_of
 from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.errors import DatasetError
