@@ -122,6 +122,7 @@ def dataset_card(
 
 
 def card_header(info: dict[str, Any], name: str) -> dict[str, Any]:
+    """Returns the fields of a card's header."""
     rows = info["total_frames"]
     size = next((text for least, text in _SIZES if rows < least), "n>1T")
     return {
