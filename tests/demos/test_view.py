@@ -134,6 +134,7 @@ def test_pictures_and_what_is_not_known_are_no_hindrance(finished: Path, unpictu
 def test_what_cannot_be_shown_is_one_clear_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")  # or that it lacks is what is said first
     monkeypatch.setitem(sys.modules, "rerun", None)
     for options, said in (
         ([str(SAFE), "--episode", "1"], "No such episode"),
