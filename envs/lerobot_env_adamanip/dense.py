@@ -24,7 +24,7 @@ from lerobot_adamanip.demos.record import EpisodeRequest, ExpertFactory, attempt
 from lerobot_adamanip.errors import ConfigurationError, DatasetError, UnreachableError
 from lerobot_adamanip.hardware.features import KEY_FRAMES, SCALAR_NAMES
 from lerobot_adamanip.rotations import pose_vector
-from lerobot_env_adamanip.dense_folder import KEY_FRAMES, ROBOT_TYPE, claimed
+from lerobot_env_adamanip.dense_folder import ROBOT_TYPE, claimed
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 FPS = 50

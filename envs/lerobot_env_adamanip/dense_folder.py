@@ -9,9 +9,8 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.demos.output_folder import WRITING, is_free, owned_output
 from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hardware.features import KEY_FRAMES
 
-KEY_FRAMES = "meta/key_frames.jsonl"
-"""One line for each episode: where its key frames ended, and what they were."""
 ROBOT_TYPE = "adamanip_dense"
 """Of such recordings."""
 _MOST_ATTEMPTS = 100

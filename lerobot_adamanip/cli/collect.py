@@ -14,8 +14,6 @@ from typing import Annotated, Literal
 
 import tyro
 
-import tyro
-
 from lerobot_adamanip import schema
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.external import select_placeable
