@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator
+import difflib
+from collections.abc import Iterable, Iterator, Sequence
+
+MOST_LISTED = 10
+"""Items that a message lists; of more it says how many."""
 
 GET_PICTURES = "bash scripts/setup_vulkan.sh in a checkout installs Mesa, adamanip doctor shows what is missing"
 """How a machine gets a Vulkan device."""
@@ -61,13 +65,29 @@ def shown_by_parsers() -> Iterator[None]:
 
 
 def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | None = None) -> str:
-    """Returns ``got`` if it is one of ``choices``; raises `ConfigurationError` that lists them if not."""
+    """Returns ``got`` if it is one of ``choices``; raises `ConfigurationError` that lists them if not.
+
+    What it says to try is the choice that ``got`` resembles, else ``hint``, else the first of them.
+    """
     names = sorted(choices)
     if got in names:
         return got
-    raise ConfigurationError(
-        f"Unknown {what}.", got=repr(got), allowed=", ".join(names), hint=hint or f"one of the allowed {what} names"
-    )
+    near = nearest(got, names)
+    advice = f"did you mean {near}?" if near else hint or (names[0] if names else None)
+    raise ConfigurationError(f"Unknown {what}.", got=repr(got), allowed=listed(names), hint=advice)
+
+
+def nearest(got: str, choices: Iterable[str]) -> str | None:
+    """Returns the choice that ``got`` resembles most, whatever its case; None if it resembles none."""
+    plain = {name.lower(): name for name in choices}
+    near = difflib.get_close_matches(got.lower(), plain, n=1)
+    return plain[near[0]] if near else None
+
+
+def listed(items: Sequence[object]) -> str:
+    """Returns items with commas between them: the first few, and how many more there are."""
+    more = len(items) - MOST_LISTED
+    return ", ".join(map(str, items[:MOST_LISTED])) + (f" and {more} more" if more > 0 else "")
 
 
 def no_vulkan_device(reason: object) -> SimulatorError:

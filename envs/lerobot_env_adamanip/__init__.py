@@ -6,7 +6,7 @@ Unless the environment variable `lerobot_adamanip.NO_PLUGIN` is set: LeRobot's c
 import os
 import sys
 
-from lerobot_adamanip import NO_PLUGIN
+from lerobot_adamanip import NO_PLUGIN, __version__
 
 if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
@@ -82,4 +82,5 @@ __all__ = [
     "DP3AdaptiveConfig",
     "SamplingConfig",
     "VatMartConfig",
+    "__version__",
 ]

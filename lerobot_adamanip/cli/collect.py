@@ -16,7 +16,7 @@ import tyro
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.cli.external import select_placeable
+from lerobot_adamanip.cli.collect_start import begin, objects_to_collect
 from lerobot_adamanip.cli.pictures import resolve_images
 from lerobot_adamanip.cli.progress import print_categories, show_progress
 from lerobot_adamanip.demos.collect import CollectOptions, collect
@@ -55,7 +55,7 @@ class Collect:
     """Successful episodes to keep of each object."""
 
     objects: str = "seen"
-    """seen, unseen, FIRST:END (0:4), or ids separated by commas (safe_000,safe_007)."""
+    """seen, unseen, novel, FIRST:END (0:4; seen ones), nFIRST:nEND (n0:n4; novel ones), or ids separated by commas."""
 
     assets: Path | None = None
     """Folder of external assets, to use instead of generated objects; seen then means all of them. Give it again to
@@ -160,6 +160,7 @@ class Collect:
         if self.dense:
             return self._dense()
         options, spec = self.options(), self.spec()
+        begin(spec, self.workers, self.cluster, self.part)
         try:
             summary = self._collect(spec, options)
         except KeyboardInterrupt:
@@ -217,7 +218,7 @@ class Collect:
         )
         spec = CollectionSpec(
             environment=environment,
-            objects=select_placeable(categories, self.objects, self.assets, self.poses),
+            objects=objects_to_collect(categories, self.objects, self.assets, self.poses),
             expert=self.expert,
             expert_preset=self.expert_preset,
             episodes_per_object=self.episodes_per_object,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import sys
@@ -12,8 +11,8 @@ from typing import NamedTuple, Protocol, cast
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.cli.folder_argument import folder_first
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError
-from lerobot_adamanip.jobs import preload
+from lerobot_adamanip.cli.option_names import check_options
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -31,8 +30,6 @@ _WITHOUT_PLUGIN = (
     "push",
 )
 """Commands to which our environments and policy are no plugin of LeRobot: registering them takes each process 3 s."""
-_WORKER_MODULES = ("lerobot_adamanip.demos.record", "lerobot_adamanip.experts", "lerobot_env_adamanip.preload")
-"""What workers that record need, named here so that they are imported while this process is busy with its own."""
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
 
@@ -118,9 +115,9 @@ def load(name: str) -> type[Command]:
         SimulatorError: the simulator is not installed.
     """
     if name not in COMMANDS:
-        near = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f"adamanip {near[0]}" if near else "adamanip --help"
-        raise ConfigurationError("Unknown command.", got=repr(name), allowed=", ".join(COMMANDS), hint=hint)
+        near = nearest(name, COMMANDS)
+        hint = f"adamanip {near}" if near else "adamanip --help"
+        raise ConfigurationError("Unknown command.", got=repr(name), allowed=listed(list(COMMANDS)), hint=hint)
     module, _, attribute = COMMANDS[name].target.partition(":")
     try:
         return cast(type[Command], getattr(importlib.import_module(module), attribute))
@@ -142,9 +139,11 @@ def _missing(command: str, package: str) -> AdaManipError:
 def execute(name: str, options: Sequence[str]) -> int:
     """Parses the options of one subcommand and runs it; returns its exit status."""
     command = load(name)
+    words = folder_first(command, options)
+    check_options(name, command, words)
     import tyro
 
-    config, words = (tyro.conf.FlagCreatePairsOff,), folder_first(command, options)
+    config = (tyro.conf.FlagCreatePairsOff,)
     chosen = tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=words, config=config)
     try:
         return chosen.run()
@@ -160,8 +159,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     policy = any(each.startswith("--policy") for each in arguments)  # which is a plugin's
     if argv is None and arguments and arguments[0] in _WITHOUT_PLUGIN and not policy:
         os.environ[NO_PLUGIN] = "1"
-    if argv is None and arguments[:1] == ["collect"] and not {"-h", "--help", "--cluster"} & set(arguments):
-        preload(*_WORKER_MODULES)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(usage())
         return 0 if arguments else EXIT_ERROR

@@ -12,7 +12,7 @@ from typing import Any
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.categories import ALL
 from lerobot_adamanip.demos.output_folder import COLLECTING
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.errors import ConfigurationError, listed, require_choice
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.seeds import SPLITS
@@ -89,14 +89,16 @@ class CollectionSpec:
         require_choice("expert", self.expert, EXPERT_KINDS)
         require_choice("expert preset", self.expert_preset, EXPERT_PRESETS)
         for name, (lowest, highest) in LIMITS.items():
-            _require(lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}")
+            _require(
+                lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}", lowest
+            )
         _require(0 <= self.late_starts <= 1, "late_starts", self.late_starts, "a share, 0 ... 1")
         _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
         different = len(set(self.objects)) == len(self.objects)
-        _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", self.objects, "ids, each once")
+        _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")
         count = len(self.objects) * self.episodes_per_object
         _require(count <= MAX_EPISODES, "number of episodes", count, f"at most {MAX_EPISODES}")
         for category in self.categories:
@@ -122,9 +124,10 @@ class CollectionSpec:
         return [EpisodeSpec(slot, name) for slot in range(self.episodes_per_object) for name in self.objects]
 
 
-def _require(holds: bool, name: str, got: object, allowed: str) -> None:
+def _require(holds: bool, name: str, got: object, allowed: str, advice: object = None) -> None:
     if not holds:
-        raise ConfigurationError(f"Wrong {name} of a collection.", got=got, allowed=allowed, hint="adamanip collect -h")
+        hint = "adamanip collect -h" if advice is None else f"--{name.replace('_', '-')} {advice}"
+        raise ConfigurationError(f"Wrong {name} of a collection.", got=got, allowed=allowed, hint=hint)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ from lerobot_adamanip.demos.collection import (
     CollectionSpec,
     environment_json,
 )
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, DatasetError
+from lerobot_adamanip.errors import AdaManipError, ConfigurationError, DatasetError, listed
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
 from lerobot_adamanip.options import CLOUD_SOURCES, IMAGE_SIZES, KEY_FRAMES, POSES, EnvironmentOptions
@@ -167,8 +167,8 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
     if different := [name for name in new if old[name] != new[name]]:
         raise DatasetError(
             f"{where} holds a collection made with other options: {', '.join(different)}.",
-            got="; ".join(f"{name} = {new[name]!r}" for name in different),
-            allowed="; ".join(f"{name} = {old[name]!r}" for name in different),
+            got="; ".join(f"{name} = {_told(new[name])}" for name in different),
+            allowed="; ".join(f"{name} = {_told(old[name])}" for name in different),
             hint="the same options, or another --root (a dataset does not grow: collect the rest elsewhere)",
         )
     if parts := differing_parts(stored.external_assets, wanted.external_assets):
@@ -193,8 +193,17 @@ def differing_parts(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[s
 
 
 def _flat(manifest: Manifest) -> dict[str, Any]:
-    content = manifest.to_json()["collection"]
-    return {**{name: value for name, value in content.items() if name != "environment"}, **content["environment"]}
+    whole = manifest.to_json()
+    content = whole["collection"]
+    return {
+        "category": whole["category"],
+        **{name: value for name, value in content.items() if name != "environment"},
+        **content["environment"],
+    }
+
+
+def _told(value: object) -> str:
+    return listed(value) if isinstance(value, list | tuple) else repr(value)
 
 
 def _object_id(name: str, value: object) -> str:

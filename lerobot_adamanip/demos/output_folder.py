@@ -115,9 +115,7 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
         DatasetError: it cannot be written there, another command is at work there, or the work folder is not ours.
     """
     output = OutputFolder(resolve_output(target), suffix)
-    with _clear_errors(output.root):
-        output.root.parent.mkdir(parents=True, exist_ok=True)
-    with lock_output(output.root):
+    with _parents(output.root), lock_output(output.root):
         with _clear_errors(output.root):
             _require_ours(output.work, WORK_FOLDERS[suffix])
             output.work.mkdir(exist_ok=True)
@@ -129,6 +127,20 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
         finally:
             with contextlib.suppress(OSError):
                 output.work.rmdir()  # only if it is empty
+
+
+@contextlib.contextmanager
+def _parents(root: Path) -> Iterator[None]:
+    """Makes the folders above an output folder; removes those of them that are still empty afterwards."""
+    made = [folder for folder in root.parents if not folder.exists()]
+    with _clear_errors(root):
+        root.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            for folder in made:  # the innermost first
+                folder.rmdir()
 
 
 def resolve_output(target: str | Path) -> Path:

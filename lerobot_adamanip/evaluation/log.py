@@ -28,6 +28,14 @@ def read_log(path: Path) -> list[EpisodeRecord]:
         DatasetError: it is missing, empty, or a line of it is not an episode's record.
     """
     advice = f"lerobot-eval --env.type=adamanip_safe --env.episode_log={path} ..."
+    if path.is_dir():
+        dataset = (path / "meta").is_dir()
+        raise DatasetError(
+            "This is a dataset, not an episode log." if dataset else "This is a folder, not an episode log.",
+            got=path,
+            allowed="a file that lerobot-eval --env.episode_log=FILE wrote",
+            hint=f"adamanip stats {path}" if dataset else f"a file in {path}",
+        )
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import sys
 from dataclasses import dataclass
+from typing import TextIO
 
 from lerobot_adamanip.cli.doctor.checks import Check, run_checks
 
@@ -23,13 +24,17 @@ class Doctor:
 
     def run(self) -> int:
         """Runs all checks; 0 if every required one passes."""
+        out, findings = sys.stdout, []
         with contextlib.redirect_stdout(sys.stderr):  # what imported packages print must not get into the JSON
-            findings = list(run_checks())
+            for check in run_checks():
+                findings.append(check)
+                if not self.json:
+                    print_check(check, out)
         ok = all(check.ok for check in findings if check.required)
         if self.json:
             print(to_json(findings, ok))
         else:
-            print_table(findings, ok)
+            print_advice(findings, ok)
         return 0 if ok else 1
 
 
@@ -39,19 +44,17 @@ def to_json(findings: list[Check], ok: bool) -> str:
     return json.dumps({"checks": rows, "ok": ok}, indent=2)
 
 
-def print_table(findings: list[Check], ok: bool) -> None:
-    """The human's version: a table, then what to do."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+def print_check(check: Check, out: TextIO) -> None:
+    """A line for a person, as soon as it is known: some checks take seconds."""
+    mark = "ok" if check.ok else "FAIL" if check.required else "note"
+    print(f"{mark:<4}  {check.name:<22}  {check.found}", file=out, flush=True)
 
-    console = Console(file=sys.stdout)
-    table = Table("", "check", "found", box=None, pad_edge=False)
-    for check in findings:
-        mark = "[green]ok[/]" if check.ok else "[red]FAIL[/]" if check.required else "[yellow]note[/]"
-        table.add_row(mark, check.name, escape(check.found))
-    console.print(table)
+
+def print_advice(findings: list[Check], ok: bool) -> None:
+    """What to do about what is missing, for a person."""
     for check in findings:
         if not check.ok:
-            console.print(f"\n{check.name}: {check.advice}", markup=False, highlight=False)
-    console.print("\neverything required is there" if ok else "\nrequired checks failed: see above", markup=False)
+            print(f"\n{check.name}: {check.advice}")
+    rendering = [check for check in findings if check.name == "SAPIEN renders" and not check.ok]
+    without = "; this machine renders no pictures, see above" if rendering else ""
+    print(f"\neverything required is there{without}" if ok else "\nrequired checks failed: see above")

@@ -1,0 +1,61 @@
+"""Options of a command line that its subcommand does not know: refused with the nearest that it knows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from lerobot_adamanip.errors import ConfigurationError, listed, nearest, require_choice
+
+
+def check_options(command: str, options: type[Any], arguments: Sequence[str]) -> None:
+    """Raises `ConfigurationError` for an option that does not exist, or has a value that is not among its choices.
+
+    Args:
+        command: name of the subcommand.
+        options: its class, a dataclass whose fields are the options.
+        arguments: as typed, after the subcommand.
+    """
+    known = dict(_options(options))
+    for place, argument in enumerate(arguments):
+        if not argument.startswith("--") or argument in ("--", "--help"):
+            continue
+        typed, equals, value = argument.partition("=")
+        name = typed.replace("_", "-")
+        if name not in known:
+            raise _unknown(command, typed, known)
+        if choices := known[name]:
+            given = value if equals else "".join(arguments[place + 1 : place + 2])
+            require_choice(f"value of {name}", given, choices)
+
+
+def _unknown(command: str, typed: str, known: Mapping[str, tuple[str, ...]]) -> ConfigurationError:
+    near = nearest(typed, known)
+    return ConfigurationError(
+        f"Unknown option of `adamanip {command}`.",
+        got=typed,
+        allowed=listed(sorted(known)),
+        hint=f"did you mean {near}?" if near else f"adamanip {command} --help",
+    )
+
+
+def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yields each option as it is typed, and the values it can have, empty where they are not a few words."""
+    from tyro.conf import Positional
+
+    place = get_args(Positional[int])[1]
+    hints = get_type_hints(options, include_extras=True)
+    for field in dataclasses.fields(options):
+        kind, renamed = hints[field.name], None
+        notes = getattr(kind, "__metadata__", ())
+        if place in notes:
+            if field.name == "root":
+                yield "--root", ()  # see `folder_first`
+            continue
+        for note in notes:
+            renamed = getattr(note, "name", None) or renamed
+            kind = get_args(kind)[0]
+        name = (renamed or field.name).replace("_", "-")
+        choices = get_args(kind) if get_origin(kind) is Literal else ()
+        yield f"--{'no-' if field.default is True else ''}{name}", choices

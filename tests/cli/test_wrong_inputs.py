@@ -1,0 +1,122 @@
+"""Wrong inputs to every command: one error, an exit status that is not 0, no traceback; a typo gets the right word."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lerobot_adamanip.cli.main import COMMANDS, main
+
+COLLECT = "collect --root new"
+WRONG = (
+    ("collct", "adamanip collect"),
+    ("Doctor", "adamanip doctor"),
+    ("zzz", "adamanip --help"),
+    ("doctor --jsn", "--json"),
+    ("doctor extra", "extra"),
+    ("collect", "--root"),
+    ("collect --rot new", "--root"),
+    (f"{COLLECT} --category dor", "did you mean door?"),
+    (f"{COLLECT} --category Door", "did you mean door?"),
+    (f"{COLLECT} --catgory door", "did you mean --category?"),
+    (f"{COLLECT} --expert adaptiv", "did you mean adaptive?"),
+    (f"{COLLECT} --poses=fix", "randomized"),
+    (f"{COLLECT} --mechanism-preset papr", "did you mean paper?"),
+    (f"{COLLECT} --objects 0:99", "63 unseen objects"),
+    (f"{COLLECT} --category all --objects 0:40", "--objects unseen"),
+    (f"{COLLECT} --objects 4:4", "nFIRST:nEND"),
+    (f"{COLLECT} --objects door_000", "for category 'safe'"),
+    (f"{COLLECT} --objects safe_000,safe_000", "each once"),
+    (f"{COLLECT} --episodes-per-object 0", "--episodes-per-object 1"),
+    (f"{COLLECT} --episodes-per-object x", "x"),
+    (f"{COLLECT} --trials 99", "--trials 1"),
+    (f"{COLLECT} --late-starts 2", "0 ... 1"),
+    (f"{COLLECT} --workers 0", "--workers 2"),
+    (f"{COLLECT} --num-points 0", "0"),
+    (f"{COLLECT} --image-size 1", "16 ... 2048"),
+    (f"{COLLECT} --part 3/2", "3/2"),
+    (f"{COLLECT} --push-to-hub", "--repo-id"),
+    (f"{COLLECT} --pose-preset paper", "--poses fixed"),
+    ("replay", "--root"),
+    ("replay --root some/absent", "some/absent"),
+    ("replay --root some/absent --episod 1", "--episode"),
+    ("render some/absent", "some/absent"),
+    ("render", "adamanip render --help"),
+    ("check some/absent", "some/absent"),
+    ("check --replai 1 x", "--replay"),
+    ("repair some/absent", "some/absent"),
+    ("repair", "adamanip repair --help"),
+    ("keyframes some/absent --out new", "some/absent"),
+    ("keyframes --out", "--out"),
+    ("stats some/absent", "some/absent\n"),
+    ("stats --plt x.png some/absent", "--plot"),
+    ("merge some/absent other --out new", "some/absent"),
+    ("merge one --ut new", "--out"),
+    ("filter some/absent --out new --where success=true", "some/absent"),
+    ("filter --were success=true x", "--where"),
+    ("split some/absent --out new", "--parts"),
+    ("split some/absent", "--out"),
+    ("view some/absent --image x.png", "some/absent"),
+    ("view dataset", "--image"),
+    ("merge dataset dataset --out new", "dataset"),
+    ("filter dataset --out /proc/x --where success=true", "/proc/x"),
+    (f"{COLLECT} --repo-id a/b/c", "a/b/c"),
+    ("view some/absent --imge x.png", "--image"),
+    ("push datset x --repo-id a/b", "dataset"),
+    ("push dataset some/absent --repo-id a/b --dry-run", "some/absent"),
+    ("objects --category dor", "did you mean door?"),
+    ("objects --sheet sheet.doc", ".png"),
+    ("objects --columns 0", "--columns 9"),
+    ("annotate --categry x", "--category"),
+    ("calibrate some/absent", "some/absent"),
+    ("report", "log"),
+    ("report absent.jsonl", "absent.jsonl"),
+    ("report dataset", "adamanip stats dataset"),
+    ("report log.jsonl --plot x.gif", ".png"),
+    ("benchmark", "--scale cpu"),
+    ("benchmark --methods dp3_adaptiv", "did you mean dp3_adaptive?"),
+    ("benchmark --scale smoke --categories door", "--list"),
+    ("benchmark --scale smok", "did you mean smoke?"),
+    ("bench --quik", "--quick"),
+)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "dataset" / "meta").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(display, raising=False)
+    return tmp_path
+
+
+def test_every_command_is_among_them() -> None:
+    assert set(COMMANDS) <= {line.partition(" ")[0] for line, _ in WRONG}
+    assert len(WRONG) >= 60
+
+
+@pytest.mark.parametrize(("line", "word"), WRONG)
+def test_a_wrong_input_is_one_error(line: str, word: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(place.rglob("*"))
+    try:
+        status = main(line.split())
+    except SystemExit as left:  # tyro's own
+        status = int(str(left.code))
+    said = capsys.readouterr()
+    assert status == 2
+    assert word in said.err
+    assert "Traceback" not in said.err
+    assert max(map(len, said.err.splitlines())) < 400
+    assert sorted(place.rglob("*")) == before
+
+
+@pytest.mark.parametrize("line", ["collct", f"{COLLECT} --category dor", f"{COLLECT} --objects 0:99"])
+def test_a_typo_costs_no_simulator(line: str, place: Path) -> None:
+    watch = "import sys; from lerobot_adamanip.cli.main import main; status = main()\n"
+    command = [sys.executable, "-c", f"{watch}assert 'sapien' not in sys.modules; sys.exit(status)", *line.split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=place)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
