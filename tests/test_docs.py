@@ -14,7 +14,7 @@ from doc_data import collect_fake_demos, write_asset_safe
 from documents import DOCUMENTS, ROOT, Block, blocks, commands
 
 from lerobot_adamanip import schema
-from lerobot_adamanip.cli.main import load
+from lerobot_adamanip.cli.main import parse
 
 
 def python_blocks() -> list[Any]:
@@ -36,9 +36,7 @@ def test_documents_hold_what_is_tested_here() -> None:
 
 @pytest.mark.parametrize("words", commands("adamanip"))
 def test_adamanip_commands_parse(words: list[str]) -> None:
-    import tyro
-
-    tyro.cli(load(words[1]), args=words[2:], config=(tyro.conf.FlagCreatePairsOff,))
+    parse(words[1], words[2:])
 
 
 DOWNLOADED = {"lerobot/smolvla_base": "smolvla", "lerobot/pi0_base": "pi0"}

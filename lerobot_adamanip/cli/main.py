@@ -6,7 +6,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
@@ -136,17 +136,22 @@ def _missing(command: str, package: str) -> AdaManipError:
     return ConfigurationError(what, got=f"no module {package}", allowed="a complete installation", hint=advice)
 
 
-def execute(name: str, options: Sequence[str]) -> int:
-    """Parses the options of one subcommand and runs it; returns its exit status."""
+def parse(name: str, options: Sequence[str]) -> Any:
+    """Returns a subcommand with its options, ready to run; exits, or raises `ConfigurationError`, for wrong ones."""
     command = load(name)
     words = folder_first(command, options)
     check_options(name, command, words)
     import tyro
 
     config = (tyro.conf.FlagCreatePairsOff,)
-    chosen = tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=words, config=config)
+    return tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=words, config=config)
+
+
+def execute(name: str, options: Sequence[str]) -> int:
+    """Parses the options of one subcommand and runs it; returns its exit status."""
+    chosen = parse(name, options)
     try:
-        return chosen.run()
+        return chosen.run()  # type: ignore[no-any-return]
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in _SIMULATOR_PACKAGES:
             raise  # a mistake of ours: the traceback is what helps

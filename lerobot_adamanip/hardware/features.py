@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lerobot_adamanip.schema import ACTION, EFFORT_NAMES, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
+from lerobot_adamanip.schema import ACTION, EFFORT_NAMES, OUTCOME, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
 
 SENT_NAMES = tuple(f"sent.{name.removesuffix('.pos')}" for name in POSE_NAMES)
 """The last target that the arm accepted: LeRobot stores the teleoperator's action, which may have been clipped."""
@@ -48,4 +48,5 @@ def is_dense(features: Mapping[str, Any]) -> bool:
     """
     names = names_of(features.get(STATE))
     ours = set(SCALAR_NAMES) <= set(names) or names == list(STATE_NAMES)
-    return ours and set(POSE_NAMES) <= set(names_of(features.get(ACTION))) and POINT_CLOUD not in features
+    ours = ours and set(POSE_NAMES) <= set(names_of(features.get(ACTION)))
+    return ours and not {POINT_CLOUD, OUTCOME} & set(features)

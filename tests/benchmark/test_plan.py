@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tyro
 from benchmark_helpers import CODE, SCALE, content, declared, with_scale
 
 from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
@@ -16,6 +15,7 @@ from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, TRAIN, Code, Step
 from lerobot_adamanip.benchmark.policies import policy_hash
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.errors import ConfigurationError
 
 CURVE = {
@@ -94,7 +94,7 @@ def test_unknown_names_are_one_error(selection: Selection, message: str) -> None
 def test_collecting_is_a_command_of_ours(name: str) -> None:
     declaration = read_declaration()
     step = steps_of(declaration, name)[COLLECT]
-    made = tyro.cli(Collect, args=[*step.command[2:], *step.aside], config=(tyro.conf.FlagCreatePairsOff,))
+    made = parse("collect", [*step.command[2:], *step.aside])
     wanted = declaration.demonstrations[declaration.methods[name].demonstrations]
     assert (made.expert, made.trials, made.late_starts) == (wanted.expert, wanted.trials, wanted.late_starts)
     assert made.images == bool(wanted.image_size)

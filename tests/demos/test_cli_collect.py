@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tyro
 from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.collect import Collect
-from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.cli.main import main, parse
 from lerobot_adamanip.cli.pictures import resolve_images
 from lerobot_adamanip.cli.push import Push
 from lerobot_adamanip.demos.collect import CollectOptions
@@ -125,7 +124,7 @@ def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.
         return {}, None
 
     monkeypatch.setattr(Push, "publish", publish)
-    call = tyro.cli(Collect, args=["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
+    call = parse("collect", ["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
     assert call.run() == 0
     assert published == [("dataset", tmp_path / "d", "me/safes", False)]
     monkeypatch.setattr(command, "factories", lambda: fakes(hopeless="safe_001"))

@@ -11,7 +11,7 @@ from lerobot_adamanip import trained_policy
 from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.cli import pictures
-from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.demos.collect_command import PYTHON_ONLY, collect_command
 from lerobot_adamanip.demos.collection import DECIDING, CollectionSpec
 from lerobot_adamanip.demos.manifest import Manifest
@@ -32,10 +32,7 @@ def _something_renders(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _parsed(command: str) -> CollectionSpec:
     """As `adamanip` itself parses it."""
-    import tyro
-
-    config = (tyro.conf.FlagCreatePairsOff,)
-    return tyro.cli(Collect, args=command.splitlines()[-1].split()[2:], config=config).spec()
+    return parse("collect", command.splitlines()[-1].split()[2:]).spec()  # type: ignore[no-any-return]
 
 
 def _options(spec: CollectionSpec) -> object:

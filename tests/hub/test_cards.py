@@ -20,7 +20,7 @@ from records import record
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli import pictures
-from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.demos.card import COLUMNS, read_dataset_card
 from lerobot_adamanip.demos.collection import manifest_path
 from lerobot_adamanip.demos.editing.choose import filter_episodes
@@ -78,14 +78,11 @@ def test_its_numbers_are_those_of_the_dataset(published: Path, card: str) -> Non
 
 
 def test_its_command_collects_the_same(published: Path, card: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import tyro
-
     monkeypatch.setattr(pictures, "can_render", lambda: True)
 
     (line,) = [line for line in card.splitlines() if line.startswith("adamanip collect")]
     assert line.endswith("--root dataset")
-    config = (tyro.conf.FlagCreatePairsOff,)
-    asked = tyro.cli(Collect, args=line.split()[2:], config=config).spec()
+    asked = parse("collect", line.split()[2:]).spec()
     made = read_manifest(manifest_path(published)).spec
     assert Manifest(asked).to_json() == Manifest(made).to_json()
 

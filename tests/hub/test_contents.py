@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from demos_helpers import another
 from PIL import Image
 from sound_demos import collect_sound
 
@@ -70,7 +71,7 @@ def test_attempts_are_counted_where_they_are_told(demos: Path, tmp_path: Path) -
     assert attempts is not None
     assert (attempts.kept.count, attempts.kept.episodes) == (10, len(lines))
     assert sum(tried for _, tried in attempts.hidden.values()) == len(lines)
-    merge([demos, demos], tmp_path / "both")
+    merge([demos, another(demos, tmp_path / "other")], tmp_path / "both")
     both = contents(tmp_path / "both")
     assert both.attempts is None
     assert both.overall.episodes == 20
