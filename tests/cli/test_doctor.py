@@ -57,7 +57,15 @@ def test_every_environment_is_looked_for() -> None:
 @pytest.mark.parametrize("renders", [True, False])
 def test_the_backend_that_auto_takes_is_the_probes_answer(monkeypatch: pytest.MonkeyPatch, renders: bool) -> None:
     monkeypatch.setattr(render_device, "gpu_renders", lambda: renders)
+    monkeypatch.setattr(render_device, "can_render", lambda: True)
     assert checks.check_render_backend().found == f"auto is {'cuda' if renders else 'cpu'}"
+
+
+def test_no_backend_is_called_ok_where_nothing_renders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_device, "can_render", lambda: False)
+    found = checks.check_render_backend()
+    assert not found.ok
+    assert found.found.startswith("none: ")
 
 
 @pytest.mark.parametrize(("problem", "ok"), [(None, True), ("could not create a primitive", False)])

@@ -172,8 +172,11 @@ def check_rendering() -> Check:
 
 def check_render_backend() -> Check:
     """Which device `--env.render_backend=auto` takes: the probe's answer, so what environments do."""
-    from lerobot_env_adamanip.sim.render_device import resolve_render_backend
+    from lerobot_env_adamanip.sim.render_device import can_render, resolve_render_backend
 
+    if not can_render():
+        found = "none: no pictures here; videos of evaluations are drawn without"
+        return Check("Render backend", False, found, "see what SAPIEN renders", required=False)
     return Check("Render backend", True, f"auto is {resolve_render_backend()}", required=False)
 
 

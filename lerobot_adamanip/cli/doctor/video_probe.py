@@ -37,7 +37,7 @@ def _decoder() -> str:
     try:
         import torchcodec  # noqa: F401  (loads FFmpeg's libraries, or fails)
     except Exception:
-        return "PyAV (torchcodec finds no FFmpeg libraries; LeRobot falls back)"
+        return "PyAV (torchcodec finds no FFmpeg: LeRobot's commands print why, in some 90 lines, and go on)"
     return "torchcodec"
 
 
