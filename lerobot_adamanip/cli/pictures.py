@@ -18,6 +18,12 @@ def can_render() -> bool:
     return probe()
 
 
+def require_renderer() -> None:
+    """Raises `SimulatorError` if nothing renders on this machine."""
+    if not can_render():
+        raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
+
+
 def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
     """Returns whether a collection has pictures.
 
@@ -45,10 +51,10 @@ def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
     stored = [stored_images(CollectionPaths(root.absolute())) for root in roots]
     if not wanted and (known := [each for each in stored if each is not None]):
         return known[0]
+    if wanted:
+        require_renderer()
     if can_render():
         return True
-    if wanted:
-        raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
     print(
         f"No pictures: nothing renders here. `adamanip render` adds them later. To get them: {GET_PICTURES}.",
         file=sys.stderr,

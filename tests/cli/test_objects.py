@@ -12,6 +12,7 @@ from PIL import Image
 
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.cli import main as cli
+from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet
 
 
@@ -86,3 +87,11 @@ def test_a_portrait_shows_the_object_and_its_door() -> None:
     assert np.abs(middle.mean((0, 1)) - corner.mean((0, 1))).max() > 25
     assert (np.abs(shut - ajar).max(-1) > 20).mean() > 0.05
     assert np.array_equal(shut, render_thumbnail(safe, size=96).astype(int))
+
+
+def test_a_sheet_is_refused_at_once_where_nothing_renders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(pictures, "can_render", lambda: False)
+    assert cli.main(["objects", "--category", "safe", "--sheet", str(tmp_path / "sheet.png")]) == 2
+    assert "SAPIEN found no Vulkan device" in capsys.readouterr().err

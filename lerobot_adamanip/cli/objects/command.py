@@ -14,6 +14,8 @@ from lerobot_adamanip.catalog import make_object, object_split, parse_object_sel
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.external import checked_source
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet, sheet_suffix
+from lerobot_adamanip.cli.pictures import require_renderer
+from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.objects import ArticulatedObject
 
@@ -61,6 +63,7 @@ class Objects:
             )
         if self.sheet is not None:
             sheet_suffix(self.sheet)
+            require_renderer()
         chosen, unusable = self._chosen()
         if self.sheet is not None and chosen:
             with contextlib.redirect_stdout(sys.stderr):  # what the simulator prints must not get into the JSON
@@ -85,16 +88,15 @@ class Objects:
         return source.check(category)
 
     def _portraits(self, chosen: list[ArticulatedObject]) -> list[Thumbnail]:
-        from rich.console import Console
-        from rich.progress import track
+        made: list[Thumbnail] = []
+        with show_progress({"photograph": "photographed"}) as progress:
+            progress("photograph", 0, len(chosen))
+            from lerobot_env_adamanip.sim.thumbnails import render_thumbnail
 
-        from lerobot_env_adamanip.sim.thumbnails import render_thumbnail
-
-        numbered = track(list(enumerate(chosen)), "photographing", console=Console(stderr=True), disable=self.json)
-        made = []
-        for number, obj in numbered:
-            image = render_thumbnail(obj, size=self.size, open_fraction=OPEN_FRACTION * (number % 2))
-            made.append(Thumbnail(image, obj.object_id, obj.description))
+            for number, obj in enumerate(chosen):
+                image = render_thumbnail(obj, size=self.size, open_fraction=OPEN_FRACTION * (number % 2))
+                made.append(Thumbnail(image, obj.object_id, obj.description))
+                progress("photograph", len(made), len(chosen))
         return made
 
     def _print(self, chosen: list[ArticulatedObject], unusable: list[AssetReport]) -> None:
