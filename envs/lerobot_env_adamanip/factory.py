@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_adamanip.rollout import SimulatedEnvironment
-from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 
 def make_keyframe_env(options: EnvironmentOptions) -> SimulatedEnvironment:
-    """Returns a `KeyframeEnv` of options. A function of a module, so that spawned workers can be given it."""
+    """Returns a `KeyframeEnv` of options. A function of a module, so that spawned workers can be given it.
+
+    The simulator is imported here: what a command is given wrongly is found before.
+    """
+    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
     return KeyframeEnv(options=options)

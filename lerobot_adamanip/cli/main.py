@@ -19,6 +19,7 @@ EXIT_INTERRUPTED = 130
 _WITHOUT_PLUGIN = (
     "collect",
     "render",
+    "replay",
     "merge",
     "keyframes",
     "filter",
