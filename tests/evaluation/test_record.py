@@ -98,7 +98,7 @@ def test_an_evaluation_is_run_label_and_round_and_ids_differ() -> None:
 def test_missing_empty_and_binary_logs_are_told(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="Cannot read"):
         read_log(tmp_path / "none.jsonl")
-    with pytest.raises(DatasetError, match="Cannot read"):
+    with pytest.raises(DatasetError, match="This is a folder"):
         read_log(tmp_path)
     with pytest.raises(DatasetError, match="empty"):
         read_log(write(tmp_path / "empty.jsonl", ""))
