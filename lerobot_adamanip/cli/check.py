@@ -12,6 +12,7 @@ import tyro
 
 from lerobot_adamanip.cli.progress import Progress, show_progress
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.texts import counted
 from lerobot_adamanip.hub.check.dataset import check, check_replays
 from lerobot_adamanip.hub.check.findings import CheckResult
 from lerobot_adamanip.hub.check.repair import Repair as Mended
@@ -104,5 +105,5 @@ def _print(result: CheckResult, mended: Mended | None) -> None:
         if count > _SHOWN:
             print(f"{kind}: {count - _SHOWN} more")
     total = sum(result.counts.values())
-    verdict = "clean" if result.clean else f"{total} finding{'s' if total > 1 else ''}"
+    verdict = "clean" if result.clean else counted(total, "finding")
     print(f"{result.root}: {result.episodes} episodes, {result.rows} rows: {verdict}")

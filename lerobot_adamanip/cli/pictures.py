@@ -53,7 +53,7 @@ def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
         return known[0]
     if wanted:
         require_renderer()
-    if can_render():
+    if wanted or can_render():
         return True
     print(
         f"No pictures: nothing renders here. `adamanip render` adds them later. To get them: {GET_PICTURES}.",
