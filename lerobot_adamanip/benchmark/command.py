@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from lerobot_adamanip import UNSCALED_POSES
 from lerobot_adamanip.errors import ConfigurationError
 
 _STOP_SECONDS = 20.0
@@ -20,7 +19,6 @@ _DEFAULTS = {
     # Nothing here is on the Hub. A method that has to download something is run with HF_HUB_OFFLINE=0.
     "HF_HUB_OFFLINE": "1",
     "TOKENIZERS_PARALLELISM": "false",
-    UNSCALED_POSES: "1",  # for every method alike, LeRobot's own among them
     # glibc gives each large tensor's pages back to the system, and a step of training asks for thousands of them anew.
     # Kept, and in huge pages where the system has them, a step of `dp3` takes 0.71 s instead of 0.80 (decision 79).
     "GLIBC_TUNABLES": (

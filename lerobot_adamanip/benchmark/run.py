@@ -24,6 +24,7 @@ from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes
 from lerobot_adamanip.evaluation.origin import Origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.pose_statistics import leave_poses_unscaled
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
 """States of a cell. Stale: its result is of other code or other options. Begun: one of its steps is, or is done."""
@@ -223,6 +224,8 @@ class BenchmarkRun:
         product, whole = self.folder.product(step), [*step.command, *step.aside]
         if step.kind == COLLECT:
             return [*whole, *self.collect_options]
+        if step.kind == TRAIN and step.needs is not None:
+            leave_poses_unscaled(self.folder.product(step.needs))  # for every method alike, LeRobot's own among them
         if step.kind == TRAIN and (behind := trained_steps(product)):
             wanted = int(option(step.command, "--steps"))
             return [] if behind >= wanted else resuming(step.product, wanted)

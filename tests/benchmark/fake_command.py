@@ -18,6 +18,7 @@ from typing import Any
 
 PAUSE, DIE = float(os.environ.get("FAKE_PAUSE", "0")), os.environ.get("FAKE_DIE", "")
 """Seconds between moments; ``train:3``: at the third moment of a training, this process and its parent are killed."""
+POSE_NAMES = ["ee.x.pos", "ee.y.pos", "ee.z.pos", *(f"ee.r6d_{i}.pos" for i in range(6)), "gripper.pos"]
 KIND = ""
 _passed = 0
 
@@ -51,6 +52,8 @@ def collect(options: dict[str, str]) -> int:
             path.with_suffix(".tmp").write_text(digest(decides, slot))
             path.with_suffix(".tmp").rename(path)
     (partial / "meta").mkdir(exist_ok=True)
+    (partial / "meta" / "info.json").write_text(json.dumps({"features": {"action": {"names": POSE_NAMES}}}))
+    (partial / "meta" / "stats.json").write_text(json.dumps({"action": {"min": [0.25] * 10, "max": [0.5] * 10}}))
     moment()
     (partial / "meta" / "collection.json").write_text("{}")
     moment()
@@ -60,6 +63,8 @@ def collect(options: dict[str, str]) -> int:
 
 def dataset_digest(root: Path) -> str:
     assert (root / "meta" / "collection.json").exists(), "a training on half a dataset"
+    ranges = json.loads((root / "meta" / "stats.json").read_text())["action"]
+    assert ranges == {"min": [0.25] * 3 + [-1.0] * 7, "max": [0.5] * 3 + [1.0] * 7}, "rotation and gripper are scaled"
     return digest([path.read_text() for path in sorted(root.iterdir()) if path.is_file()])
 
 

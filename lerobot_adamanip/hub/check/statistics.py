@@ -166,7 +166,7 @@ def read_statistics(root: Path) -> Statistics:
 def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     """Compares ``meta/stats.json`` with the statistics of the episodes.
 
-    Datasets of version 0.2 and before have fixed ranges of rotation and gripper in it, which are no finding.
+    Fixed ranges of rotation and gripper are no finding: see `lerobot_adamanip.pose_statistics.leave_poses_unscaled`.
     """
     try:
         told = read_statistics(layout.root)
