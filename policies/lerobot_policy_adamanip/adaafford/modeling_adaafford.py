@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lerobot_adamanip.schema import POSITION_DIMS
+from lerobot_adamanip.schema import POINT_CLOUD, POSITION_DIMS, STATE
 from lerobot_policy_adamanip.adaafford.asked import Astray, Interactions, trimmed
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
 from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
@@ -20,6 +20,7 @@ from lerobot_policy_adamanip.adaafford.memory import Memory
 from lerobot_policy_adamanip.adaafford.network import AdaAffordNetwork, action_numbers, encode_proposal, sent_from
 from lerobot_policy_adamanip.affordance import mean_of_best, point_near, points_away
 from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
+from lerobot_policy_adamanip.chunk_guard import ChunkGuard
 from lerobot_policy_adamanip.demonstrations import Demonstrations
 from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
 from lerobot_policy_adamanip.plans import (
@@ -200,6 +201,7 @@ class AdaAffordPolicy(AffordancePolicy):
         """Forgets the episode."""
         self._memories: list[Memory] = []
         self._plans = PlanQueue()
+        self._chunks = ChunkGuard(self.config)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
@@ -210,6 +212,7 @@ class AdaAffordPolicy(AffordancePolicy):
             kwargs: ignored.
         """
         cloud, pose = self.observed(batch)
+        self._chunks.select()
         self._memories += [Memory(self.config.num_interactions) for _ in range(len(cloud) - len(self._memories))]
         for memory, felt in zip(self._memories, pose, strict=True):
             memory.feel(felt)
@@ -229,13 +232,11 @@ class AdaAffordPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns what would be decided (B, T, 10) after what has been felt so far, shorter ones with their last key
-        frame repeated; changes nothing.
-        """
+        """Returns what would be decided (B, T, 10) now; shorter ones repeat their last. See `ChunkGuard`."""
         cloud, pose = self.observed(batch)
+        self._chunks.predict({POINT_CLOUD: cloud, STATE: pose})
         memories = self._memories or [Memory(self.config.num_interactions) for _ in cloud]
-        rows = range(len(cloud))
-        return stacked([self._decided(cloud[row : row + 1], pose[row], memories[row]) for row in rows])
+        return stacked([self._decided(cloud[row : row + 1], pose[row], memories[row]) for row in range(len(cloud))])
 
     def conclude(self, cloud: Tensor, memory: Memory) -> Tensor:
         """Returns z (1, Z) of what is remembered, looking at a cloud (1, N, 3) [m]."""

@@ -27,6 +27,7 @@ from lerobot_adamanip.schema import (
     STATE,
     fix_pose_statistics,
 )
+from lerobot_policy_adamanip.chunk_guard import ChunkGuard
 from lerobot_policy_adamanip.contract import LoadsStrictly, picked_inputs
 from lerobot_policy_adamanip.demonstrations import unfinished_ends
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
@@ -151,7 +152,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             model.spread.copy_(spread)
 
     def supports_rtc(self) -> bool:
-        """No: real-time chunking asks for chunks only, so that the histories would never advance."""
+        """No: real-time chunking asks for chunks only, see `ChunkGuard`."""
         return False
 
     # Training ---------------------------------------------------------------------------------------------------
@@ -207,6 +208,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.observed_steps)
         self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
         self._planned: deque[Tensor] = deque()
+        self._chunks = ChunkGuard(self.config)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
@@ -218,6 +220,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             kwargs: ignored.
         """
         observation = self._single(batch)
+        self._chunks.select()
         self._observed.append(self._kept(observation))
         while len(self._observed) < self.config.observed_steps:
             self._observed.append(self._observed[-1])
@@ -245,9 +248,10 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the chunk (B, T, A) that would follow ``batch`` after what was observed and done; changes nothing."""
+        """Returns the chunk (B, T, A) that would follow ``batch`` after what was done; `ChunkGuard` says when."""
         observed = deque(self._observed, maxlen=self.config.observed_steps)
         observation = self._single(batch)
+        self._chunks.predict(observation)
         observed.append(self._kept(observation))
         while len(observed) < self.config.observed_steps:
             observed.appendleft(observed[0])
