@@ -81,6 +81,7 @@ class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
     def get_optim_params(self) -> Any:
         """Parameters to train."""
+        self.require_own_push()
         parameters: list[Parameter] = list(self.model.parameters())
         return parameters
 

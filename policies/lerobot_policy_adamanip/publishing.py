@@ -5,6 +5,10 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from lerobot.policies.pretrained import PreTrainedPolicy
+
+from lerobot_adamanip.errors import ConfigurationError
+
 
 class PublishesOurCard:
     """Mixed into a policy: its card is ours, and what LeRobot uploads beside it names no folder.
@@ -14,6 +18,29 @@ class PublishesOurCard:
     """
 
     config: Any
+
+    def require_own_push(self) -> None:
+        """Check, before a training, that `--policy.push_to_hub=true` can publish our card and no local path.
+
+        LeRobot 0.6.1 asks the policy for its card and hands it the training's configuration. Later versions publish
+        both from a function of their own, `publish_trained_model`, which offers no hook.
+
+        Raises:
+            ConfigurationError: the policy is to be published and this LeRobot offers no hook.
+        """
+        asked = self.config.push_to_hub and self.config.repo_id
+        if asked and not hasattr(PreTrainedPolicy, "generate_model_card"):
+            raise ConfigurationError(
+                "This LeRobot publishes a policy with the local paths of its training.",
+                got=f"--policy.push_to_hub=true, to {self.config.repo_id}",
+                allowed="--policy.push_to_hub=false",
+                hint="train with --policy.push_to_hub=false, then adamanip push model CHECKPOINT --repo-id USER/NAME",
+            )
+
+    def push_to_hub(self, *args: Any, **kwargs: Any) -> Any:
+        """LeRobot's own upload of weights and configuration, checked as in `require_own_push`."""
+        self.require_own_push()
+        return super().push_to_hub(*args, **kwargs)  # type: ignore[misc]
 
     def generate_model_card(self, *args: Any, cfg: Any = None, dataset_meta: Any = None, **kwargs: Any) -> Any:
         """The card that `adamanip push model` makes; nobody is asked whether its header is lawful before the upload."""

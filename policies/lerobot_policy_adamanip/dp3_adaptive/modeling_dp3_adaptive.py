@@ -159,6 +159,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
     def get_optim_params(self):
         """Parameters to train; the averaged copy is not among them."""
+        self.require_own_push()
         return self.model.parameters()
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:

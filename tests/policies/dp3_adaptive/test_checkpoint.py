@@ -1,17 +1,17 @@
-"""Saved, loaded, fine-tuned and pushed policies."""
+"""Saved, loaded and fine-tuned policies, and their cards."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.factory import make_policy, make_pre_post_processors
+from lerobot.policies.pretrained import PreTrainedPolicy
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
@@ -142,32 +142,14 @@ def test_fine_tuning_measures_poses_as_the_new_data_are_normalised(
     assert torch.equal(tuned.frames.cloud_scale, policy.frames.cloud_scale)
 
 
-def test_pushing_uploads_weights_and_a_card_of_this_policy(
-    make_tiny: MakeTiny, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from huggingface_hub import ModelCard
+def test_a_card_describes_this_policy(make_tiny: MakeTiny) -> None:
     from lerobot.configs.default import DatasetConfig
     from lerobot.configs.train import TrainPipelineConfig
-    from lerobot.policies import pretrained
 
-    uploaded: dict[str, str] = {}
-
-    class Hub:
-        def create_repo(self, repo_id: str, **_: Any) -> Any:
-            return SimpleNamespace(repo_id=repo_id)
-
-        def upload_folder(self, *, folder_path: Path, **_: Any) -> Any:
-            for path in Path(folder_path).iterdir():
-                uploaded[path.name] = path.read_text(encoding="utf-8") if path.suffix in {".md", ".json"} else ""
-            return SimpleNamespace(repo_url=SimpleNamespace(url="somewhere"))
-
-    monkeypatch.setattr(pretrained, "HfApi", Hub)
     policy, *_, dataset = make_tiny(n_action_history_steps=5, repo_id="someone/opens-safes", tags=["safe"])
     policy.update()
     training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="someone/safe-demos"), policy=policy.config)
-    policy.push_model_to_hub(training, dataset_meta=dataset.meta)
-    assert {"README.md", "config.json", "model.safetensors", "train_config.json"} <= uploaded.keys()
-    card = ModelCard(uploaded["README.md"])
+    card = policy.generate_model_card(cfg=training, dataset_meta=dataset.meta)
     assert card.data.license == "apache-2.0"
     assert card.data.datasets == ["someone/safe-demos"]
     assert {"robotics", "lerobot", "dp3_adaptive", "safe"} <= set(card.data.tags)
@@ -175,3 +157,12 @@ def test_pushing_uploads_weights_and_a_card_of_this_policy(
     for fact in ("someone/opens-safes", "last 5 actions", schema.POINT_CLOUD, "averaged over 1 updates"):
         assert fact in card.text
     assert "lerobot-eval --policy.path=someone/opens-safes" in card.text
+
+
+def test_a_training_whose_push_would_name_local_paths_is_refused(
+    make_tiny: MakeTiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(PreTrainedPolicy, "generate_model_card", raising=False)
+    policy, *_ = make_tiny(push_to_hub=True, repo_id="someone/opens-safes")
+    with pytest.raises(ConfigurationError, match="adamanip push model"):
+        policy.get_optim_params()

@@ -36,7 +36,6 @@ COMMON = (
     "--policy.device=cpu",
     "--batch_size=2",
     "--num_workers=0",
-    "--wandb.enable=false",
 )
 
 

@@ -19,7 +19,7 @@ STEPS = 300
 OPTIONS = (
     "--policy.type=dp3_adaptive", "--policy.preset=diffusion", "--policy.num_points=8", "--policy.encoder_dims=[16,16]",
     "--policy.encoder_out_dim=16", "--policy.down_dims=[32,64]", "--policy.diffusion_step_embed_dim=16",
-    "--policy.push_to_hub=false", "--policy.device=cpu", "--batch_size=8", "--num_workers=0", "--wandb.enable=false",
+    "--policy.push_to_hub=false", "--policy.device=cpu", "--batch_size=8", "--num_workers=0",
     f"--steps={STEPS}", f"--save_freq={STEPS}", "--log_freq=20", "--env_eval_freq=0",
 )  # fmt: skip
 
