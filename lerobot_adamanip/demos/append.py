@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -12,6 +13,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.demos.prepare import PLACE, PreparedEpisode
+
+_WRITER_PARTS = (
+    "_current_file_start_frame", "_latest_episode", "_pq_writer", "_recorded_frames", "_root", "_save_episode_video",
+    "close_writer",
+)  # fmt: skip
+"""Attributes of LeRobot's writer that `append_rows` uses."""
+_EPISODE = ("episode_index", "episode_length", "episode_tasks", "episode_stats", "episode_metadata")
+"""Parameters of the metadata's `save_episode`, in order."""
+
+
+def can_append(dataset: Any) -> bool:
+    """Whether this LeRobot's writer and metadata have what `append_rows` uses."""
+    parameters = tuple(inspect.signature(dataset.meta.save_episode).parameters)
+    return parameters == _EPISODE and all(hasattr(dataset.writer, part) for part in _WRITER_PARTS)
 
 
 def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip import files, schema
-from lerobot_adamanip.demos.append import append, in_order
+from lerobot_adamanip.demos.append import append, can_append, in_order
 from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.demos.card import dataset_card
 from lerobot_adamanip.demos.collection import manifest_path
@@ -25,7 +25,6 @@ from lerobot_adamanip.demos.prepare import (
     ENCODER_THREADS,
     EpisodeFile,
     PreparedEpisode,
-    is_tested,
     preparing_session,
     video_encoder,
 )
@@ -113,7 +112,7 @@ def append_shards(
     """Writes all episodes, and finalises the dataset; returns their records and their numbers of rows."""
     records: list[dict[str, Any]] = []
     lengths: list[int] = []
-    appended = _appended(dataset, shards, crews) if is_tested() else _written_by_lerobot(dataset, shards)
+    appended = _appended(dataset, shards, crews) if can_append(dataset) else _written_by_lerobot(dataset, shards)
     for record, length in appended:
         records.append(record)
         lengths.append(length)

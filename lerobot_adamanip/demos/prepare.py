@@ -14,15 +14,12 @@ from typing import Any
 
 import pyarrow as pa
 
-from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.jobs import Beat
 
 Features = Mapping[str, Mapping[str, Any]]
 PLACE = ("index", "episode_index", "task_index")
 """Columns that depend on what was appended before."""
-TESTED_WRITER = {"0.6.1": "4a8f2b82ec696396"}
-"""LeRobot version -> hash of its writer's source, whose work this does."""
 VIDEO = {"vcodec": "h264", "crf": 20, "preset": "veryfast", "g": 2}
 ENCODER_THREADS = 1
 """One thread: the same frames then give the same file on every run."""
@@ -51,17 +48,6 @@ class PreparedEpisode:
     table: bytes
     stats: dict[str, dict[str, Any]]
     videos: dict[str, bytes]
-
-
-def is_tested() -> bool:
-    """Whether this LeRobot's writer is the one whose work this does; any other one does it itself, serially."""
-    return lerobot_version.is_tested(TESTED_WRITER, _built_on)
-
-
-def _built_on() -> tuple[Any, ...]:
-    from lerobot.datasets import compute_stats, dataset_writer
-
-    return dataset_writer.DatasetWriter, compute_stats
 
 
 def video_encoder() -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from demos_helpers import another
+from lerobot.datasets.dataset_writer import DatasetWriter
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
@@ -106,10 +107,10 @@ def test_nothing_there_is_overwritten(finished: Path, other: Path, tmp_path: Pat
     assert [path.name for path in tmp_path.rglob("*")] == ["new", "mine"]
 
 
-def test_an_untested_lerobot_is_refused(
+def test_a_lerobot_with_another_writer_is_refused(
     finished: Path, other: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lerobot_adamanip.demos.prepare.TESTED_WRITER", {})
+    monkeypatch.delattr(DatasetWriter, "_save_episode_video")
     with pytest.raises(AdaManipError, match="writes datasets otherwise"):
         merge([finished, other], tmp_path / "new")
     assert not (tmp_path / "new").exists()

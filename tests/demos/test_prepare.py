@@ -11,8 +11,7 @@ from demos_helpers import InThisProcess, Preparing, fakes, make_spec, patiently,
 
 from lerobot_adamanip.demos import assemble as assembling
 from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos import prepare
-from lerobot_adamanip.demos.append import in_order
+from lerobot_adamanip.demos.append import can_append, in_order
 from lerobot_adamanip.demos.collect import collect
 
 SPEC: dict[str, Any] = {"episodes_per_object": 4, "num_points": 64}
@@ -21,18 +20,21 @@ SPEC: dict[str, Any] = {"episodes_per_object": 4, "num_points": 64}
 @pytest.fixture
 def small_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files so small that several are begun, as in large collections."""
-    create = assembling._create
+    create = assembling.create_dataset
 
-    def created(*arguments: Any) -> Any:
-        dataset = create(*arguments)
+    def created(*arguments: Any, **options: Any) -> Any:
+        dataset = create(*arguments, **options)
         dataset.meta.update_chunk_settings(data_files_size_in_mb=0.02, video_files_size_in_mb=0.004)
         return dataset
 
-    monkeypatch.setattr(assembling, "_create", created)
+    monkeypatch.setattr(assembling, "create_dataset", created)
 
 
-def test_the_writer_at_hand_is_the_one_that_was_tested() -> None:
-    assert prepare.is_tested()
+def test_the_writer_at_hand_can_be_appended_to(tmp_path: Path) -> None:
+    dataset = assembling.create_dataset(tmp_path / "new", "local/new", num_points=8, image_size=None, intrinsics=None)
+    assert can_append(dataset)
+    del dataset.writer._latest_episode
+    assert not can_append(dataset)
 
 
 @pytest.fixture
@@ -71,7 +73,7 @@ def test_two_processes_one_and_lerobot_itself_make_the_same_dataset(
         patch.setattr(crews, "MIN_PREPARED", 1)
         patch.setattr(crews, "WorkerPool", Preparing)
         same_bytes(one, collected(tmp_path / "two", workers=2))
-    monkeypatch.setattr(assembling, "is_tested", lambda: False)
+    monkeypatch.setattr(assembling, "can_append", lambda _: False)
     same_but_for_a_cache_name(one, collected(tmp_path / "stock"))
 
 
@@ -80,7 +82,7 @@ def test_so_does_a_collection_without_pictures(tmp_path: Path, monkeypatch: pyte
     images = {"observe_images": False}
     one = collected(tmp_path / "one", spec=images)
     assert not (one / "videos").exists()
-    monkeypatch.setattr(assembling, "is_tested", lambda: False)
+    monkeypatch.setattr(assembling, "can_append", lambda _: False)
     same_but_for_a_cache_name(one, collected(tmp_path / "stock", spec=images))
 
 

@@ -1,6 +1,6 @@
 """A new dataset out of episodes of others: the same rows, videos, per-episode columns and statistics, numbered anew.
 
-LeRobot's own tools (0.6.1) cannot: they fail on clouds, encode pictures again, and drop the columns of episodes that
+LeRobot's own tools cannot: they fail on clouds, encode pictures again, and drop the columns of episodes that
 they do not know.
 """
 
@@ -16,14 +16,13 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip import files
 from lerobot_adamanip.checked_json import parse
-from lerobot_adamanip.demos.append import append_rows
+from lerobot_adamanip.demos.append import append_rows, can_append
 from lerobot_adamanip.demos.assemble import cameras_json
 from lerobot_adamanip.demos.editing.cutting import cut_episode
 from lerobot_adamanip.demos.editing.recordings import describe_recording, require_same_calibrations
 from lerobot_adamanip.demos.editing.selection import Selection, write_selection
 from lerobot_adamanip.demos.editing.source import Rows, Source
 from lerobot_adamanip.demos.loading import read_back, workspace_of
-from lerobot_adamanip.demos.prepare import is_tested
 from lerobot_adamanip.demos.statistics import sort_statistics
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
@@ -56,11 +55,11 @@ def compose(
         DatasetError: a source is damaged.
         ConfigurationError: this LeRobot writes datasets otherwise.
     """
-    _require_tested()
     sources = list(dict.fromkeys(source.root for source, _ in pieces))
     of = {source.root: source for source, _ in pieces}
     require_same_calibrations(list(of.values()))
     dataset = _create(out, [of[root] for root in sources], repo_id)
+    _require_appendable(dataset)
     schema, rows, lengths = _schema(dataset.meta.features), Rows(), []
     for done, (source, episode) in enumerate(pieces, start=1):
         lengths.append(_append(dataset, schema, rows, source, episode))
@@ -103,14 +102,14 @@ def describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
                 files.write_atomically(out / name, (pieces[0][0].root / name).read_bytes())
 
 
-def _require_tested() -> None:
-    if not is_tested():
+def _require_appendable(dataset: Any) -> None:
+    if not can_append(dataset):
         import lerobot
 
         raise ConfigurationError(
             "This LeRobot writes datasets otherwise.",
             got=f"lerobot {lerobot.__version__}",
-            allowed="lerobot 0.6.1",
+            allowed="a version of docs/compatibility.md",
             hint="pip install 'lerobot==0.6.1'",
         )
 
