@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup pictures test nightly check format docs release bench demo clean
+.PHONY: help setup pictures test lerobot nightly check format docs release bench demo clean
 export NO_SYSTEM
 
 BIN := .venv/bin
@@ -45,6 +45,10 @@ test: pictures  ## all tests but the nightly ones: those without a simulator, th
 	echo "== 3/3  every method of the benchmark, at its smallest: some 7 minutes on two cores"; \
 	$(BIN)/python -m pytest -m "alone and not nightly" || status=$$?; \
 	exit $$status
+
+LEROBOT ?= main
+lerobot: .venv/.installed  ## tests without the simulator against another LeRobot: `make lerobot LEROBOT=main`, or a release
+	JOBS=$(JOBS) bash scripts/test_lerobot.sh "$(LEROBOT)"
 
 nightly: pictures .venv/.browser  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
 	bash scripts/nightly.sh

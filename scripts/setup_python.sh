@@ -40,7 +40,7 @@ explain_missing() {
     cat >&2 <<TEXT
 error: no Python $WANTED found.
   got:     $(python3 --version 2>/dev/null || echo "no python3")
-  allowed: Python $WANTED. LeRobot 0.6 needs 3.12 or newer; ManiSkill's mplib and fpsample have no wheels for 3.13 yet.
+  allowed: Python $WANTED. LeRobot needs 3.12 or newer; ManiSkill's mplib and fpsample have no wheels for 3.13 yet.
   try:     one of
              curl -LsSf https://astral.sh/uv/install.sh | sh    (make setup then lets uv fetch Python; no root needed)
              pyenv install $WANTED
