@@ -110,13 +110,13 @@ def mapping(key: Check, each: Check, highest: int) -> Check:
     return check
 
 
-def table(fields: Mapping[str, Check]) -> Check:
-    """Returns a check for exactly these fields."""
+def table(fields: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
+    """Returns a check for exactly these fields; others may be there that are ``ignored``."""
 
     def check(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, Mapping):
             raise _wrong(name, value, "named fields")
-        if unknown := sorted(map(str, set(value) - set(fields))):
+        if unknown := sorted(map(str, set(value) - set(fields) - set(ignored))):
             raise ValueError(f"{name} has an unknown field {reprlib.repr(unknown[0])}; known are {', '.join(fields)}")
         if missing := [field for field in fields if field not in value]:
             raise ValueError(f"{name} lacks {', '.join(missing)}")

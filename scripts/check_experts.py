@@ -28,7 +28,7 @@ from lerobot_adamanip.catalog import category_of, object_split, parse_object_sel
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.evaluation.groups import hidden_names
-from lerobot_adamanip.evaluation.rates import wilson_interval
+from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
 from lerobot_adamanip.evaluation.result_rows import ResultRow
 from lerobot_adamanip.evaluation.results import check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
@@ -127,6 +127,7 @@ def _counts(episodes: list[Episode]) -> dict[str, Any]:
         "attempted": len(episodes),
         "placed": sum(episode.placed for episode in episodes),
         "kept": len(kept),
+        **success_summary(rate(len(kept), len(episodes))),
         "wilson_95": list(wilson_interval(len(kept), len(episodes))),
         "mean_key_frames": frames,
     }

@@ -16,6 +16,7 @@ from records import record
 from lerobot_adamanip.benchmark.report_text import means_line
 from lerobot_adamanip.benchmark.result import write_cell
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS
 from lerobot_adamanip.evaluation.result_rows import ResultRow, rows_of_records
 from lerobot_adamanip.evaluation.results import ResultFile, make_result, parse_result, read_result, write_result
 from lerobot_adamanip.evaluation.tables import END, NOTHING, START, readme_block, result_table, results_page, with_block
@@ -170,6 +171,18 @@ def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
     assert read_result(tmp_path / "results" / "one.json") == one
     assert re.fullmatch(r"[0-9a-f]{40}", one.commit or "0" * 40)
     assert set(one.machine) == {"cores", "gpu"}
+
+
+def test_rows_are_written_with_lerobots_keys_and_read_without(tmp_path: Path) -> None:
+    path, one = tmp_path / "one.json", result()
+    write_result(path, one)
+    content = json.loads(path.read_text())
+    for row in content["rows"]:
+        assert (row["n_success"], row["n_episodes"]) == (row["successes"], row["episodes"])
+        for key in SUCCESS_KEYS:
+            del row[key]
+    path.write_text(json.dumps(content))
+    assert read_result(path) == one
 
 
 @pytest.mark.parametrize(

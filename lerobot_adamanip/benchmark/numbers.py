@@ -10,7 +10,7 @@ from typing import Any
 from lerobot_adamanip.checked_json import Check, integer, listing, mapping, number, optional, table, text
 from lerobot_adamanip.evaluation.metrics import Tries, summarise, without_repeats
 from lerobot_adamanip.evaluation.origin import LINE
-from lerobot_adamanip.evaluation.rates import Rate, rate
+from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.recovery import Recovery
 
@@ -60,11 +60,12 @@ class Numbers:
         return rate(count, self.success.episodes)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary; the interval is written too, for other readers."""
+        """Returns a JSON-able dictionary; the interval and LeRobot's keys are for other readers."""
         recovered = self.recovery
         return {
             "episodes": self.success.episodes,
             "successes": self.success.count,
+            **success_summary(self.success),
             "interval": [self.success.low, self.success.high],
             "key_frames": {str(length): opened for length, opened in self.key_frames.items()},
             "tries": None if self.tries is None else asdict(self.tries),
@@ -142,5 +143,6 @@ _NUMBERS: Check = table(
         "tries": optional(table({"made": _MEAN, "best": _MEAN, "wasted": _MEAN})),
         "recovery": table({"repeated": _COUNTS, "untried": mapping(_WHOLE, _COUNTS, 1000)}),
         "hidden": mapping(LINE, _COUNTS, 100),
-    }
+    },
+    ignored=SUCCESS_KEYS,
 )

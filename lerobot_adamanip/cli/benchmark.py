@@ -29,7 +29,7 @@ from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.demos.cluster import require_usable
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.origin import machine_class, present_origin
-from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.rates import rate, success_summary
 from lerobot_adamanip.evaluation.texts import counted, interval_text
 from lerobot_adamanip.files import write_atomically
 
@@ -247,7 +247,7 @@ def _state_json(state: CellState) -> dict[str, Any]:
         **asdict(state.cell),
         "state": state.state,
         "reason": state.reason,
-        "success": None if success is None else asdict(success),
+        "success": None if success is None else {**asdict(success), **success_summary(success)},
     }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from lerobot_adamanip.evaluation.groups import Group, hidden_boundaries, worth_showing
 from lerobot_adamanip.evaluation.metrics import EvaluationSummary, summarise, warnings_of
-from lerobot_adamanip.evaluation.rates import Difference, difference
+from lerobot_adamanip.evaluation.rates import Difference, difference, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 
@@ -45,7 +45,10 @@ class Comparison:
         return worth_showing(ordered)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns ``evaluations`` (label, and its summary with groups as a list), ``differences`` and ``warnings``."""
+        """Returns ``evaluations`` (label, and its summary with groups as a list), ``differences`` and ``warnings``.
+
+        Each evaluation and each group has LeRobot's keys too, see `success_summary`.
+        """
         return {
             "evaluations": [{"label": label, **_summary(summary)} for label, summary in self.summaries.items()],
             "differences": [
@@ -75,9 +78,13 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
 
 
 def _summary(summary: EvaluationSummary) -> dict[str, Any]:
-    groups = [{**asdict(group), **asdict(result)} for group, result in summary.groups.items()]
+    groups = [
+        {**asdict(group), **asdict(result), **success_summary(result.success)}
+        for group, result in summary.groups.items()
+    ]
     return {
         "episodes": summary.episodes,
+        **success_summary(summary.overall.success),
         "repeats": summary.repeats,
         "groups": groups,
         "tried_locked_first": asdict(summary.tried_locked_first),

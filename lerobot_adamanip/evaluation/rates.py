@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 Z95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
+SUCCESS_KEYS = ("n_success", "n_episodes", "pc_success", "pc_success_ci95")
+"""Keys of `success_summary`; files hold them for other readers, ours count anew."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,17 @@ def rate(count: int, episodes: int) -> Rate:
     """Returns a `Rate`."""
     low, high = wilson_interval(count, episodes)
     return Rate(count, episodes, count / episodes if episodes else None, low, high)
+
+
+def success_summary(success: Rate) -> dict[str, Any]:
+    """Returns a success rate under the keys of `lerobot-eval` (LeRobot's pull request 4628), rates in percent.
+
+    Of no episodes, ``pc_success`` and both bounds are None, where LeRobot writes NaN, which is no JSON.
+    """
+    known = success.rate is not None
+    bounds = [100 * success.low, 100 * success.high] if known else [None, None]
+    percent = 100 * success.count / success.episodes if known else None
+    return dict(zip(SUCCESS_KEYS, (success.count, success.episodes, percent, bounds), strict=True))
 
 
 def difference(first: Rate, second: Rate) -> Difference:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from lerobot_adamanip import checked_json
@@ -13,6 +13,7 @@ from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
 from lerobot_adamanip.evaluation.in_vain import IN_VAIN, count_in_vain
 from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
 from lerobot_adamanip.evaluation.origin import LINE
+from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.recovery import recovery
 
@@ -54,6 +55,10 @@ class ResultRow:
     train_minutes: float | None = None
     failures: Mapping[str, int] | None = None
     in_vain: Mapping[str, int] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary, with LeRobot's keys for other readers."""
+        return {**asdict(self), **success_summary(rate(self.successes, self.episodes))}
 
 
 def parse_row(row: Mapping[str, Any]) -> ResultRow:
@@ -129,5 +134,6 @@ ROW = checked_json.table(
         "train_minutes": checked_json.optional(checked_json.number(0, 10**6)),
         "failures": checked_json.optional(checked_json.mapping(checked_json.choice(CAUSES), _COUNT, len(CAUSES))),
         "in_vain": checked_json.optional(checked_json.mapping(checked_json.choice(IN_VAIN), _COUNT, len(IN_VAIN))),
-    }
+    },
+    ignored=SUCCESS_KEYS,
 )

@@ -60,7 +60,7 @@ class ResultFile:
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
-        return {"schema": 1, **asdict(self)}
+        return {"schema": 1, **asdict(self), "rows": [row.to_json() for row in self.rows]}
 
 
 def check_command(command: str) -> str:

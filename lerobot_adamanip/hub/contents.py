@@ -21,7 +21,7 @@ from lerobot_adamanip.demos.editing.selection import selection_path
 from lerobot_adamanip.demos.loading import episode_table, load_check
 from lerobot_adamanip.errors import AdaManipError, DatasetError
 from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
-from lerobot_adamanip.evaluation.rates import Rate, rate
+from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.evaluation.recovery import Recovery, recovery
 from lerobot_adamanip.seeds import split_of
@@ -109,7 +109,10 @@ class Contents:
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary; groups as a list of ``by``, ``name`` and their numbers."""
         plain = asdict(replace(self, groups={}))
-        groups = [{"by": group.by, "name": group.name, **asdict(found)} for group, found in self.groups.items()]
+        groups = [
+            {"by": group.by, "name": group.name, **asdict(found), **success_summary(found.success)}
+            for group, found in self.groups.items()
+        ]
         return {**plain, "key_frames": self.length_summary(), "groups": groups}
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.rates import rate, success_summary
 from lerobot_adamanip.evaluation.result_rows import ResultRow, rows_of_records
 from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result
 from lerobot_adamanip.hub.cards import table
@@ -95,6 +95,7 @@ def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
                 "scenes": each.scenes,
                 "seeds": list(each.seeds),
                 "episodes": row.episodes,
+                **success_summary(rate(row.successes, row.episodes)),
                 "command": each.command,
                 "commit": each.commit,
             },

@@ -22,7 +22,7 @@ from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.origin import machine_text
-from lerobot_adamanip.evaluation.rates import difference, rate
+from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, difference, rate
 
 TRIALS = {
     "method": "ours", "numbers": [0, 1, 2], "none": "static", "categories": ["bottle"], "splits": ["seen"],
@@ -305,6 +305,15 @@ def test_a_result_comes_back_as_it_was(cells: Path, tmp_path: Path) -> None:
     result = read_cell(cells / "ours-safe-seen-1.json")
     write_cell(tmp_path / "again.json", result)
     assert read_cell(tmp_path / "again.json") == result
+
+
+def test_numbers_are_written_with_lerobots_keys_and_read_without(cells: Path) -> None:
+    numbers = read_cell(cells / "ours-safe-seen-1.json").numbers
+    content = numbers.to_json()
+    assert (content["n_success"], content["n_episodes"]) == (numbers.success.count, numbers.success.episodes)
+    assert content["pc_success_ci95"] == [100 * numbers.success.low, 100 * numbers.success.high]
+    earlier = {key: value for key, value in content.items() if key not in SUCCESS_KEYS}
+    assert Numbers.from_json("numbers", earlier) == numbers
 
 
 def spoiled(result: CellResult, path: str, value: Any) -> dict[str, Any]:

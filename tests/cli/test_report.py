@@ -53,6 +53,9 @@ def test_json_is_one_object_with_counts_that_add_up(logs: tuple[str, str], capsy
     assert groups["safe: locked"]["success"]["count"] == 9
     assert groups["safe: locked"]["success"]["episodes"] == groups["safe: unlocked"]["success"]["episodes"] == 10
     assert groups["all"]["success"]["episodes"] == first["episodes"] == 20
+    counts = [(each["n_success"], each["n_episodes"], each["pc_success"]) for each in (first, groups["safe: locked"])]
+    assert counts == [(19, 20, 95.0), (9, 10, 90.0)]
+    assert groups["safe: locked"]["pc_success_ci95"] == pytest.approx([59.58, 98.21], abs=0.05)
     gaps = by_name(report["differences"])
     assert gaps["safe: locked"]["difference"] == pytest.approx(0.8)
     assert gaps["safe: locked"]["low"] > 0

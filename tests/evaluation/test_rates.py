@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from lerobot_adamanip.evaluation.rates import Difference, difference, rate, wilson_interval
+from lerobot_adamanip.evaluation.rates import (
+    SUCCESS_KEYS,
+    Difference,
+    difference,
+    rate,
+    success_summary,
+    wilson_interval,
+)
 
 SHARES = st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
 
@@ -65,3 +73,20 @@ def test_only_a_real_difference_leaves_zero_out() -> None:
     assert difference(rate(45, 50), rate(20, 50)).low > 0
     gap = difference(rate(5, 10), rate(4, 10))
     assert gap.low < 0 < gap.high
+
+
+@pytest.mark.parametrize(
+    ("count", "episodes", "interval"),
+    [(7, 10, [39.68, 89.22]), (9, 10, [59.58, 98.21]), (14, 20, [48.10, 85.45]), (14, 30, [30.23, 63.86])],
+)
+def test_a_rate_has_lerobots_keys_and_values(count: int, episodes: int, interval: list[float]) -> None:
+    """Values of LeRobot's tests of `lerobot.utils.eval_stats` and of its `eval_policy_all`, pull request 4628."""
+    told = success_summary(rate(count, episodes))
+    assert (told["n_success"], told["n_episodes"]) == (count, episodes)
+    assert told["pc_success"] == pytest.approx(100 * count / episodes)
+    assert told["pc_success_ci95"] == pytest.approx(interval, abs=0.05)
+
+
+def test_lerobots_keys_of_no_episodes_are_json() -> None:
+    told = json.dumps(success_summary(rate(0, 0)), allow_nan=False)
+    assert json.loads(told) == dict(zip(SUCCESS_KEYS, (0, 0, None, [None, None]), strict=True))

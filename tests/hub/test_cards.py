@@ -197,6 +197,7 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     assert (found.metric_type, found.metric_value) == ("success_rate", round(row.successes / row.episodes, 4))
     assert (found.dataset_type, found.dataset_split) == ("adamanip_safe", "seen")
     assert found.dataset_args["command"] == result.command
+    assert (found.dataset_args["n_success"], found.dataset_args["n_episodes"]) == (row.successes, row.episodes)
     assert f"{row.successes}/{row.episodes}: " in card.text
     assert result.fingerprint in card.text
     assert card.data.datasets == ["someone/safes"]
