@@ -13,6 +13,9 @@ from lerobot_adamanip.errors import require_choice
 SPLITS = {"test": (0, 10**6), "validation": (10**6, 2 * 10**6), "train": (2**24, 2**31)}
 """Split -> first seed, end. ``train``: demonstrations. ``validation``: models are chosen on it. ``test``: reported."""
 
+CATEGORY_STRIDE = 100_000
+"""From a category's seeds to the next one's in a suite: poses and hidden state of one seed would be alike otherwise."""
+
 
 def scene_seed(seed: int, split: str) -> int:
     """Returns the seed of a split's scene: ``seed`` if it lies in the split's range, else wrapped into it.

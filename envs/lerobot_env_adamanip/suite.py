@@ -9,11 +9,9 @@ from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.seeds import CATEGORY_STRIDE
 from lerobot_env_adamanip.config import AdaManipEnvConfig, VectorEnvs, make_vector_env
 from lerobot_env_adamanip.trained_on import tell_training_objects
-
-SEED_STRIDE = 100_000
-"""From a category's seeds to the next one's: poses and hidden state of one seed would be alike otherwise."""
 
 
 @EnvConfig.register_subclass("adamanip")
@@ -49,7 +47,7 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
         """Returns ``{category: {0: vector environment}}``; one seed is another scene in each category."""
-        offsets, run_id = {name: SEED_STRIDE * k for k, name in enumerate(CATEGORIES)}, self._new_run_id()
+        offsets, run_id = {name: CATEGORY_STRIDE * k for k, name in enumerate(CATEGORIES)}, self._new_run_id()
         options = [self._options(name, seed_offset=offsets[name], run_id=run_id) for name in self.chosen()]
         tell_training_objects(self, options)
         return {each.category: {0: make_vector_env(each, n_envs, use_async_envs)} for each in options}

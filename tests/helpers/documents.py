@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")))
+PAGES = [page for folder in ("docs", "docs/upstream") for page in (ROOT / folder).glob("*.md")]
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", *(page.relative_to(ROOT).as_posix() for page in PAGES))
 
 
 class Block(NamedTuple):

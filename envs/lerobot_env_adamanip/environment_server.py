@@ -1,0 +1,70 @@
+"""``create_adamanip_envs``: what LeRobot's environment server asks of a simulator. Imports nothing of LeRobot."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.evaluation.log import new_run_id
+from lerobot_adamanip.options import EnvironmentOptions, require_known
+from lerobot_adamanip.seeds import CATEGORY_STRIDE
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv, Observation
+from lerobot_env_adamanip.spaces import observation_space
+
+PREVIEW = "preview"
+"""Camera of pictures for people alone: without a Vulkan device they are shaded shapes, which no policy has seen."""
+
+
+class ServedEnv(gym.ObservationWrapper[Observation, NDArray[np.float32], Observation]):
+    """A `KeyframeEnv` with a picture in every observation, for the server renders none but observed ones.
+
+    Observation: ``agent_pos`` (24,), ``effort`` (7,), ``point_cloud`` (3 N,) [m] as datasets have it, and ``pixels``:
+        ``front`` (H, W, 3) where images are observed, else `PREVIEW`, rendered or shaded.
+
+    Args:
+        options: of the environment.
+    """
+
+    def __init__(self, options: EnvironmentOptions) -> None:
+        env = KeyframeEnv(options=options)
+        super().__init__(env)
+        # The server reads these of the outermost object.
+        self.task, self.task_description = env.task, env.task_description
+        self._max_episode_steps = env.max_key_frames
+        size = options.image_size
+        pixels = gym.spaces.Dict({PREVIEW: gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
+        cloud = gym.spaces.Box(-np.inf, np.inf, (3 * options.num_points,), np.float32)
+        self.observation_space = gym.spaces.Dict({"pixels": pixels, **observation_space(options), "point_cloud": cloud})
+
+    def observation(self, observation: Observation) -> Observation:
+        """Adds the picture and flattens the cloud."""
+        pixels = observation.get("pixels") or {PREVIEW: self.env.render()}
+        return {**observation, "point_cloud": observation["point_cloud"].reshape(-1), "pixels": pixels}
+
+
+def create_adamanip_envs(
+    task: str, n_envs: int, env_cls: Callable[[Sequence[Callable[[], ServedEnv]]], Any], **options: Any
+) -> dict[str, dict[int, Any]]:
+    """Returns ``{category: {0: env_cls(functions)}}``; no simulator starts before a world's first reset.
+
+    Args:
+        task: a category; several with commas; or ``all``.
+        n_envs: worlds of each category at once.
+        env_cls: is given a function for each world, which makes its `ServedEnv`.
+        options: of `EnvironmentOptions` by name; ``observe_images`` is off unless given.
+
+    Raises:
+        ConfigurationError: there is no such category or option, or a value cannot work.
+    """
+    require_known(options)
+    names = list(CATEGORIES) if task == ALL else [name.strip() for name in task.split(",")]
+    common = {"observe_images": False, "run_id": new_run_id() if options.get("episode_log") else None, **options}
+    offsets = {name: CATEGORY_STRIDE * place for place, name in enumerate(CATEGORIES)} if len(names) > 1 else {}
+    chosen = [EnvironmentOptions(**{"category": name, "seed_offset": offsets.get(name, 0), **common}) for name in names]
+    return {one.category: {0: env_cls([functools.partial(ServedEnv, one)] * n_envs)} for one in chosen}

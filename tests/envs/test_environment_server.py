@@ -1,0 +1,179 @@
+"""The factory for LeRobot's environment server, by a stand-in that asks what the server's backend asks.
+
+Read in branches of LeRobot's pull request: `sims/backend.py`, `sims/adapters.py` and `envs/sim_client.py`.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from documents import blocks
+
+from lerobot_adamanip import schema
+from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.evaluation.log import read_log
+from lerobot_env_adamanip.environment_server import create_adamanip_envs
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = "docs/upstream/environment_server.md"
+NAMES = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
+
+
+class StandIn:
+    """Worlds of one task: resets by seed, steps what has not ended, keeps the last transition of what has."""
+
+    def __init__(self, task: str, num_envs: int, group: str | None = None, **kwargs: Any) -> None:
+        factories = create_adamanip_envs(task=task, n_envs=num_envs, env_cls=list, **kwargs)
+        self.group = group or next(iter(factories))
+        self.envs = [function() for function in factories[self.group][0]]
+        self.steps = [0] * num_envs
+
+    def canonical(self, observation: dict[str, Any]) -> dict[str, np.ndarray]:
+        """The observation under LeRobot's names: pictures as they are, everything else float32."""
+        pixels = observation["pixels"]
+        found = {f"observation.images.{name}": image for name, image in pixels.items()}
+        assert all(image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3 for image in found.values())
+        for key, value in observation.items():
+            if isinstance(value, np.ndarray):
+                found[NAMES.get(key, f"observation.{key}")] = value.astype(np.float32)
+        return found
+
+    def described(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of a sampled observation, by name."""
+        return {key: value.shape for key, value in self.canonical(self.envs[0].observation_space.sample()).items()}
+
+    def reset(self, seeds: list[int]) -> None:
+        self.last = [
+            (self.canonical(env.reset(seed=seed)[0]), 0.0, False, False, False)
+            for env, seed in zip(self.envs, seeds, strict=True)
+        ]
+
+    def step(self, actions: np.ndarray) -> None:
+        for place, (env, action) in enumerate(zip(self.envs, actions, strict=True)):
+            if self.last[place][2] or self.last[place][3]:
+                continue
+            observation, reward, terminated, truncated, info = env.step(action)
+            assert set(info) == {"is_success"}
+            self.steps[place] += 1
+            late = self.steps[place] >= getattr(env, "_max_episode_steps", 500)
+            self.last[place] = (
+                self.canonical(observation), float(reward), terminated, truncated or late, info["is_success"]
+            )  # fmt: skip
+
+    def call(self, name: str) -> list[Any]:
+        if name == "render":
+            key = next(key for key, value in self.last[0][0].items() if value.dtype == np.uint8)
+            return [each[0][key] for each in self.last]
+        return [getattr(env, name) for env in self.envs]
+
+    def close(self) -> None:
+        for env in self.envs:
+            env.close()
+
+
+@pytest.mark.sim
+@pytest.mark.usefixtures("no_vulkan")
+def test_a_world_is_served_where_nothing_renders(tmp_path: Path) -> None:
+    """One episode of two key frames, as the smoke test of the server's continuous integration runs it."""
+    log = tmp_path / "served.jsonl"
+    sizes = {"num_points": 64, "image_size": 48, "max_key_frames": 2}
+    backend = StandIn("safe", 1, split="validation", episode_log=str(log), **sizes)
+    shapes = {
+        "observation.images.preview": (48, 48, 3),
+        "observation.point_cloud": (192,),
+        "observation.state": (schema.STATE_DIM,),
+        "observation.effort": (schema.NUM_JOINTS,),
+    }
+    assert backend.described() == shapes
+    backend.reset([5])
+    pictures = backend.call("render")
+    assert len(np.unique(pictures[0])) > 20, "a shaded picture, not a black one"
+    assert backend.call("task") == backend.call("task_description") == [CATEGORIES["safe"].instruction]
+    assert backend.call("_max_episode_steps") == [2]
+    still = backend.last[0][0]["observation.state"][None, : schema.ACTION_DIM]
+    for _ in range(4):
+        backend.step(still)
+    assert {key: value.shape for key, value in backend.last[0][0].items()} == shapes
+    assert (backend.steps, backend.last[0][2:]) == ([2], (False, True, False))
+    backend.close()
+    (record,) = read_log(log)  # what the server does not pass on: hidden state, tries, outcomes
+    assert (record.given_seed, record.key_frames, record.split) == (5, 2, "validation")
+    assert set(record.hidden_state) == {"direction", "knob_range", "locked"}
+
+
+def test_every_category_is_a_task_with_scenes_of_its_own() -> None:
+    found = create_adamanip_envs("all", 2, list, num_points=32)
+    assert list(found) == list(CATEGORIES)
+    assert {len(functions) for tasks in found.values() for functions in tasks.values()} == {2}
+    worlds = {name: found[name][0][0]() for name in ("door", "lamp")}
+    offsets = {name: world.unwrapped.options.seed_offset for name, world in worlds.items()}
+    assert offsets == {"door": 700_000, "lamp": 800_000}
+    (alone,) = create_adamanip_envs("door", 1, list)["door"][0]
+    assert alone().unwrapped.options.seed_offset == 0
+
+
+def test_worlds_of_one_server_are_one_evaluation(tmp_path: Path) -> None:
+    found = create_adamanip_envs("pen, lamp", 2, list, episode_log=str(tmp_path / "log.jsonl"))
+    worlds = [function() for tasks in found.values() for function in tasks[0]]
+    assert len({world.unwrapped.options.run_id for world in worlds}) == 1
+    assert None not in {world.unwrapped.options.run_id for world in worlds}
+
+
+@pytest.mark.parametrize("wrong", [{"task": "teapot"}, {"task": ""}, {"points": 3}, {"split": "holdout"}])
+def test_what_there_is_not_is_refused_before_a_world_is_made(refuses: Any, wrong: dict[str, Any]) -> None:
+    refuses(ConfigurationError, lambda: create_adamanip_envs(**{"task": "safe", "n_envs": 1, "env_cls": list, **wrong}))
+
+
+def test_an_image_without_the_rest_of_lerobot_can_serve() -> None:
+    """Server images hold LeRobot's server, and neither its policies nor its own environments."""
+    code = """
+import sys
+sys.modules["lerobot"] = None
+from lerobot_env_adamanip.environment_server import create_adamanip_envs
+create_adamanip_envs("all", 1, list)
+print("torch" in sys.modules, "sapien" in sys.modules)
+"""
+    environment = {"ADAMANIP_NO_PLUGIN": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}:{ROOT / 'policies'}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )  # fmt: skip
+    assert done.stdout.split() == ["False", "False"], done.stderr
+
+
+def on_the_page(language: str) -> list[str]:
+    return [block.code for block in blocks(language) if block.document == PAGE]
+
+
+def test_the_files_on_the_page_fit_each_other_and_the_contract() -> None:
+    simulator, profile, (benchmark,) = map(yaml.safe_load, on_the_page("yaml"))
+    sim = simulator["sim"]
+    for names in (sim, profile):
+        assert tuple(names["state_names"]) == schema.STATE_NAMES
+        assert tuple(names["action_names"]) == schema.POSE_NAMES
+    assert (sim["fps"], sim["gripper_indices"]) == (schema.FPS, [schema.GRIPPER_DIM])
+    assert (sim["control"], sim["semantics"]) == (profile["control"], profile["semantics"])
+    assert benchmark["task"] in create_adamanip_envs(sim["task"], benchmark["batch_size"], list, **sim["kwargs"])
+
+
+def test_the_image_has_what_the_simulator_needs_in_the_versions_of_this_package() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    known = {*declared["dependencies"], *declared["optional-dependencies"]["sim"]}
+    (dockerfile,) = on_the_page("dockerfile")
+    installed = set(re.findall(r'"([^" ]+[<=>][^"]+)"', dockerfile))
+    assert installed <= known
+    assert installed >= set(declared["optional-dependencies"]["sim"])
+
+
+@pytest.mark.parametrize(("observed", "camera"), [(True, "front"), (False, "preview")])
+def test_a_picture_for_people_has_a_name_of_its_own(observed: bool, camera: str) -> None:
+    (function,) = create_adamanip_envs("pen", 1, list, observe_images=observed)["pen"][0]
+    assert set(function().observation_space["pixels"].spaces) == {camera}
