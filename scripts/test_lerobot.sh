@@ -27,7 +27,7 @@ status=0
 {
     "$python" -c 'import lerobot, platform, torch; print(f"## LeRobot {lerobot.__version__}, Python {platform.python_version()}, torch {torch.__version__}")'
     printf 'Source: `%s`\n\n```\n' "$source"
-    sed -n '/short test summary info/,$p' "$out/tests.log"
+    grep -E '^(FAILED|ERROR) |^=+ .*(passed|failed|error)' "$out/tests.log" || echo "no test ran"
     printf '```\n'
 } >"$out/report.md"
 exit "$status"

@@ -14,7 +14,8 @@ _FOLDERS = ("checkpoints", "data", "models", "output", "outputs", "results", "ru
 """First parts of paths that trainings write to: no owner on the Hub, also where the folder is not there any more."""
 _PRIVATE = (
     ("output_dir",), ("checkpoint_path",), ("dataset", "root"), ("env", "assets"), ("env", "episode_log"),
-    ("wandb", "entity"), ("wandb", "notes"), ("wandb", "run_id"),
+    ("wandb", "entity"), ("wandb", "notes"), ("wandb", "run_id"),  # `trackio` instead since LeRobot 0.7
+    ("trackio", "space_id"), ("trackio", "dataset_id"), ("trackio", "notes"), ("trackio", "run_id"),
 )  # fmt: skip
 """Fields of a training's configuration that do; all may be null."""
 

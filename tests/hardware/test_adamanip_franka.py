@@ -283,11 +283,12 @@ def test_nothing_is_answered_before_connecting_or_after_disconnecting(make: Call
     assert BOARD.find("test") is None
 
 
+@pytest.mark.parametrize("loop", ["Record", "Control"])
 def test_lerobots_warning_of_a_slow_loop_is_not_told_in_lockstep(
-    make: Callable[..., FakeFranka], caplog: pytest.LogCaptureFixture
+    make: Callable[..., FakeFranka], caplog: pytest.LogCaptureFixture, loop: str
 ) -> None:
     """A step takes as long as it takes there; 948 lines of it hide the one that matters."""
-    slow = "Record loop is running slower (18.0 Hz) than the target FPS (30 Hz)."
+    slow = f"{loop} loop is running slower (18.0 Hz) than the target FPS (30 Hz)."
 
     def told(robot: FakeFranka) -> list[str]:
         caplog.clear()

@@ -146,6 +146,11 @@ def test_where_a_policy_came_from_is_told_if_it_is_on_the_hub(tmp_path: Path) ->
         assert shareable({"policy": {"pretrained_path": path}})["policy"]["pretrained_path"] == told
 
 
+@pytest.mark.parametrize(("tracker", "name"), [("wandb", "entity"), ("trackio", "space_id")])
+def test_the_trainers_account_is_not_told(tracker: str, name: str) -> None:
+    assert shareable({tracker: {"project": "safes", name: "me"}}) == {tracker: {"project": "safes", name: None}}
+
+
 @pytest.mark.parametrize("lost", ["model.safetensors", "policy_postprocessor.json", "train_config.json"])
 def test_a_checkpoint_that_lacks_something_is_one_clear_error(
     trained: Path, tmp_path: Path, refuses: Refuses, lost: str

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 
-SLOW_LOOP = "Record loop is running slower"
-"""How the warning of LeRobot 0.6.1 begins; it comes with each tick."""
+SLOW_LOOP = ("Record loop is running slower", "Control loop is running slower")
+"""Begin of the warning in LeRobot 0.6.1 and in later ones, which comes with each tick."""
 
 
 class SlowLoopFilter(logging.Filter):

@@ -208,7 +208,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         """Forgets the episode."""
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.observed_steps)
         self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
-        self._planned: deque[Tensor] = deque()
+        self._action_queue: deque[Tensor] = deque()  # of this name: later LeRobots clear it for a new instruction
         self._chunks = ChunkGuard(self.config)
 
     @torch.no_grad()
@@ -225,10 +225,10 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self._observed.append(self._kept(observation))
         while len(self._observed) < self.config.observed_steps:
             self._observed.append(self._observed[-1])
-        if not self._planned:
+        if not self._action_queue:
             chunk = self._generate(observation, list(self._observed), noise)
-            self._planned.extend(chunk[:, : self.config.n_action_steps].unbind(dim=1))
-        action = self._planned.popleft()
+            self._action_queue.extend(chunk[:, : self.config.n_action_steps].unbind(dim=1))
+        action = self._action_queue.popleft()
         self._executed.append(self._as_executed(action))
         return action
 
@@ -245,7 +245,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         What was planned behind that one is planned anew.
         """
         self._executed[-1] = action.to(self._executed[-1])
-        self._planned.clear()
+        self._action_queue.clear()
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:

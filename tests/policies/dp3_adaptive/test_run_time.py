@@ -23,7 +23,7 @@ def _same(first: dict[str, Any], second: dict[str, Any]) -> bool:
 
 
 def _state(policy: Any) -> Any:
-    return copy.deepcopy((policy._observed, policy._executed, policy._planned, policy.state_dict()))
+    return copy.deepcopy((policy._observed, policy._executed, policy._action_queue, policy.state_dict()))
 
 
 @pytest.mark.parametrize(("kind", "target"), SAMPLERS)
@@ -59,6 +59,9 @@ def test_a_chunk_is_executed_before_the_next_is_made(make_tiny: MakeTiny, observ
     for step in range(7):
         policy.select_action(observation_of(dataset, before, step))
     assert len(calls) == 3
+    getattr(policy, "drop_queued_actions", policy._action_queue.clear)()  # LeRobot's, after 0.6.1
+    policy.select_action(observation_of(dataset, before, 7))
+    assert len(calls) == 4
 
 
 def test_the_batch_is_left_as_it_was(make_tiny: MakeTiny, observation_of: Any) -> None:
