@@ -47,7 +47,7 @@ def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
     """Returns the dataset columns of one Gym observation: copies, so that the environment may reuse its buffers."""
     pixels = observation.get("pixels", {})
     return {
-        schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32),
+        schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32).reshape(-1),
         schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),
         schema.EFFORT: np.array(observation["effort"], dtype=np.float32),
         **({schema.FRONT_IMAGE: np.array(pixels["front"], dtype=np.uint8)} if "front" in pixels else {}),

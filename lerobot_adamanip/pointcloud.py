@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import fpsample
 import numpy as np
@@ -46,6 +47,28 @@ def check_num_points(num_points: int) -> int:
     raise ConfigurationError(
         "Wrong number of points in the cloud.", got=num_points, allowed="1 ... 16384", hint="--num-points 1024"
     )
+
+
+def as_points(cloud: Any) -> Any:
+    """Returns the points (..., N, 3) of clouds (..., 3 N), as a view; clouds (..., N, 3) as they are.
+
+    Args:
+        cloud: a numpy array or a torch tensor.
+
+    Raises:
+        ConfigurationError: the last dimension is no number of points.
+    """
+    width = cloud.shape[-1]
+    if width == 3:
+        return cloud
+    if width % 3:
+        raise ConfigurationError(
+            "This is no point cloud.",
+            got=f"{tuple(cloud.shape)}",
+            allowed="(..., 3 N) numbers, x, y, z of each point in turn, or (..., N, 3)",
+            hint="adamanip check DATASET",
+        )
+    return cloud.reshape(*cloud.shape[:-1], width // 3, 3)
 
 
 def depth_size(num_points: int) -> int:

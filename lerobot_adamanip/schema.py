@@ -82,6 +82,9 @@ def dataset_features(
 ) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 
+    A cloud is one row of numbers, x, y, z of each point in turn: LeRobot's tools cannot edit columns of two dimensions.
+    `lerobot_adamanip.pointcloud.as_points` gives the points back.
+
     Args:
         num_points: points per cloud, N.
         image_size: height and width of the front image [px].
@@ -89,7 +92,7 @@ def dataset_features(
     """
     image = {"dtype": "video", "shape": (image_size, image_size, 3), "names": ["height", "width", "channels"]}
     return {
-        POINT_CLOUD: {"dtype": "float32", "shape": (num_points, 3), "names": None},
+        POINT_CLOUD: {"dtype": "float32", "shape": (3 * num_points,), "names": None},
         STATE: {"dtype": "float32", "shape": (STATE_DIM,), "names": list(STATE_NAMES)},
         EFFORT: {"dtype": "float32", "shape": (NUM_JOINTS,), "names": list(EFFORT_NAMES)},
         **({FRONT_IMAGE: image} if images else {}),

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.pointcloud import Workspace, check_num_points, farthest_point_order
+from lerobot_adamanip.pointcloud import Workspace, as_points, check_num_points, farthest_point_order
 
 fast = settings(max_examples=30, deadline=None)
 seeds = st.integers(0, 2**31)
@@ -101,6 +105,22 @@ def test_a_camera_that_sees_nothing_gives_zeros(wanted: int) -> None:
     assert empty.shape == (wanted, 3)
     assert empty.dtype == np.float32
     assert not empty.any()
+
+
+@pytest.mark.parametrize("like", [np.asarray, torch.from_numpy])
+@pytest.mark.parametrize("batch", [(), (2,), (2, 3), (0,)])
+def test_points_of_a_column_are_the_cloud_again(like: Callable[[Any], Any], batch: tuple[int, ...]) -> None:
+    points = np.random.default_rng(0).normal(size=(*batch, 7, 3)).astype(np.float32)
+    given, found = like(points), as_points(like(points.reshape(*batch, 21)))
+    assert type(found) is type(given)
+    assert found.shape == given.shape
+    assert (found == given).all()
+    assert as_points(given) is given
+
+
+def test_numbers_that_are_no_points_are_one_clear_error() -> None:
+    with pytest.raises(ConfigurationError, match=r"(?s)\(2, 20\).*3 N"):
+        as_points(np.zeros((2, 20)))
 
 
 @pytest.mark.parametrize("wanted", [0, -1, 16_385])

@@ -26,7 +26,7 @@ def test_widths_are_the_contract_s() -> None:
         schema.ACTION: (10,),
         schema.STATE: (24,),
         schema.EFFORT: (7,),
-        schema.POINT_CLOUD: (1024, 3),
+        schema.POINT_CLOUD: (3072,),
     }
 
 
@@ -77,7 +77,7 @@ def test_lerobot_makes_no_label_an_input() -> None:
 @pytest.mark.parametrize(("points", "pixels"), [(1, 64), (4096, 128)])
 def test_sizes_are_as_asked_for(points: int, pixels: int) -> None:
     features = schema.dataset_features(points, pixels)
-    assert features[schema.POINT_CLOUD]["shape"] == (points, 3)
+    assert features[schema.POINT_CLOUD]["shape"] == (3 * points,)
     assert features[schema.FRONT_IMAGE]["shape"] == (pixels, pixels, 3)
 
 

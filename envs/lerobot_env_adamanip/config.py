@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -112,7 +111,7 @@ class AdaManipEnvConfig(EnvConfig):
             "action": (FeatureType.ACTION, (ACTION_DIM,), ACTION),
             "agent_pos": (FeatureType.STATE, (STATE_DIM,), STATE),
             "effort": (FeatureType.STATE, (NUM_JOINTS,), EFFORT),
-            "point_cloud": (FeatureType.ENV, (self.num_points, 3), POINT_CLOUD),
+            "point_cloud": (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD),
             "pixels/front": (FeatureType.VISUAL, (size, size, 3), FRONT_IMAGE),
         }
         if self.observe_images is False:
@@ -176,16 +175,16 @@ class AdaManipEnvConfig(EnvConfig):
 
 
 def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bool) -> VectorEnv:
-    """Returns ``n_envs`` equal environments as one; an ended one waits until the next rollout."""
+    """Returns ``n_envs`` equal environments as one, clouds (3 N,); an ended one waits until the next rollout."""
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-    from lerobot_env_adamanip.vector import LazyAsyncVectorEnv, freeze_after_episode_end
+    from lerobot_env_adamanip.vector import FlatCloud, LazyAsyncVectorEnv, freeze_after_episode_end
 
     if n_envs < 1:
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
         )
     _log.info("%s: %d environment(s) with scenes of the %s split.", options.category, n_envs, options.split)
-    functions = [functools.partial(KeyframeEnv, options=options) for _ in range(n_envs)]
+    functions = [lambda: FlatCloud(KeyframeEnv(options=options))] * n_envs
     # More than one simulator in a process would render one after the other; a process each uses every core.
     if use_async_envs and n_envs > 1:
         return LazyAsyncVectorEnv(functions)

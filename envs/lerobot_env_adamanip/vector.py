@@ -20,6 +20,22 @@ WORKER_TIMEOUT_S = 600.0
 """A process that answers no later than this has hung: a reset takes seconds, the first one a minute."""
 
 
+class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
+    """Observes the cloud as datasets have it, (3 N,): LeRobot's policies normalise it by a dataset's statistics."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        space = env.observation_space
+        assert isinstance(space, gym.spaces.Dict)
+        self.observation_space = gym.spaces.Dict(
+            {**space, "point_cloud": gym.spaces.flatten_space(space["point_cloud"])}
+        )
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """(N, 3) -> (3 N,)."""
+        return {**observation, "point_cloud": observation["point_cloud"].reshape(-1)}
+
+
 class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
     """Repeats an ended episode's last observation, with no reward, until a rollout starts the next.
 

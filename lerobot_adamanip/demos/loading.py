@@ -244,7 +244,14 @@ def _check_features(folder: Path, info: dict[str, Any], num_points: int | None) 
     features = info["features"]
     found = {key: tuple(feature["shape"]) for key, feature in features.items()}
     cloud = found.get(schema.POINT_CLOUD, ())
-    points = num_points or (cloud[0] if len(cloud) == 2 else schema.DEFAULT_NUM_POINTS)
+    if len(cloud) == 2:
+        raise DatasetError(
+            "The clouds of this dataset are stored as before version 0.3.",
+            got=f"{schema.POINT_CLOUD} of shape {cloud} in {as_typed(folder)}",
+            allowed=f"shape ({3 * cloud[0]},)",
+            hint=f"adamanip repair {as_typed(folder)}",
+        )
+    points = num_points or (cloud[0] // 3 if cloud and cloud[0] % 3 == 0 else schema.DEFAULT_NUM_POINTS)
     expected = schema.dataset_features(points)
     for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
         wanted = tuple(expected[key]["shape"])

@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_shard
+from lerobot_adamanip.demos.statistics import compute_statistics
 from lerobot_adamanip.jobs import Beat
 
 Features = Mapping[str, Mapping[str, Any]]
@@ -85,7 +86,6 @@ def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Pat
         fps: of the dataset.
         scratch: a folder to work in.
     """
-    from lerobot.datasets.compute_stats import compute_episode_stats
     from lerobot.datasets.feature_utils import validate_frame
 
     length = len(episode)
@@ -100,7 +100,7 @@ def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Pat
         }
         rows = _rows(episode, features, fps)
         buffer = {key: images[key] if key in images else rows[key] for key in features if key not in PLACE}
-        stats = compute_episode_stats(buffer, dict(features))
+        stats = compute_statistics(buffer, features)
         videos = {key: _encode(Path(folder) / key, fps) for key in images}
     return PreparedEpisode(episode.record, _table(rows, features), stats, videos)
 

@@ -12,6 +12,7 @@ from lerobot.processor import PolicyAction, PolicyProcessorPipeline
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
 
 Pipelines = tuple[
@@ -23,8 +24,9 @@ Pipelines = tuple[
 def keep_inputs(config: PreTrainedConfig, wanted: Sequence[str], num_points: int) -> None:
     """Leaves a configuration the inputs ``wanted`` and the action; the cloud becomes ENV, which is left as it is.
 
-    LeRobot has no point-cloud type: as STATE it would be normalised under the state's mode. What a policy does not look
-    at, images above all, is dropped, so that a checkpoint evaluates wherever clouds are.
+    LeRobot has no point-cloud type: as STATE it would be normalised under the state's mode. Its shape becomes (N, 3),
+    also where a dataset has a row of 3 N numbers. What a policy does not look at, images above all, is dropped, so that
+    a checkpoint evaluates wherever clouds are.
 
     Args:
         config: as LeRobot has filled it in from a dataset; changed in place.
@@ -43,6 +45,8 @@ def keep_inputs(config: PreTrainedConfig, wanted: Sequence[str], num_points: int
             hint="adamanip collect; of a robot's recording, adamanip keyframes RECORDING --out DATASET",
         )
     cloud = tuple(inputs[POINT_CLOUD].shape)
+    if len(cloud) == 1 and cloud[0] % 3 == 0:
+        cloud = (cloud[0] // 3, 3)
     if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < num_points:
         raise wrong_number_of_points(cloud, num_points, trained=config.pretrained_path is not None)
     outputs: dict[str, PolicyFeature] = config.output_features or {}
@@ -83,6 +87,8 @@ def picked_inputs(config: PreTrainedConfig, batch: Mapping[str, Any], num_points
         )
     picked = {key: batch[key] for key in wanted}
     cloud = picked[POINT_CLOUD]
+    if cloud.shape[-1] != wanted[POINT_CLOUD].shape[-1]:
+        cloud = as_points(cloud)
     if cloud.shape[-2] < num_points:
         raise wrong_number_of_points(tuple(cloud.shape[-2:]), num_points)
     picked[POINT_CLOUD] = cloud[..., :num_points, :3]

@@ -41,7 +41,7 @@ def _rows(root: Path) -> dict[str, np.ndarray]:
 def test_rows_are_those_of_the_parts_in_order(finished: Path, merged: Path) -> None:
     part, whole = _rows(finished), _rows(merged)
     count, episodes = len(part["index"]), load_check(finished)["total_episodes"]
-    assert part[schema.POINT_CLOUD].ndim == 3
+    assert part[schema.POINT_CLOUD].ndim == 2
     assert set(whole) == set(part)
     for name, values in part.items():
         shift = {"index": count, "episode_index": episodes}.get(name, 0)

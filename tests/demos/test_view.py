@@ -50,7 +50,10 @@ def rows() -> dict[str, np.ndarray]:
 
 def test_an_episode_is_read_as_it_was_recorded(safe: ViewedEpisode) -> None:
     columns = rows()
-    np.testing.assert_array_equal(safe.clouds, columns[schema.POINT_CLOUD].astype(np.float32))
+    np.testing.assert_array_equal(
+        safe.clouds, columns[schema.POINT_CLOUD].astype(np.float32).reshape(safe.clouds.shape)
+    )
+    assert safe.clouds.shape[1:] == (1024, 3)
     np.testing.assert_array_equal(safe.tools, columns[schema.STATE][:, :10].astype(np.float32))
     np.testing.assert_array_equal(safe.goals, columns[schema.EXECUTED][:-1].astype(np.float32))
     np.testing.assert_array_equal(safe.effort, columns[schema.EFFORT].astype(np.float32))

@@ -20,6 +20,7 @@ from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.seeds import scene_seed
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.vector import FlatCloud
 
 
 @dataclasses.dataclass
@@ -53,7 +54,7 @@ def test_command_line_reaches_the_environment() -> None:
         "--env.render_backend=cpu",
     )
     assert isinstance(config, AdaManipSafeEnvConfig)
-    assert config.features["point_cloud"].shape == (512, 3)
+    assert config.features["point_cloud"].shape == (1536,)
     env = KeyframeEnv(**config.gym_kwargs)
     assert env.observation_space["point_cloud"].shape == (512, 3)
     assert env.options.changed(workspace=DEFAULT_WORKSPACE) == EnvironmentOptions(
@@ -111,7 +112,7 @@ def test_features_agree_with_map_space_and_dataset(images: bool) -> None:
     config = AdaManipSafeEnvConfig(observe_images=images, num_points=256, image_size=96)
     assert set(config.features) == set(config.features_map)
     assert ("pixels/front" in config.features) is images
-    env = KeyframeEnv(**config.gym_kwargs)
+    env = FlatCloud(KeyframeEnv(**config.gym_kwargs))
     dataset = schema.dataset_features(num_points=256, image_size=96)
     for key, feature in config.features.items():
         space: Any = env.observation_space if key != "action" else env.action_space
@@ -120,7 +121,7 @@ def test_features_agree_with_map_space_and_dataset(images: bool) -> None:
         assert tuple(feature.shape) == space.shape, key
         assert tuple(feature.shape) == tuple(dataset[config.features_map[key]]["shape"]), key
         assert (feature.type is FeatureType.ACTION) == (key == "action")
-    assert ("pixels" in env.observation_space.spaces) is images
+    assert ("pixels" in env.env.observation_space.spaces) is images
 
 
 def test_nothing_hidden_is_a_feature() -> None:

@@ -123,7 +123,7 @@ def test_the_suite_is_rolled_out_in_every_category() -> None:
         vector = group[0]
         try:
             observation, _ = vector.reset(seed=[1000], options={"lerobot_new_rollout": True})
-            assert observation["point_cloud"].shape == (1, SMALL["num_points"], 3)
+            assert observation["point_cloud"].shape == (1, 3 * SMALL["num_points"])
             (record,) = vector.call("get_wrapper_attr", "episode_record")
             assert record()["category"] == name
             seeds.append(record()["seed"])
@@ -145,7 +145,7 @@ def test_the_suite_holds_every_category_and_starts_none() -> None:
     assert list(chosen) == ["lamp", "safe"]
     vector = chosen["lamp"][0]
     try:
-        assert vector.single_observation_space["point_cloud"].shape == (SMALL["num_points"], 3)
+        assert vector.single_observation_space["point_cloud"].shape == (3 * SMALL["num_points"],)
         assert vector.call("task_description") == (CATEGORIES["lamp"].instruction,)
     finally:
         vector.close()

@@ -86,7 +86,7 @@ def _row(world: KinematicWorld, goal: Goal, rng: np.random.Generator) -> dict[st
     joints = np.zeros(len(schema.JOINT_NAMES), np.float32)
     joints[-schema.MAX_OBJECT_JOINTS :][: len(world.joints)] = list(world.joints.values())
     return {
-        schema.POINT_CLOUD: toy_cloud(world, rng),
+        schema.POINT_CLOUD: toy_cloud(world, rng).reshape(-1),
         schema.STATE: toy_state(world),
         schema.EFFORT: np.zeros(schema.NUM_JOINTS, np.float32),
         schema.ACTION: goal.action(),

@@ -81,10 +81,9 @@ def edit_rows(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], object
 def set_column(table: pa.Table, key: str, values: list[Any]) -> pa.Table:
     at = table.schema.get_field_index(key)
     kind = table.schema.field(at).type
-    storage = kind.storage_type if isinstance(kind, pa.ExtensionType) else kind
-    made = pa.array(values, type=storage)
-    array = pa.ExtensionArray.from_storage(kind, made) if isinstance(kind, pa.ExtensionType) else made
-    return table.set_column(at, table.schema.field(at), array)
+    if pa.types.is_fixed_size_list(kind):
+        kind = pa.list_(kind.value_type)
+    return table.set_column(at, key, pa.array(values, type=kind))
 
 
 def edit_cell(key: str, episode: int, frame: int, change: Callable[[Any], Any]) -> Callable[[Path], object]:

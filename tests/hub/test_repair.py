@@ -38,7 +38,7 @@ def frame(episode: int, row: int) -> dict[str, Any]:
     lower, upper = DEFAULT_WORKSPACE.lower, DEFAULT_WORKSPACE.upper
     labels = {key: np.zeros(1, dtype) for key, dtype in schema.LABEL_DTYPES.items()}
     return {
-        schema.POINT_CLOUD: draw.uniform(lower, upper, (POINTS, 3)).astype(np.float32),
+        schema.POINT_CLOUD: draw.uniform(lower, upper, (POINTS, 3)).astype(np.float32).reshape(-1),
         schema.STATE: np.concatenate([pose, draw.normal(size=14)]).astype(np.float32),
         schema.EFFORT: draw.normal(size=7).astype(np.float32),
         schema.FRONT_IMAGE: np.full((PIXELS, PIXELS, 3), 30 + 40 * episode, np.uint8),

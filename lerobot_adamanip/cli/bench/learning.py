@@ -13,6 +13,7 @@ import torch
 from lerobot_adamanip import lerobot_compat
 from lerobot_adamanip.cli.bench.timing import Stopwatch, compare_ms, median_ms, ratio, repeat_ms
 from lerobot_adamanip.demos.loading import open_dataset
+from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import POINT_CLOUD
 
 Batch = dict[str, Any]
@@ -30,7 +31,7 @@ def make_config(preset: str, features: dict[str, Any], *, device: str) -> Any:
     inputs = {key: value for key, value in found.items() if key not in outputs}
     config = DP3AdaptiveConfig(preset=preset, device=device, output_features=outputs)
     assert config.num_points is not None
-    points = max(config.num_points, inputs[POINT_CLOUD].shape[0])
+    points = max(config.num_points, inputs[POINT_CLOUD].shape[0] // 3)
     config.input_features = {**inputs, POINT_CLOUD: PolicyFeature(FeatureType.STATE, (points, 3))}
     return config
 
@@ -178,6 +179,7 @@ def _repeated(value: torch.Tensor, batch_size: int) -> torch.Tensor:
 
 def enough_points(cloud: torch.Tensor, num_points: int) -> torch.Tensor:
     """Returns clouds (..., N, 3) of at least ``num_points``, by repetition: time does not depend on where they are."""
+    cloud = as_points(cloud)
     times = -(-num_points // cloud.shape[-2])
     return torch.cat([cloud] * times, dim=-2) if times > 1 else cloud
 

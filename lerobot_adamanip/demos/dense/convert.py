@@ -160,7 +160,7 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
     rows = replace(
         options.rows,
         workspace=box,
-        num_points=int(features[schema.POINT_CLOUD]["shape"][0]),
+        num_points=int(features[schema.POINT_CLOUD]["shape"][0]) // 3,
         image_size=None if image is None else int(image["shape"][0]),
     )
     return replace(options, rows=rows)

@@ -109,7 +109,7 @@ def _seen(
                     "The recording has no pictures.", got="depth alone", allowed="colour too", hint="--no-images"
                 )
             images.append(square_image(colour, options.image_size))
-    found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds)}
+    found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds).reshape(len(clouds), -1)}
     return found | ({schema.FRONT_IMAGE: np.stack(images)} if images else {})
 
 

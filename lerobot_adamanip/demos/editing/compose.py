@@ -60,7 +60,7 @@ def compose(
     require_same_calibrations(list(of.values()))
     dataset = _create(out, [of[root] for root in sources], repo_id)
     _require_appendable(dataset)
-    schema, rows, lengths = _schema(dataset.meta.features), Rows(), []
+    schema, rows, lengths = arrow_schema(dataset.meta.features), Rows(), []
     for done, (source, episode) in enumerate(pieces, start=1):
         lengths.append(_append(dataset, schema, rows, source, episode))
         files.crash_point("episode assembled")
@@ -152,17 +152,17 @@ def _append(dataset: Any, schema: pa.Schema, rows: Rows, source: Source, episode
         if feature["dtype"] == "video"
     }
     stats = source.stats(episode)
-    return append_rows(dataset, _typed(table, schema), row["tasks"], tasks, stats=stats, videos=videos)
+    return append_rows(dataset, with_types(table, schema), row["tasks"], tasks, stats=stats, videos=videos)
 
 
-def _schema(features: dict[str, Any]) -> pa.Schema:
+def arrow_schema(features: dict[str, Any]) -> pa.Schema:
     """Returns the types that LeRobot stores these features with."""
     from lerobot.datasets.feature_utils import get_hf_features_from_features
 
     return get_hf_features_from_features(features).arrow_schema
 
 
-def _typed(table: pa.Table, schema: pa.Schema) -> pa.Table:
+def with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
     """Returns rows with these types, whoever wrote them: LeRobot's tools store the same values as other lists."""
     from datasets.table import table_cast
 

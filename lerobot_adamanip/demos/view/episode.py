@@ -20,6 +20,7 @@ from lerobot_adamanip.demos.loading import load_check, open_dataset
 from lerobot_adamanip.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.keyframes import Outcome, Phase
 from lerobot_adamanip.mechanisms import make_mechanism
+from lerobot_adamanip.pointcloud import as_points
 
 Array = NDArray[np.float32]
 CLOSED = 0.5
@@ -114,7 +115,7 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
     tries = tuple(_tries(columns, sent, _joint_names(row.get("object_id"))))
     return ViewedEpisode(
         title=_title(number, row, tries),
-        clouds=columns[schema.POINT_CLOUD].astype(np.float32),
+        clouds=as_points(columns[schema.POINT_CLOUD]).astype(np.float32),
         tools=columns[schema.STATE][:, : schema.ACTION_DIM].astype(np.float32),
         goals=columns.get(schema.EXECUTED, columns[schema.ACTION])[:sent].astype(np.float32),
         effort=columns.get(schema.EFFORT, np.zeros((length, 0))).astype(np.float32),

@@ -41,10 +41,20 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
             found, right = _plain(feature.get(name)), _plain(wanted.get(name))
             as_pictures = name == "dtype" and right == "video" and found == "image"
             if found != right and not as_pictures and not (name == "names" and right is None):
-                report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}", INFO)
+                told = f"{key}: {name} {found!r:.80}, not {right!r:.80}"
+                report.add(
+                    "schema",
+                    told + ("; `adamanip repair DIR` stores it so" if is_old_cloud(key, feature) else ""),
+                    INFO,
+                )
     for key in features:
         if key.startswith("observation.") and key not in contract and not key.startswith(_IMAGES):
             report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
+
+
+def is_old_cloud(key: str, feature: Mapping[str, Any]) -> bool:
+    """Whether a column is a cloud in two dimensions (N, 3), as datasets of version 0.2 and before have it."""
+    return key == schema.POINT_CLOUD and len(feature.get("shape") or ()) == 2
 
 
 def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
@@ -62,7 +72,7 @@ def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
     """The contract, with as many points, and pictures of the size, that the dataset has."""
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
-    points = cloud[0] if cloud else schema.DEFAULT_NUM_POINTS
+    points = schema.DEFAULT_NUM_POINTS if not cloud else cloud[0] if len(cloud) == 2 else max(1, cloud[0] // 3)
     size = image[0] if image else schema.IMAGE_SIZE
     own = schema.dataset_features(points, size, images=schema.FRONT_IMAGE in features)
     return {**own, **{key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}}

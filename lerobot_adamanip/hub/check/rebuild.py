@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lerobot_adamanip import files, schema
+from lerobot_adamanip.demos.statistics import compute_statistics
 from lerobot_adamanip.hub.check.contract import OF_LEROBOT
 from lerobot_adamanip.hub.check.inventory import Found, file_numbers
 from lerobot_adamanip.hub.check.layout import EPISODES, INFO, STATS, TASKS, VERSION, VideoPart
@@ -54,13 +55,11 @@ def episode_row(root: Path, found: Found, features: Features, tasks: Mapping[int
 
 def episode_statistics(root: Path, found: Found, features: Features) -> dict[str, dict[str, Any]]:
     """Returns the statistics of an episode, by LeRobot's functions; of pictures, as its decoded frames show them."""
-    from lerobot.datasets.compute_stats import compute_episode_stats
-
     run = found.run
     table = pq.read_table(root / run.file).slice(run.at, run.length)
     columns = {key: numeric(table, key) for key in table.column_names if key in features}
     known = {key: values for key, values in columns.items() if values is not None}
-    stats: dict[str, dict[str, Any]] = compute_episode_stats(known, dict(features))
+    stats = compute_statistics(known, features)
     pictures = {
         key: picture_statistics(root / part.file, part, run.length, features[key]) for key, part in found.videos.items()
     }
@@ -163,10 +162,11 @@ def guessed_info(root: Path, name: str) -> dict[str, Any] | None:
         return None
     cloud = numeric(head, schema.POINT_CLOUD) if schema.POINT_CLOUD in columns.names else None
     times = numeric(head, "timestamp") if "timestamp" in columns.names else None
-    if cloud is None or cloud.ndim != 3 or times is None:
+    if cloud is None or cloud.shape[-1] % 3 or times is None:
         return None
     videos = sorted(path.name for path in (root / "videos").glob("*") if any(path.glob("*/*.mp4")))
-    contract = schema.dataset_features(cloud.shape[1], images=False)
+    contract = schema.dataset_features(images=False)
+    contract[schema.POINT_CLOUD]["shape"] = cloud.shape[1:]
     contract |= {key: {"dtype": dtype, "shape": (1,), "names": None} for key, dtype in OF_LEROBOT.items()}
     if set(columns.names) - set(contract):
         return None

@@ -22,6 +22,7 @@ from lerobot_adamanip.demos.loading import read_info
 from lerobot_adamanip.demos.output_folder import lock_output, require_not_written, resolve_output
 from lerobot_adamanip.hub.check.dataset import require_dataset
 from lerobot_adamanip.hub.check.findings import Progress, Report, listed
+from lerobot_adamanip.hub.check.flat_clouds import flatten_clouds
 from lerobot_adamanip.hub.check.inventory import Found, Run, Videos, data_files, find_episodes, frames_of, runs_of
 from lerobot_adamanip.hub.check.layout import INFO, STATS, TASKS, Episode, Layout, leftovers, read_layout
 from lerobot_adamanip.hub.check.rebuild import (
@@ -37,6 +38,7 @@ from lerobot_adamanip.hub.check.rebuild import (
 from lerobot_adamanip.hub.check.salvage import salvage
 from lerobot_adamanip.hub.check.statistics import aggregated, check_statistics, stored_statistics
 from lerobot_adamanip.hub.check.trim import keep_frames, keep_rows
+from lerobot_adamanip.schema import POINT_CLOUD
 
 
 @dataclass
@@ -110,8 +112,12 @@ def repair(root: str | Path, *, progress: Progress = lambda stage, done, total: 
 def _repair(done: Repair, progress: Progress) -> None:
     _move_leftovers(done)
     layout = _described(done)
-    if layout is None:
-        return
+    if layout is not None:
+        _keep_whole_episodes(done, layout, progress)
+        _flatten(done)
+
+
+def _keep_whole_episodes(done: Repair, layout: Layout, progress: Progress) -> None:
     runs: list[Run] = []
     names = data_files(done.root)
     for number, name in enumerate(names, start=1):
@@ -131,6 +137,14 @@ def _repair(done: Repair, progress: Progress) -> None:
         done.left.append("no episode is there in full")
         return
     _mend(done, layout, found, runs)
+
+
+def _flatten(done: Repair) -> None:
+    try:
+        if flatten_clouds(done.root, lambda name: done.keep(name, move=False)):
+            done.did(f"{POINT_CLOUD}: rows of 3 N numbers, where they were of (N, 3)")
+    except (OSError, ValueError, KeyError, TypeError, pa.ArrowException) as error:
+        done.left.append(f"{POINT_CLOUD}: its clouds (N, 3) cannot be stored as rows of 3 N numbers: {error}")
 
 
 def _move_leftovers(done: Repair) -> None:

@@ -14,7 +14,7 @@ from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.hub.check.findings import Report
 from lerobot_adamanip.hub.check.reading import Batch, points_last
 from lerobot_adamanip.keyframes import Outcome, Phase
-from lerobot_adamanip.pointcloud import Workspace
+from lerobot_adamanip.pointcloud import Workspace, as_points
 
 ORTHONORMAL = 1e-3
 """How far a row of a rotation may be from length 1, and two from being orthogonal."""
@@ -93,9 +93,9 @@ def _check_poses(batch: Batch, columns: Mapping[str, NDArray[Any]], report: Repo
 
 
 def _check_clouds(batch: Batch, columns: Mapping[str, NDArray[Any]], workspace: Workspace, report: Report) -> None:
-    if schema.POINT_CLOUD not in columns:
+    if schema.POINT_CLOUD not in columns or columns[schema.POINT_CLOUD].shape[-1] % 3:
         return
-    clouds = points_last(columns[schema.POINT_CLOUD])
+    clouds = points_last(as_points(columns[schema.POINT_CLOUD]))
     lowest, highest = clouds.min(axis=2), clouds.max(axis=2)
     beyond = (lowest < np.array(workspace.lower) - MARGIN) | (highest > np.array(workspace.upper) + MARGIN)
     # A camera that sees nothing gives zeros: see `pointcloud.farthest_point_order`.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE, Statistics
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
@@ -34,7 +35,9 @@ class PoseFrames(nn.Module):
         for name in ("state", "action"):
             self.register_buffer(f"{name}_half", torch.ones(3))
         if stats and POINT_CLOUD in stats:
-            lower, upper = _range(stats, POINT_CLOUD)
+            told = (torch.as_tensor(stats[POINT_CLOUD][name], dtype=torch.float32) for name in ("min", "max"))
+            lower, upper = (as_points(each).reshape(-1, 3) for each in told)
+            lower, upper = lower.amin(dim=0), upper.amax(dim=0)
             self.cloud_center.copy_((lower + upper) / 2)
             self.cloud_scale.copy_(((upper - lower) / 2).max().clamp(min=1e-3))
         self.set_pose_statistics(stats)

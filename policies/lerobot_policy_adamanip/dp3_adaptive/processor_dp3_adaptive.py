@@ -17,6 +17,7 @@ from lerobot.processor import (
 from torch import Tensor
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import (
     ACTION_DIM,
     GRIPPER_DIM,
@@ -66,6 +67,9 @@ class RigidAugmentationStep(ProcessorStep):
         if not isinstance(actions, Tensor) or observation is None or still:
             return transition
         batch, device = len(actions), actions.device
+        cloud, state = observation[POINT_CLOUD], observation[STATE]
+        if cloud.dim() == state.dim():
+            observation = {**observation, POINT_CLOUD: as_points(cloud)}
         if self.mirror:
             chosen = torch.rand(batch, device=device) < self.mirror
             observation, actions = _mirrored(observation, actions, chosen)

@@ -39,7 +39,9 @@ def _pose(draw: np.random.Generator, position: np.ndarray) -> np.ndarray:
 def _frame(draw: np.random.Generator, tool: np.ndarray, index: int) -> dict[str, Any]:
     action = _pose(draw, tool + draw.normal(scale=0.05, size=3))
     return {
-        schema.POINT_CLOUD: draw.uniform((0.3, -0.4, 0.4), (0.9, 0.4, 1.0), (NUM_POINTS, 3)).astype(np.float32),
+        schema.POINT_CLOUD: draw.uniform((0.3, -0.4, 0.4) * NUM_POINTS, (0.9, 0.4, 1.0) * NUM_POINTS).astype(
+            np.float32
+        ),
         schema.STATE: np.concatenate([_pose(draw, tool), draw.normal(size=14)]).astype(np.float32),
         schema.EFFORT: draw.normal(size=7).astype(np.float32),
         schema.FRONT_IMAGE: draw.integers(0, 255, (32, 32, 3)).astype(np.uint8),

@@ -270,7 +270,7 @@ def test_only_the_latest_cloud_is_read(make_anchors: MakeTiny) -> None:
         item = dataset[6]
     finally:
         lerobot_compat.restore()
-    assert item[schema.POINT_CLOUD].shape == (1, 64, 3)
+    assert item[schema.POINT_CLOUD].shape == (1, 192)
     assert item[schema.STATE].shape == (policy.config.n_action_history_steps + 1, 24)
 
 

@@ -192,7 +192,7 @@ def test_a_missing_input_is_named(refuses: Refuses, make_config: Callable[..., A
     assert missing in refuses(AdaManipError, make_config(input_features=features, use_effort=True).validate_features)
 
 
-@pytest.mark.parametrize("shape", [(31, 3), (64, 2), (192,)])
+@pytest.mark.parametrize("shape", [(31, 3), (64, 2), (93,), (190,)])
 def test_clouds_that_are_too_small_are_refused(
     refuses: Refuses, make_config: Callable[..., Any], shape: tuple[int, ...]
 ) -> None:

@@ -22,6 +22,7 @@ from lerobot.processor.converters import (
 )
 
 from lerobot_adamanip import schema
+from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.rotations import matrix_from_rotation_6d
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
 
@@ -63,9 +64,10 @@ def test_a_policy_that_is_fine_tuned_gets_the_fixed_ranges_too(
 
 @pytest.fixture
 def raw(make_config: Callable[..., Any], open_dataset: Callable[..., Any]) -> dict[str, Any]:
-    """A collated batch as the loader gives it: metres, two observation steps, seven actions."""
+    """A collated batch as the loader gives it, clouds as points: metres, two observation steps, seven actions."""
     dataset = open_dataset(make_config(n_obs_steps=2, n_action_history_steps=3, horizon=4))
-    return dict(torch.utils.data.default_collate([dataset[index] for index in (0, 5, 12, 20)]))
+    batch = dict(torch.utils.data.default_collate([dataset[index] for index in (0, 5, 12, 20)]))
+    return {**batch, schema.POINT_CLOUD: as_points(batch[schema.POINT_CLOUD])}
 
 
 def _moved(raw: dict[str, Any], **options: Any) -> dict[str, Any]:
@@ -168,6 +170,15 @@ def test_the_given_transition_is_not_written_to(raw: dict[str, Any]) -> None:
         assert torch.equal(transition[TransitionKey.OBSERVATION][key], value), key
 
 
+def test_a_cloud_of_a_dataset_moves_as_its_points(raw: dict[str, Any]) -> None:
+    made = []
+    for cloud in (raw[schema.POINT_CLOUD], raw[schema.POINT_CLOUD].flatten(-2)):
+        torch.manual_seed(3)
+        made.append(_moved({**raw, schema.POINT_CLOUD: cloud}, translation=0.2, yaw=0.5, mirror=0.5))
+    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
+        assert torch.equal(made[0][key], made[1][key]), key
+
+
 def test_colours_of_points_do_not_move(raw: dict[str, Any]) -> None:
     colours = torch.rand(*raw[schema.POINT_CLOUD].shape[:-1], 3)
     coloured = torch.cat([raw[schema.POINT_CLOUD], colours], dim=-1)
@@ -232,7 +243,9 @@ def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
     relative = policy.frames.to_relative(batch[schema.ACTION], state)[0, :, :3] * RELATIVE_SCALE
     torch.testing.assert_close(relative, item[schema.ACTION][:, :3] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
     points = policy.frames.points(batch[schema.POINT_CLOUD], batch[schema.STATE])[0, -1, :, 3:] * RELATIVE_SCALE
-    torch.testing.assert_close(points, item[schema.POINT_CLOUD][-1] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
+    torch.testing.assert_close(
+        points, as_points(item[schema.POINT_CLOUD])[-1] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5
+    )
 
 
 def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, tmp_path: Path) -> None:

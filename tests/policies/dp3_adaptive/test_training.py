@@ -10,6 +10,7 @@ import torch
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.pointcloud import as_points
 from lerobot_policy_adamanip.encoders import PointNetEncoder
 
 MakeTiny = Callable[..., tuple[Any, ...]]
@@ -160,7 +161,7 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
     policy.eval()
     noise = torch.randn(1, policy.config.horizon, 10)
     observation = observation_of(dataset, before, 3)
-    cloud = observation[schema.POINT_CLOUD]
+    cloud = as_points(observation[schema.POINT_CLOUD])
 
     def act(points: torch.Tensor) -> torch.Tensor:
         policy.reset()
@@ -168,6 +169,7 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
         return chosen
 
     full = act(cloud)
+    assert torch.equal(act(cloud.flatten(-2)), full)
     assert torch.equal(act(cloud[:, :32]), full)
     assert torch.equal(act(torch.cat([cloud[:, :32], torch.rand(1, 99, 3)], dim=1)), full)
     assert not torch.equal(act(cloud + 0.1), full)

@@ -1,0 +1,90 @@
+"""Stores clouds (N, 3) of datasets of version 0.2 as rows of 3 N numbers, which LeRobot's tools can edit."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lerobot_adamanip import files
+from lerobot_adamanip.checked_json import read
+from lerobot_adamanip.demos.editing.compose import arrow_schema, with_types
+from lerobot_adamanip.demos.loading import MAX_STATISTICS_BYTES, read_info
+from lerobot_adamanip.hub.check.contract import is_old_cloud
+from lerobot_adamanip.hub.check.layout import INFO, STATS
+from lerobot_adamanip.hub.check.reading import numeric
+from lerobot_adamanip.hub.check.rebuild import write_table
+from lerobot_adamanip.schema import POINT_CLOUD
+
+_STATS = f"stats/{POINT_CLOUD}/"
+
+
+def flatten_clouds(root: Path, keep: Callable[[str], None]) -> bool:
+    """Stores the clouds of a dataset as rows of 3 N numbers, and says so in its metadata. Values stay.
+
+    ``meta/info.json`` comes last: what was interrupted is finished the next time.
+
+    Args:
+        root: of a dataset whose files can be read.
+        keep: told of each file before it is changed, path within the dataset.
+
+    Returns:
+        Whether there were any to store otherwise.
+    """
+    info = read_info(root)
+    feature = info["features"].get(POINT_CLOUD, {})
+    if not is_old_cloud(POINT_CLOUD, feature):
+        return False
+    feature["shape"] = [int(np.prod(feature["shape"]))]
+    names = [path.relative_to(root).as_posix() for path in sorted(root.glob("**/*.parquet"))]
+    schema = arrow_schema({key: {**each, "shape": tuple(each["shape"])} for key, each in info["features"].items()})
+    for name in (*names, STATS, INFO):
+        keep(name)
+    for name in names:
+        if name.startswith("data/"):
+            _flatten_rows(root / name, schema)
+        elif name.startswith("meta/episodes/"):
+            _repeat_statistics(root / name, feature["shape"][0])
+    stats = read(root / STATS, max_bytes=MAX_STATISTICS_BYTES)
+    told = stats.get(POINT_CLOUD, {})
+    told |= {key: _repeated(value, feature["shape"][0]) for key, value in told.items() if key != "count"}
+    for name, content in ((STATS, stats), (INFO, info)):
+        files.write_atomically(root / name, (json.dumps(content, indent=4) + "\n").encode())
+    return True
+
+
+def _flatten_rows(path: Path, schema: pa.Schema) -> None:
+    """Rewrites a data file, a row group to each of its row groups."""
+    source, sink = pq.ParquetFile(path), io.BytesIO()
+    with pq.ParquetWriter(sink, schema, compression="snappy", use_dictionary=True) as writer:
+        for group in range(source.num_row_groups):
+            table = source.read_row_group(group)
+            clouds = numeric(table, POINT_CLOUD)
+            if clouds is None:
+                raise ValueError(f"{path.name} has clouds of different sizes")
+            at = table.schema.get_field_index(POINT_CLOUD)
+            field = schema.field(POINT_CLOUD)
+            flat = pa.FixedSizeListArray.from_arrays(pa.array(clouds.reshape(-1)), field.type.list_size)
+            writer.write_table(with_types(table.set_column(at, field, flat.cast(field.type)), schema))
+    files.write_atomically(path, sink.getvalue())
+
+
+def _repeat_statistics(path: Path, width: int) -> None:
+    table = pq.read_table(path)
+    for at, name in enumerate(table.column_names):
+        if name.startswith(_STATS) and name != f"{_STATS}count":
+            values = [_repeated(value, width) for value in table[name].to_pylist()]
+            table = table.set_column(at, name, pa.array(values, type=pa.list_(table[name].type.value_type)))
+    write_table(path, table.replace_schema_metadata(None))
+
+
+def _repeated(value: Any, width: int) -> list[float]:
+    """Statistics of a cloud's three axes, for each of its points: see `lerobot_adamanip.demos.statistics`."""
+    flat: list[float] = np.asarray(value).reshape(-1).tolist()
+    return flat * (width // len(flat))
