@@ -27,7 +27,7 @@ from lerobot_adamanip.fingerprint import combined
 from lerobot_adamanip.hub.cards import LICENSE, TAGS, card_template, citation, front_matter
 
 COLUMNS = {
-    schema.POINT_CLOUD: "m; x, y, z of each point in turn, the farthest first: any prefix is itself a farthest-point sample",
+    schema.POINT_CLOUD: "m; x, y, z of each point, farthest first, so any prefix is itself a farthest-point sample",
     schema.STATE: "tool position, rotation 6D, gripper opening, 7 joint positions [rad], 7 joint velocities [rad/s]",
     schema.EFFORT: "external joint torque [N m]",
     schema.FRONT_IMAGE: "RGB",

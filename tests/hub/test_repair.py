@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lerobot_adamanip import schema
+from lerobot_adamanip import files, schema
 from lerobot_adamanip.demos.loading import load_check, open_dataset
+from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.check.repair import repair
 from lerobot_adamanip.hub.check.salvage import salvage
@@ -177,6 +178,49 @@ def test_recording_goes_on_after_a_repair(tmp_path: Path, monkeypatch: pytest.Mo
     again.finalize()
     assert load_check(root)["total_episodes"] == 4
     assert check(root).clean
+
+
+def recorded(root: Path, cloud: tuple[int, ...]) -> Path:
+    """Three episodes whose clouds have this shape, as LeRobot records them."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    features = schema.dataset_features(POINTS, images=False)
+    features[schema.POINT_CLOUD]["shape"] = cloud
+    dataset = LeRobotDataset.create(REPO, schema.FPS, features, root=root)
+    for episode in range(3):
+        for row in range(LENGTHS[episode]):
+            values = {key: value for key, value in frame(episode, row).items() if key in (*features, "task")}
+            dataset.add_frame({**values, schema.POINT_CLOUD: values[schema.POINT_CLOUD].reshape(cloud)})
+        dataset.save_episode()
+    dataset.finalize()
+    return root
+
+
+@pytest.mark.parametrize("writes", [0, 1, 2, 3, None])
+def test_clouds_of_version_0_2_are_stored_as_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int | None
+) -> None:
+    """Whatever interrupts it: after so many files, or nothing."""
+    old, new = recorded(tmp_path / "old", (POINTS, 3)), recorded(tmp_path / "new", (3 * POINTS,))
+    assert ["adamanip repair" in finding.message for finding in check(old).findings] == [True]
+    with pytest.raises(DatasetError, match="adamanip repair"):
+        load_check(old)
+    if writes is not None:
+        left, write = iter(range(writes)), files.write_atomically
+        monkeypatch.setattr(
+            files, "write_atomically", lambda *given: raises() if next(left, None) is None else write(*given)
+        )
+        with pytest.raises(KilledError):
+            repair(old)
+        monkeypatch.undo()
+    mended = repair(old)
+    assert mended.left == []
+    assert check(old).findings == ()
+    for name in ("data/chunk-000/file-000.parquet", "meta/tasks.parquet"):
+        assert pq.read_table(old / name).equals(pq.read_table(new / name))
+    assert json.loads((old / "meta" / "info.json").read_text()) == json.loads((new / "meta" / "info.json").read_text())
+    assert open_dataset(old)[3][schema.POINT_CLOUD].shape == (3 * POINTS,)
+    assert repair(old).mended == []
 
 
 def test_rows_of_a_file_without_its_end(tmp_path: Path) -> None:

@@ -242,7 +242,9 @@ def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
     state = batch[schema.STATE][:, -1]
     relative = policy.frames.to_relative(batch[schema.ACTION], state)[0, :, :3] * RELATIVE_SCALE
     torch.testing.assert_close(relative, item[schema.ACTION][:, :3] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
-    points = policy.frames.points(batch[schema.POINT_CLOUD], batch[schema.STATE])[0, -1, :, 3:] * RELATIVE_SCALE
+    points = (
+        policy.frames.points(as_points(batch[schema.POINT_CLOUD]), batch[schema.STATE])[0, -1, :, 3:] * RELATIVE_SCALE
+    )
     torch.testing.assert_close(
         points, as_points(item[schema.POINT_CLOUD])[-1] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5
     )
