@@ -60,10 +60,6 @@ MAX_KEY_FRAMES = 45
 FPS = 4
 """Key frames have no clock. Four a second is the paper code's macro-step rate, and a comfortable video speed."""
 
-SKIP_VIDEOS = "_adamanip_skip_videos"
-"""Attribute of a LeRobot dataset's metadata: no reader of it looks at videos."""
-LATEST_ONLY = "_adamanip_latest_only"
-"""Attribute of a LeRobot dataset's metadata: keys of whose windows nobody looks at more than the last step."""
 LABEL_DTYPES = {
     PHASE: "int64", TRIAL: "int64", OUTCOME: "int64", TRIED: "int64", FAILED: "bool", PROGRESS: "float32",
     SUCCESS: "bool", DONE: "bool",

@@ -36,30 +36,19 @@ Array = NDArray[np.float64]
 
 def windows(policy: Any, root: Path, rows: int, seed: int) -> dict[str, Any]:
     """Returns a batch of so many rows, terminal ones left out, with the windows that the policy wants."""
-    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
-    from lerobot.datasets.factory import resolve_delta_timestamps
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from lerobot_adamanip import lerobot_compat
-
-    lerobot_compat.apply()
-    name = f"local/{root.name}"
-    stamps = resolve_delta_timestamps(policy.config, LeRobotDatasetMetadata(name, root=root))
-    dataset = LeRobotDataset(name, root=root, delta_timestamps=stamps)
-    lerobot_compat.skip_videos(dataset.meta)
+    dataset = LeRobotDataset(f"local/{root.name}", root=root)
+    policy._attach_dataset(dataset.meta)
     wanted = np.flatnonzero(~np.asarray(dataset.hf_dataset[schema.DONE]).ravel())
     chosen = np.sort(np.random.default_rng(seed).choice(wanted, min(rows, len(wanted)), replace=False))
-    return torch.utils.data.default_collate([dataset[int(row)] for row in chosen])
+    return torch.utils.data.default_collate(dataset.__getitems__(chosen.tolist()))
 
 
 def drawn(policy: Any, before: Any, after: Any, batch: dict[str, Any], samples: int) -> Tensor:
     """Returns actions (S, B, 10) that the policy draws at a batch of rows."""
-    from lerobot_policy_adamanip.dp3_adaptive.window import Window
-
     ready = before(batch)
-    past = policy.config.n_action_history_steps
-    actions, padded = ready[schema.ACTION], ready["action_is_pad"]
-    window = Window(policy._observations(ready), actions[:, :past], ~padded[:, :past])
+    window, _, _ = policy.training_window(ready)
     with torch.no_grad():
         found = [after(policy.head.sample(policy._active_model(), window, None)[:, 0]) for _ in range(samples)]
     return torch.stack(found)
@@ -73,9 +62,9 @@ def motions(actions: Tensor, tools: Tensor) -> tuple[Array, Array]:
     return 1e3 * motion[..., :3].norm(dim=-1).numpy(), np.degrees(motion[..., 3:6].norm(dim=-1).numpy())
 
 
-def compare(batch: dict[str, Any], found: Tensor, past: int) -> dict[str, Any]:
+def compare(batch: dict[str, Any], found: Tensor) -> dict[str, Any]:
     """Returns phase -> distributions of motions demonstrated and drawn, and how far the nearest sample is."""
-    tools, shown = batch[schema.STATE][:, -1, : schema.ACTION_DIM], batch[schema.ACTION][:, past]
+    tools, shown = batch[schema.STATE][:, : schema.ACTION_DIM], batch[schema.ACTION]
     phases = batch[schema.PHASE].numpy().ravel()
     pairs = {"demonstrated": motions(shown, tools), "drawn": motions(found, tools)}
     off = motions(found, shown)
@@ -117,7 +106,7 @@ def main() -> int:
     before, after = make_pre_post_processors(policy.config, pretrained_path=str(options.policy))
     batch = windows(policy, options.data.absolute(), options.rows, options.seed)
     found = drawn(policy, before, after, batch, options.samples)
-    phases = compare(batch, found, policy.config.n_action_history_steps)
+    phases = compare(batch, found)
     report = {**header(), "category": read_manifest(manifest_path(options.data)).spec.category, "phases": phases}
     if options.out is not None:
         write_atomically(options.out, json.dumps(report, indent=1).encode())

@@ -49,10 +49,8 @@ if not os.environ.get(NO_PLUGIN):
 
     if "lerobot.datasets.lerobot_dataset" in sys.modules:
         # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
-        # Other datasets, and LeRobots this was not tested with, keep LeRobot's own reader.
-        from lerobot_adamanip import lerobot_compat, lerobot_recording
+        from lerobot_adamanip import lerobot_recording
 
-        lerobot_compat.apply()
         lerobot_recording.apply()
 
 __all__ = [

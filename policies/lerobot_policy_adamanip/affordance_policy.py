@@ -12,18 +12,20 @@ from torch import Tensor, nn
 from torch.nn import Parameter
 
 from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_policy_adamanip.affordance_config import AffordanceConfig
 from lerobot_policy_adamanip.contract import LoadsStrictly, observed
 from lerobot_policy_adamanip.demonstrations import Demonstrations, read_demonstrations
 from lerobot_policy_adamanip.publishing import PublishesOurCard
+from lerobot_policy_adamanip.recorded_rows import EPISODE, INDEX, RecordedRows
 
 
 class Labels(nn.Module):
     """Arrays of a dataclass as tensors that go where the policy goes; no checkpoint holds them.
 
     Args:
-        made: a dataclass of arrays, looked up by a row's `index`.
+        made: a dataclass of arrays, looked up by row; see `AffordancePolicy.rows_of`.
     """
 
     def __init__(self, made: Any) -> None:
@@ -53,10 +55,10 @@ class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self.model = self.make_network()
         self._labels: Labels | None = None
         if dataset_meta is not None:
-            from lerobot_adamanip.lerobot_compat import skip_videos
-
-            skip_videos(dataset_meta)
-            self._labels = Labels(self.make_labels(read_demonstrations(dataset_meta)))
+            read_in_batches(dataset_meta)
+            demonstrations = read_demonstrations(dataset_meta)
+            self._labels = Labels(self.make_labels(demonstrations))
+            self._recorded = RecordedRows({INDEX: demonstrations.index, EPISODE: demonstrations.episode})
         self.reset()
 
     def make_network(self) -> nn.Module:
@@ -78,6 +80,10 @@ class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
                 hint=f"lerobot-train --policy.type={self.name} --dataset.root=...",
             )
         return self._labels
+
+    def rows_of(self, batch: dict[str, Tensor]) -> Tensor:
+        """Returns the rows (B,) of `labels` that a batch holds; see `RecordedRows.rows`."""
+        return self._recorded.rows(batch[INDEX])
 
     def get_optim_params(self) -> Any:
         """Parameters to train."""

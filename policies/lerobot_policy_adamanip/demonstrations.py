@@ -7,7 +7,7 @@ by `index`. They teach; a policy at run time has none of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.arrow import numeric_array
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.labels import CLOSED
 from lerobot_adamanip.keyframes import OPEN_HAND
 from lerobot_adamanip.schema import (
+    ACTION,
     ACTION_DIM,
     DONE,
     EXECUTED,
@@ -30,7 +32,10 @@ from lerobot_adamanip.schema import (
     SUCCESS,
     TRIED,
 )
+from lerobot_policy_adamanip.recorded_rows import EPISODE, INDEX, RecordedRows
 
+IS_LABEL = "is_label"
+"""Column of `read_recorded_rows`: false at the `unfinished_ends`."""
 AWAY = 0.05
 """A hand at least this far from a grasp does not hide the part [m]."""
 IN_PLACE = 0.03
@@ -42,7 +47,7 @@ def has_files(dataset_meta: Any) -> bool:
     return (Path(dataset_meta.root) / "data").is_dir()
 
 
-def read_columns(dataset_meta: Any, keys: Sequence[str]) -> dict[str, NDArray[Any]]:
+def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Returns numeric columns of a dataset, rows in order of their `index`: key -> (rows, ...), floats as float32.
 
     Raises:
@@ -56,9 +61,9 @@ def read_columns(dataset_meta: Any, keys: Sequence[str]) -> dict[str, NDArray[An
             "The demonstrations' columns cannot be read.",
             got=f"no folder {folder.name} beside the metadata",
             allowed="a dataset whose files have been downloaded",
-            hint="LeRobotDataset(repo_id), before the policy is made",
+            hint="--dataset.streaming=false; in Python, LeRobotDataset(repo_id) before the policy is made",
         )
-    source = files.dataset(folder, format="parquet")
+    source, keys = files.dataset(folder, format="parquet"), list(keys)
     missing = [key for key in keys if key not in source.schema.names]
     if missing:
         raise ConfigurationError(
@@ -68,8 +73,25 @@ def read_columns(dataset_meta: Any, keys: Sequence[str]) -> dict[str, NDArray[An
             hint="adamanip collect",
         )
     table = source.to_table(columns=sorted({*keys, "index"})).sort_by("index")
-    columns = {key: np.stack(table[key].to_numpy()) for key in keys}
+    columns = {key: _array(table, key) for key in keys}
     return {key: found.astype(np.float32) if found.dtype.kind == "f" else found for key, found in columns.items()}
+
+
+def _array(table: Any, key: str) -> NDArray[Any]:
+    values = numeric_array(table[key])
+    return np.stack(table[key].to_numpy()) if values is None else values
+
+
+def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
+    """Returns what `dp3_adaptive` looks up: states, labels, executed actions, and whether a row's action is a label.
+
+    Raises:
+        ConfigurationError: as `read_columns` does.
+    """
+    executed = EXECUTED if EXECUTED in dataset_meta.features else ACTION
+    columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed)))
+    is_label = ~np.isin(columns[INDEX].reshape(-1), unfinished_ends(dataset_meta))
+    return RecordedRows({**columns, EXECUTED: columns[executed], IS_LABEL: is_label})
 
 
 def unfinished_ends(dataset_meta: Any) -> NDArray[np.int64]:

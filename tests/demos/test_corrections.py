@@ -13,7 +13,7 @@ import pytest
 import torch
 from demos_helpers import corrected, make_spec, patiently, same_bytes
 
-from lerobot_adamanip import lerobot_compat, schema
+from lerobot_adamanip import schema
 from lerobot_adamanip.demos.collect import collect
 from lerobot_adamanip.demos.collection import CollectionSpec
 from lerobot_adamanip.demos.corrections import Correcting, corrected_rollout
@@ -21,6 +21,7 @@ from lerobot_adamanip.demos.loading import episode_table, open_dataset
 from lerobot_adamanip.demos.replay import replay
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.rollout import KeyFrame
+from lerobot_policy_adamanip.demonstrations import read_recorded_rows
 
 POLICY = "0123456789abcdef" * 2
 Refuses = Callable[[type, Callable[[], Any]], str]
@@ -101,21 +102,14 @@ def test_workers_and_interruptions_change_nothing(tmp_path: Path, mixed: Path) -
     same_bytes(mixed, root)
 
 
-@pytest.mark.parametrize("at_once", [True, False], ids=["batches", "items"])
-def test_a_policys_history_is_what_was_executed_and_its_labels_are_the_corrections(mixed: Path, at_once: bool) -> None:
-    steps = (-2, -1, 0, 1)
-    lerobot_compat.apply()
-    dataset = open_dataset(mixed, delta_timestamps={schema.ACTION: [step / schema.FPS for step in steps]})
-    place = 2
-    batch = dataset.__getitems__([place]).columns if at_once else {k: v[None] for k, v in _tensors(dataset[place])}
-    found = batch[schema.ACTION][0].numpy()
+def test_a_policys_history_is_what_was_executed_and_its_labels_are_the_corrections(mixed: Path) -> None:
+    recorded = read_recorded_rows(open_dataset(mixed).meta)
+    place = recorded.rows(torch.tensor([2]))
+    (before, _), (ahead, _) = recorded.around(place, (-2, -1)), recorded.around(place, (0, 1))
     sent, corrections = rows(mixed, schema.EXECUTED), rows(mixed, schema.ACTION)
     assert not np.allclose(sent[:2], corrections[:2])
-    np.testing.assert_array_equal(found, np.concatenate([sent[:2], corrections[2:4]]).astype(np.float32))
-
-
-def _tensors(item: dict[str, Any]) -> list[tuple[str, torch.Tensor]]:
-    return [(key, value) for key, value in item.items() if isinstance(value, torch.Tensor)]
+    np.testing.assert_array_equal(recorded.column(schema.EXECUTED, before)[0].numpy(), sent[:2].astype(np.float32))
+    np.testing.assert_array_equal(recorded.column(schema.ACTION, ahead)[0].numpy(), corrections[2:4].astype(np.float32))
 
 
 @pytest.mark.parametrize(

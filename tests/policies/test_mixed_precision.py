@@ -15,6 +15,7 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot_adamanip import mixed_precision, schema
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.window import Window
 
 SIZES = {"num_points": 16, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dims": (16, 32)}
 
@@ -36,18 +37,22 @@ def make_policy(**options: Any) -> Any:
 
 def half_precision_step(policy: Any) -> tuple[Any, Any]:
     """A loss and an action, under autocast."""
-    batch = {
+    config, pose = policy.config, schema.ACTION_DIM
+    observations = {
         schema.POINT_CLOUD: torch.rand(2, 1, 32, 3),
-        schema.STATE: torch.rand(2, policy.config.observed_steps, schema.STATE_DIM),
-        schema.ACTION: torch.rand(2, policy.config.n_action_history_steps + policy.config.horizon, schema.ACTION_DIM),
+        schema.STATE: torch.rand(2, config.observed_steps, schema.STATE_DIM),
     }
-    batch["action_is_pad"] = torch.zeros(batch[schema.ACTION].shape[:2], dtype=torch.bool)
+    past = config.n_action_history_steps
+    window = Window(observations, torch.rand(2, past, pose), torch.ones(2, past, dtype=torch.bool))
+    labels = torch.rand(2, config.horizon, pose)
+    policy.training_window = lambda _: (window, labels, torch.ones(labels.shape[:2], dtype=torch.bool))
+
     with torch.autocast("cpu", torch.bfloat16):
-        loss, _ = policy.forward(batch)
+        loss, _ = policy.forward({})
         loss.backward()
         assert all(weight.grad is not None for weight in policy.get_optim_params())
         policy.eval()
-        action = policy.select_action({key: batch[key][:, -1] for key in (schema.POINT_CLOUD, schema.STATE)})
+        action = policy.select_action({key: values[:, -1] for key, values in observations.items()})
     return loss, action
 
 

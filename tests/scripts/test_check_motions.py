@@ -23,15 +23,15 @@ def batch() -> tuple[dict[str, torch.Tensor], torch.Tensor]:
     shown = torch.from_numpy(np.stack([pose_vector(goal, 0.2) for goal in goals]))
     phases = torch.tensor([[int(Phase.TRY if row % 2 else Phase.UNLOCK)] for row in range(ROWS)])
     return {
-        schema.STATE: torch.from_numpy(state)[:, None],
-        schema.ACTION: shown[:, None],
+        schema.STATE: torch.from_numpy(state),
+        schema.ACTION: shown,
         schema.PHASE: phases,
     }, shown
 
 
 def test_what_draws_what_was_shown_is_nowhere_off() -> None:
     rows, shown = batch()
-    report = compare(rows, torch.stack([shown, shown]), 0)
+    report = compare(rows, torch.stack([shown, shown]))
     assert set(report) == {"try", "unlock"}
     for row in report.values():
         assert row["rows"] == ROWS // 2
@@ -44,14 +44,14 @@ def test_what_draws_what_was_shown_is_nowhere_off() -> None:
 def test_a_push_that_is_averaged_away_shows() -> None:
     rows, shown = batch()
     half = shown.clone()
-    tools = rows[schema.STATE][:, 0, :10]
+    tools = rows[schema.STATE][:, :10]
     half[:, :3] = (shown[:, :3] + tools[:, :3]) / 2
-    report = compare(rows, half[None], 0)["try"]
+    report = compare(rows, half[None])["try"]
     np.testing.assert_allclose(report["drawn"]["mm"], 500 * PUSH, atol=0.01)
     np.testing.assert_allclose(report["nearest"]["mm"], 500 * PUSH, atol=0.01)
 
 
 def test_one_of_two_good_motions_is_no_error() -> None:
     rows, shown = batch()
-    report = compare(rows, torch.stack([shown, shown.flip(0)]), 0)
+    report = compare(rows, torch.stack([shown, shown.flip(0)]))
     assert max(report["try"]["nearest"]["mm"]) < 0.05

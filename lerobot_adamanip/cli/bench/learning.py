@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from lerobot_adamanip import lerobot_compat
-from lerobot_adamanip.cli.bench.timing import Stopwatch, compare_ms, median_ms, ratio, repeat_ms
+from lerobot_adamanip.cli.bench.timing import Stopwatch, compare_ms, repeat_ms
 from lerobot_adamanip.demos.loading import open_dataset
+from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import POINT_CLOUD
 
@@ -36,53 +36,42 @@ def make_config(preset: str, features: dict[str, Any], *, device: str) -> Any:
     return config
 
 
-def open_for(root: Path, config: Any, *, fast: bool, videos: bool) -> Any:
-    """Returns the dataset as lerobot-train reads it for a policy: with the fast reader or LeRobot's own."""
+def open_for(root: Path, config: Any) -> Any:
+    """Returns the dataset as lerobot-train opens it for a policy."""
     from lerobot.datasets.factory import resolve_delta_timestamps
     from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
 
     meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
-    (lerobot_compat.apply if fast else lerobot_compat.restore)()
-    try:
-        dataset = open_dataset(root, delta_timestamps=resolve_delta_timestamps(config, meta))
-        _ = dataset[0]  # readers are built on first use
-    finally:
-        lerobot_compat.apply()
-    if not videos:
-        lerobot_compat.skip_videos(dataset.meta)
-        if config.head == "anchors":
-            lerobot_compat.read_latest_only(dataset.meta, POINT_CLOUD)
-    return dataset
+    return open_dataset(root, delta_timestamps=resolve_delta_timestamps(config, meta))
 
 
 def reading(root: Path, *, items: int, repeats: int) -> dict[str, Any]:
-    """Returns ms per item of LeRobot's reader, the fast one, and the fast one without videos; and the speed-ups."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
+    """Returns ms per item of LeRobot's reader, row by row and in batches, and the speed-up."""
+    dataset = open_dataset(root)
+    read_in_batches(dataset.meta)
+    rng = np.random.default_rng(0)
 
-    config = make_config("fast", LeRobotDatasetMetadata(f"local/{root.name}", root=root).features, device="cpu")
-    rng, times = np.random.default_rng(0), {}
-    kinds = {"stock": (False, True), "fast": (True, True), "fast_without_video": (True, False)}
-    for name, (fast, videos) in kinds.items():
-        dataset = open_for(root, config, fast=fast, videos=videos)
-        wanted = rng.integers(len(dataset), size=(1 + repeats, items))
-        laps = [lerobot_compat.item_milliseconds(dataset, map(int, row)) for row in wanted]
-        times[name] = median_ms([1e-3 * lap for lap in laps[1:]])
-    speed_up = {name: ratio(times["stock"], times[name]) for name in ("fast", "fast_without_video")}
-    return {"ms_per_item": times, "speed_up_over_stock": speed_up}
+    def draw() -> list[int]:
+        return list(map(int, rng.integers(len(dataset), size=items)))
+
+    compared = compare_ms(lambda: [dataset[row] for row in draw()], lambda: dataset.__getitems__(draw()), repeats)
+    times = {"row_by_row": compared["plain_ms"] / items, "in_batches": compared["ms"] / items}
+    return {"ms_per_item": times, "speed_up": compared["speedup"]}
 
 
 def make_policy(root: Path, preset: str, *, device: str) -> tuple[Any, Any, Any, Any]:
-    """Returns policy, preprocessor, postprocessor and dataset (fast reader, no videos) of a preset."""
+    """Returns policy, preprocessor, postprocessor and dataset of a preset."""
     from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
 
     from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
     from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import make_dp3_adaptive_pre_post_processors
 
-    meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
-    config = make_config(preset, meta.features, device=device)
+    config = make_config(preset, LeRobotDatasetMetadata(f"local/{root.name}", root=root).features, device=device)
+    dataset = open_for(root, config)
+    meta = dataset.meta
     policy = DP3AdaptivePolicy(config, dataset_stats=meta.stats, dataset_meta=meta).to(device)
     before, after = make_dp3_adaptive_pre_post_processors(config, meta.stats)
-    return policy, before, after, open_for(root, config, fast=True, videos=False)
+    return policy, before, after, dataset
 
 
 def training(root: Path, preset: str, *, batch_size: int, repeats: int, device: str) -> dict[str, Any]:
@@ -162,7 +151,10 @@ def actor(root: Path, preset: str, *, device: str) -> Callable[[int], None]:
     item = dataset[0]
 
     def act(batch_size: int) -> None:
-        observation = {key: _repeated(item[key][-1], batch_size) for key in policy.config.input_features}
+        observation = {
+            key: _repeated(item[key][-1] if f"{key}_is_pad" in item else item[key], batch_size)
+            for key in policy.config.input_features
+        }
         observation[POINT_CLOUD] = enough_points(observation[POINT_CLOUD], policy.config.num_points)
         # The first action of an episode: nothing is remembered from another number of environments.
         policy.reset()

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from lerobot_adamanip.columns import numeric_view
+from lerobot_adamanip.arrow import numeric_array
 from lerobot_adamanip.hub.check.findings import Report, Rows, listed
 from lerobot_adamanip.hub.check.layout import Episode, Layout
 
@@ -43,12 +43,8 @@ class Batch:
 
 
 def numeric(table: pa.Table, key: str) -> NDArray[Any] | None:
-    """Returns a column as (rows, ...) numpy, or None if it is not numeric and regular."""
-    views = [numeric_view(chunk) for chunk in table.column(key).chunks if len(chunk)]
-    kept = [view for view in views if view is not None]
-    if not kept or len(kept) < len(views) or len({view.shape[1:] for view in kept}) > 1:
-        return None
-    return kept[0] if len(kept) == 1 else np.concatenate(kept)
+    """Returns a column as (rows, ...) numpy, or None if it is not numeric and regular, or empty."""
+    return numeric_array(table.column(key)) if table.num_rows else None
 
 
 def points_last(values: NDArray[Any]) -> NDArray[Any]:

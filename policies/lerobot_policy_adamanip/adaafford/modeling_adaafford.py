@@ -65,9 +65,10 @@ class AdaAffordPolicy(AffordancePolicy):
             ConfigurationError: the policy was made without a dataset.
         """
         labels, (cloud, _) = self.labels, self.observed(batch)
-        known = labels.candidates[batch["index"]]
+        recorded = self.rows_of(batch)
+        known = labels.candidates[recorded]
         rows = counting_rows(known[:, 0] >= 0)
-        cloud, known, history = cloud[rows], known[rows], labels.history[batch["index"][rows]]
+        cloud, known, history = cloud[rows], known[rows], labels.history[recorded[rows]]
         counts = (known[:, 0] >= 0).to(cloud.dtype)
         asked, told = self._interactions(trimmed(known)), self._interactions(trimmed(history))
         held = asked.before[..., POSITION_DIMS]

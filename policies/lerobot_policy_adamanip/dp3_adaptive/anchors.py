@@ -157,7 +157,7 @@ class AnchorHead:
                 "The anchors are not known.",
                 got="a policy made without a dataset",
                 allowed="make_policy(..., ds_meta=) of a dataset, or a checkpoint",
-                hint="policy.fit_anchors(motions), or --policy.preset=diffusion",
+                hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )
         self._known = model  # looking at the buffer waits for a GPU: once is enough
         tool, goal = window.observations[STATE][:, -1, :ACTION_DIM], actions[:, 0]

@@ -215,9 +215,9 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
 
     @property
-    def observation_delta_indices(self) -> list[int]:
-        """Observation steps relative to the present."""
-        return list(range(1 - self.observed_steps, 1))
+    def observation_delta_indices(self) -> list[int] | None:
+        """Observation steps relative to the present; None for the present alone, which LeRobot reads fastest."""
+        return list(range(1 - self.n_obs_steps, 1)) if self.n_obs_steps > 1 else None
 
     @property
     def observed_steps(self) -> int:
@@ -225,9 +225,9 @@ class DP3AdaptiveConfig(PreTrainedConfig):
         return max(self.n_obs_steps, 1 + self.n_action_history_steps if self.head == "anchors" else 1)
 
     @property
-    def action_delta_indices(self) -> list[int]:
-        """History (negative) and chunk (from 0) in one window."""
-        return list(range(-self.n_action_history_steps, self.horizon))
+    def action_delta_indices(self) -> None:
+        """None: history and labels are looked up by a row's ``index``, see `recorded_rows`."""
+        return None
 
     @property
     def reward_delta_indices(self) -> None:

@@ -17,9 +17,10 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
 from torch import Tensor
 
+from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.mixed_precision import require_mixed_precision
 from lerobot_adamanip.schema import (
-    ACTION,
     GRIPPER_DIM,
     POINT_CLOUD,
     POSITION_DIMS,
@@ -29,20 +30,19 @@ from lerobot_adamanip.schema import (
 )
 from lerobot_policy_adamanip.chunk_guard import ChunkGuard
 from lerobot_policy_adamanip.contract import LoadsStrictly, picked_inputs
-from lerobot_policy_adamanip.demonstrations import unfinished_ends
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
 from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_weights
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.publishing import PublishesOurCard
 from lerobot_policy_adamanip.rotations import orthonormal_6d
 from lerobot_policy_adamanip.tool_frame import mirrored_motions
 
-ACTION_IS_PAD = "action_is_pad"
 TASK_INDEX = "task_index"
 
 
@@ -51,34 +51,23 @@ def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
     policy._ema_count = None
 
 
-def _marked(rows: NDArray[np.int64]) -> Tensor | None:
-    """Returns (I,) bool by row, False in the last place, for all behind; None for no rows."""
-    if not len(rows):
-        return None
-    marks = torch.zeros(int(rows.max()) + 2, dtype=torch.bool)
-    marks[torch.from_numpy(rows)] = True
-    return marks
-
-
 class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
     """LeRobot policy. Training uses `forward`; at run time `select_action` keeps the histories.
 
-    Time axis of a training batch, for H = ``n_action_history_steps`` and T = ``horizon``, t the present::
+    A training batch holds the present row. What came before and comes after is looked up by its ``index``, in columns
+    that are read when the policy is made. For H = ``n_action_history_steps`` and T = ``horizon``::
 
-        batch["action"]   row  0 ... H-1 | H ... H+T-1       observations   row 0 ... S-1
-                          step t-H ... t-1 | t ... t+T-1                    step t-S+1 ... t
-                          history        | labels
+        executed  step t-H ... t-1      labels  step t ... t+T-1
 
     At run time the history is a queue of the normalised actions that `select_action` returned, one per step, whether
     they came from an old chunk or a new one; rotations are orthonormalised and grippers clipped, as recorded ones are.
-    Before the episode's start both hold zeros, marked by a validity bit: LeRobot pads the window with the episode's
-    first action, which at the start is the label. Observations before it repeat the first one, as LeRobot's padding
-    does.
+    Before the episode's start both are invalid, marked by a bit, and leave no trace. Observations before it repeat the
+    first one, as LeRobot's padding does.
 
     Args:
         config: of which `validate_features` is called here.
         dataset_stats: of the training data; relates normalised numbers to metres. Not needed to load a checkpoint.
-        dataset_meta: of the training data; is told that no videos are needed.
+        dataset_meta: of the training data, whose files are beside it. Not needed where nothing is to be learnt.
         kwargs: whatever else LeRobot passes.
     """
 
@@ -106,7 +95,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
         self._ema_count: int | None = None  # known once `update` has read the buffer
         self.register_load_state_dict_post_hook(_forget_count)
-        self._meet_dataset(dataset_meta)
+        self._attach_dataset(dataset_meta)
         if dataset_meta is not None and config.head == "anchors":
             self.fit_anchors(demonstrated_motions(dataset_meta))
         self.reset()
@@ -121,26 +110,24 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         """
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy.frames.set_pose_statistics(dataset_stats)
-        policy._meet_dataset(dataset_meta)
+        policy._attach_dataset(dataset_meta)
         if dataset_meta is not None and policy.config.head == "anchors":
             warn_of_other_motions(dataset_meta, policy.model.anchors, policy.model.spread)
         return policy
 
-    def _meet_dataset(self, dataset_meta: Any) -> None:
+    def _attach_dataset(self, dataset_meta: Any) -> None:
+        """Reads what a training looks up."""
         self._task_weights: Tensor | None = None
-        self._unsent: Tensor | None = None
-        if dataset_meta is not None:
-            from lerobot_adamanip.lerobot_compat import read_latest_only, skip_videos
-
-            skip_videos(dataset_meta)
-            if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
-                # LeRobot gives them to the processors of a policy that is fine-tuned, without asking the policy.
-                dataset_meta.stats = fix_pose_statistics(dataset_meta.stats)
-            self._unsent = _marked(unfinished_ends(dataset_meta))
-            if self.config.balance_tasks:
-                self._task_weights = balanced_weights(dataset_meta)
-            if self.config.head == "anchors":
-                read_latest_only(dataset_meta, POINT_CLOUD)
+        self._windows: TrainingWindows | None = None
+        if dataset_meta is None:
+            return
+        read_in_batches(dataset_meta)
+        if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
+            # LeRobot gives them to the processors of a policy that is fine-tuned, without asking the policy.
+            dataset_meta.stats = fix_pose_statistics(dataset_meta.stats)
+        self._windows = TrainingWindows(self.config, dataset_meta)
+        if self.config.balance_tasks:
+            self._task_weights = balanced_weights(dataset_meta)
 
     def fit_anchors(self, motions: NDArray[np.float32]) -> None:
         """Takes the typical ones of demonstrated motions (M, 7) [m, rad, -] as an untrained policy's anchors."""
@@ -163,19 +150,18 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         return self.model.parameters()
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
-        """Returns the denoising loss (paper, eq. 2), over actions that exist.
+        """Returns the head's loss (with ``diffusion``: paper, eq. 2), over actions that exist.
 
         Args:
-            batch: normalised, with S = n_obs_steps, H = n_action_history_steps, T = horizon:
-                ``observation.point_cloud`` (B, S, N, 3) metres, ``observation.state`` (B, S, D),
-                ``action`` (B, H + T, A), ``action_is_pad`` (B, H + T).
+            batch: normalised, with S = n_obs_steps: ``observation.point_cloud`` (B, N, 3) metres,
+                ``observation.state`` (B, D), ``action`` (B, A), ``index`` (B,). Observations are (B, S, ...) for S > 1.
             reduction: ``mean``, or ``none`` for one loss per sample (B,).
+
+        Raises:
+            ConfigurationError: the policy was made without a dataset, or with another one.
         """
-        past = self.config.n_action_history_steps
-        actions, padded = batch[ACTION], batch[ACTION_IS_PAD]
-        window = Window(self._observations(batch), actions[:, :past], ~padded[:, :past])
-        real = self._labelled(batch, ~padded[:, past:])
-        losses, weights, told = self.head.loss(self._active_model(), window, actions[:, past:], real)
+        window, actions, real = self.training_window(batch)
+        losses, weights, told = self.head.loss(self._active_model(), window, actions, real)
         if self._task_weights is not None:
             self._task_weights = self._task_weights.to(losses)
             weights = weights * self._task_weights[batch[TASK_INDEX]]
@@ -185,13 +171,16 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         told = dict(zip(told, torch.stack(list(told.values())).tolist(), strict=True)) if told else {}
         return (losses * weights).sum() / weights.sum().clamp(min=1), told
 
-    def _labelled(self, batch: dict[str, Tensor], real: Tensor) -> Tensor:
-        """Leaves the `unfinished_ends` out of the rows (B, T) that are learnt."""
-        if self._unsent is None:
-            return real
-        self._unsent = self._unsent.to(real.device)
-        rows = batch["index"].reshape(-1, 1) + torch.arange(real.shape[1], device=real.device)
-        return real & ~self._unsent[rows.clamp(max=len(self._unsent) - 1)]
+    def training_window(self, batch: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
+        """Returns the head's inputs, labels (B, T, A) and which of them are to be learnt (B, T); see `forward`."""
+        if self._windows is None:
+            raise ConfigurationError(
+                "The policy has nothing to learn from.",
+                got="a policy made without a dataset",
+                allowed="make_policy(config, ds_meta=dataset.meta)",
+                hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
+            )
+        return self._windows.of(batch, self._observations(batch))
 
     @torch.no_grad()
     def update(self) -> None:

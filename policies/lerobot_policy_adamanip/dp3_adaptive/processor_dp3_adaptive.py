@@ -30,9 +30,9 @@ from lerobot_adamanip.schema import (
 from lerobot_policy_adamanip.contract import Pipelines
 from lerobot_policy_adamanip.depth_step import DepthToCloudStep
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION, SceneMotion
 from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, instruction_vector
 from lerobot_policy_adamanip.rotations import orthonormal_6d
-from lerobot_policy_adamanip.tool_frame import mirrored_poses
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 
@@ -40,12 +40,13 @@ Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 @ProcessorStepRegistry.register("adamanip_rigid_augmentation")
 @dataclass
 class RigidAugmentationStep(ProcessorStep):
-    """Moves a sample's whole scene: cloud, tool pose, history and labels alike. Joint positions stay as they are.
+    """Moves a sample's whole scene: cloud, tool pose and action alike. Joint positions stay as they are.
 
     A share of the samples is mirrored first, left for right.
 
     Acts only where actions come along, which is in training, and before normalisation, in metres. Every sample of a
-    batch is moved by a draw of its own, all of its time steps by the same one.
+    batch is moved by a draw of its own, all of its time steps by the same one. The batch keeps the draw, under
+    `SCENE_MOTION`, for what the policy looks up.
 
     Attributes:
         translation: uniform within +- this along each axis [m].
@@ -66,38 +67,28 @@ class RigidAugmentationStep(ProcessorStep):
         still = self.translation == self.yaw == self.mirror == 0
         if not isinstance(actions, Tensor) or observation is None or still:
             return transition
-        batch, device = len(actions), actions.device
-        cloud, state = observation[POINT_CLOUD], observation[STATE]
-        if cloud.dim() == state.dim():
-            observation = {**observation, POINT_CLOUD: as_points(cloud)}
-        if self.mirror:
-            chosen = torch.rand(batch, device=device) < self.mirror
-            observation, actions = _mirrored(observation, actions, chosen)
-        rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
-        shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
+        if observation[POINT_CLOUD].dim() == observation[STATE].dim():
+            observation = {**observation, POINT_CLOUD: as_points(observation[POINT_CLOUD])}
+        motion = self._drawn(len(actions), actions.device)
         moved = {
             **observation,
-            POINT_CLOUD: self._points(observation[POINT_CLOUD], rotation, shift),
-            STATE: self._poses(observation[STATE], rotation, shift),
+            POINT_CLOUD: motion.points(observation[POINT_CLOUD]),
+            STATE: motion.poses(observation[STATE]),
         }
-        actions = self._poses(actions, rotation, shift)
-        changed = {**transition, TransitionKey.OBSERVATION: moved, TransitionKey.ACTION: actions}
+        extra = {**(transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}), SCENE_MOTION: motion}
+        changed = {
+            **transition,
+            TransitionKey.OBSERVATION: moved,
+            TransitionKey.ACTION: motion.poses(actions),
+            TransitionKey.COMPLEMENTARY_DATA: extra,
+        }
         return cast(EnvTransition, changed)
 
-    def _points(self, points: Tensor, rotation: Tensor, shift: Tensor) -> Tensor:
-        """(B, ..., 3+), (B, 3, 3), (B, 3) -> moved, numbers after the first three as they were."""
-        center = torch.as_tensor(self.center, dtype=points.dtype, device=points.device)
-        flat = points[..., :3].reshape(len(points), -1, 3)
-        turned = (flat - center) @ rotation.transpose(1, 2).to(points.dtype) + center + shift[:, None].to(points.dtype)
-        return torch.cat([turned.reshape(*points.shape[:-1], 3), points[..., 3:]], dim=-1)
-
-    def _poses(self, poses: Tensor, rotation: Tensor, shift: Tensor) -> Tensor:
-        """(B, ..., D) with position and rotation 6D first."""
-        position = self._points(poses[..., POSITION_DIMS], rotation, shift)
-        # Rotation 6D holds the matrix' first two rows; a turn about z mixes just these two.
-        rows = poses[..., ROTATION_DIMS].reshape(*poses.shape[:-1], 2, 3)
-        turn = rotation[:, :2, :2].to(poses.dtype).reshape(len(poses), *(1,) * (poses.dim() - 2), 2, 2)
-        return torch.cat([position, (turn @ rows).flatten(-2), poses[..., GRIPPER_DIM:]], dim=-1)
+    def _drawn(self, batch: int, device: torch.device) -> SceneMotion:
+        mirrored = torch.rand(batch, device=device) < self.mirror if self.mirror else None
+        rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
+        shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
+        return SceneMotion(mirrored, rotation, shift, self.center)
 
     def get_config(self) -> dict[str, Any]:
         """JSON-able options."""
@@ -157,19 +148,6 @@ class InstructionStep(ProcessorStep):
     def transform_features(self, features: Features) -> Features:
         """Features of the dataset stay as they are."""
         return features
-
-
-def _mirrored(observation: dict[str, Any], actions: Tensor, chosen: Tensor) -> tuple[dict[str, Any], Tensor]:
-    """Mirrors the samples (B,) that are chosen."""
-
-    def where(changed: Tensor, plain: Tensor) -> Tensor:
-        return torch.where(chosen.reshape(-1, *(1,) * (plain.dim() - 1)), changed, plain)
-
-    cloud, state = observation[POINT_CLOUD], observation[STATE]
-    other_side = torch.cat([cloud[..., :1], -cloud[..., 1:2], cloud[..., 2:]], dim=-1)
-    tool = torch.cat([mirrored_poses(state[..., :ACTION_DIM]), state[..., ACTION_DIM:]], dim=-1)
-    seen = {**observation, POINT_CLOUD: where(other_side, cloud), STATE: where(tool, state)}
-    return seen, where(mirrored_poses(actions), actions)
 
 
 def _about_z(angle: Tensor) -> Tensor:

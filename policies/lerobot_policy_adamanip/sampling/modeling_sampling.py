@@ -114,7 +114,7 @@ class SamplingPolicy(AffordancePolicy):
             ConfigurationError: the policy was made without a dataset.
         """
         labels, (cloud, _) = self.labels, self.observed(batch)
-        contacts = labels.contacts_of[batch["index"]]
+        contacts = labels.contacts_of[self.rows_of(batch)]
         rows = counting_rows(contacts[:, 0] >= 0)
         cloud, contacts = cloud[rows], contacts[rows]
         weight = (contacts[:, 0] >= 0).to(cloud.dtype)

@@ -119,7 +119,7 @@ class VatMartPolicy(AffordancePolicy):
             ConfigurationError: the policy was made without a dataset.
         """
         labels, (cloud, _) = self.labels, self.observed(batch)
-        plan = labels.plan_of[batch["index"]]
+        plan = labels.plan_of[self.rows_of(batch)]
         rows = counting_rows(plan >= 0)
         cloud, plan, weight = cloud[rows], plan[rows].clamp(min=0), (plan[rows] >= 0).to(cloud.dtype)
         grasp, share = labels.grasps[plan], labels.share[plan]

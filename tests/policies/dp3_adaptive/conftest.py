@@ -60,6 +60,12 @@ def _frame(draw: np.random.Generator, tool: np.ndarray, index: int) -> dict[str,
     }
 
 
+def present(item: dict[str, Any], key: str) -> torch.Tensor:
+    """The present of an item, which is the last step where it has a window."""
+    value: torch.Tensor = item[key]
+    return value[-1] if f"{key}_is_pad" in item else value
+
+
 @pytest.fixture(scope="session")
 def dataset_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three recorded episodes with clouds of 64 points and a small video. Not to be written to."""
@@ -131,7 +137,6 @@ def observation_of() -> Callable[..., dict[str, Any]]:
     def build(dataset: Any, before: Any, *indices: int) -> dict[str, Any]:
         items = [dataset[index] for index in indices]
         keys = (schema.POINT_CLOUD, schema.STATE, schema.EFFORT)
-        # The last of the window is the present.
-        return dict(before({key: torch.stack([item[key][-1] for item in items]) for key in keys}))
+        return dict(before({key: torch.stack([present(item, key) for item in items]) for key in keys}))
 
     return build

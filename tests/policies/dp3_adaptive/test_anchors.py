@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,6 @@ def make_anchors(make_tiny: MakeTiny) -> MakeTiny:
     return lambda **changes: make_tiny(**{**ANCHORS, **changes})
 
 
-def _window(policy: Any, batch: dict[str, Any]) -> tuple[Window, torch.Tensor, torch.Tensor]:
-    past = policy.config.n_action_history_steps
-    actions, padded = batch[schema.ACTION], batch["action_is_pad"]
-    window = Window(policy._observations(batch), actions[:, :past], ~padded[:, :past])
-    return window, actions[:, past:], ~padded[:, past:]
-
-
 # Anchors ------------------------------------------------------------------------------------------------------------
 
 
@@ -67,11 +61,11 @@ def test_few_motions_are_anchors_enough() -> None:
 
 
 def test_motions_are_those_of_the_dataset(make_anchors: MakeTiny) -> None:
-    policy, _, _, dataset = make_anchors()
+    *_, dataset = make_anchors()
     motions = demonstrated_motions(dataset.meta)
     assert motions.shape == (len(dataset), 7)
     item = dataset[4]
-    action, state = item[schema.ACTION][policy.config.n_action_history_steps], item[schema.STATE][-1]
+    action, state = item[schema.ACTION], item[schema.STATE]
     frame = matrix_from_rotation_6d(state[3:9].numpy())
     np.testing.assert_allclose(motions[4, :3], (action[:3] - state[:3]).numpy() @ frame, atol=1e-5)
     assert motions[4, 6] == action[9]
@@ -80,7 +74,7 @@ def test_motions_are_those_of_the_dataset(make_anchors: MakeTiny) -> None:
 def test_without_data_there_is_nothing_to_train(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors()
     empty = DP3AdaptivePolicy(policy.config, dataset_stats=dataset.meta.stats)
-    with pytest.raises(ConfigurationError, match="anchors"):
+    with pytest.raises(ConfigurationError, match="nothing to learn from"):
         empty.forward(batch_of(dataset, before, 3))
     dataset.meta.root = Path("nowhere")
     with pytest.raises(ConfigurationError, match="downloaded"):
@@ -119,7 +113,7 @@ def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dic
 
 def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
-    window, actions, real = _window(policy, batch_of(dataset, before, 2, 11))
+    window, actions, real = policy.training_window(batch_of(dataset, before, 2, 11))
     motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10])[:, 0]
     unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
     nearest = ((motion[:, None] - policy.model.anchors) * unit).square().sum(-1).argmin(1)
@@ -145,14 +139,14 @@ def test_it_learns_what_it_is_shown(make_anchors: MakeTiny, batch_of: Any) -> No
         policy.forward(batch)[0].backward()
         optimizer.step()
     policy.eval()
-    window, actions, _ = _window(policy, batch)
+    window, actions, _ = policy.training_window(batch)
     drawn = policy.head.sample(policy.model, window, None)
     torch.testing.assert_close(drawn, actions, rtol=0, atol=0.02)
 
 
 def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors()
-    window, actions, real = _window(policy, batch_of(dataset, before, *[6] * 40))
+    window, actions, real = policy.training_window(batch_of(dataset, before, *[6] * 40))
     state = window.observations[schema.STATE][:, -1, :10]
     up = torch.where(torch.arange(40)[:, None, None] % 2 == 0, 0.03, -0.03)
     actions = state[:, None] + up * torch.eye(10)[2]
@@ -176,7 +170,7 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
 
 def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
-    window, *_ = _window(policy, batch_of(dataset, before, *[3] * 50))
+    window, *_ = policy.training_window(batch_of(dataset, before, *[3] * 50))
     likely = torch.tensor([0.5, 0.0, 0.47, 0.01, 0.02, 0.0])
     policy.head.predict = lambda *_, **__: (likely.log().expand(50, 6), torch.zeros(50, 6, 7))
     noise = torch.linspace(0, 1 - 1e-6, 50)
@@ -236,7 +230,6 @@ def test_training_and_run_time_see_the_same(make_anchors: MakeTiny, batch_of: An
     policy.eval()
     spy = Spy(policy)
     episode = dataset.meta.episodes[1]
-    past = policy.config.n_action_history_steps
     for index in range(episode["dataset_from_index"], episode["dataset_to_index"]):
         batch = batch_of(dataset, before, index)
         policy.forward(batch)
@@ -246,32 +239,28 @@ def test_training_and_run_time_see_the_same(make_anchors: MakeTiny, batch_of: An
         for one, other in zip(trained, ran, strict=True):
             torch.testing.assert_close(other, one, rtol=0, atol=1e-6)
         # It 'executed' what was recorded.
-        policy._executed[-1] = batch[schema.ACTION][:, past]
+        policy._executed[-1] = batch[schema.ACTION]
 
 
 def test_the_first_frame_cannot_see_its_label(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors()
     policy.eval()
     spy = Spy(policy)
-    batch = batch_of(dataset, before, 0)
-    policy.forward(batch)
-    policy.forward({**batch, schema.ACTION: batch[schema.ACTION] * 0.5 + 1.0})
+    window, labels, real = policy.training_window(batch_of(dataset, before, 0))
+    assert all(torch.equal(padded, labels[0, 0]) for padded in window.history[0])
+    for history in (window.history, window.history * 0.5 + 1.0):
+        policy.head.loss(policy.model, replace(window, history=history), labels, real)
     first, second = spy.seen
     assert all(torch.equal(one, other) for one, other in zip(first, second, strict=True))
     assert not first[2].any()
 
 
-def test_only_the_latest_cloud_is_read(make_anchors: MakeTiny) -> None:
-    from lerobot_adamanip import lerobot_compat
-
-    lerobot_compat.apply()
-    try:
-        policy, _, _, dataset = make_anchors()
-        item = dataset[6]
-    finally:
-        lerobot_compat.restore()
-    assert item[schema.POINT_CLOUD].shape == (1, 192)
-    assert item[schema.STATE].shape == (policy.config.n_action_history_steps + 1, 24)
+def test_only_the_latest_cloud_is_read(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    assert dataset[6][schema.POINT_CLOUD].shape == tuple(dataset.meta.features[schema.POINT_CLOUD]["shape"])
+    window, _, _ = policy.training_window(batch_of(dataset, before, 6))
+    assert window.observations[schema.POINT_CLOUD].shape == (1, 1, 48, 3)
+    assert window.observations[schema.STATE].shape == (1, policy.config.n_action_history_steps + 1, 24)
 
 
 def test_a_loaded_policy_has_its_anchors(make_anchors: MakeTiny, observation_of: Any, tmp_path: Path) -> None:
@@ -288,7 +277,7 @@ def test_a_loaded_policy_has_its_anchors(make_anchors: MakeTiny, observation_of:
 def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
     """Nothing to be seen tells three modes apart: after one failure the second is tried, after two the third."""
     policy, before, _, dataset = make_anchors(num_anchors=3)
-    window, *_ = _window(policy, batch_of(dataset, before, *[6] * 3))
+    window, *_ = policy.training_window(batch_of(dataset, before, *[6] * 3))
     pose = window.observations[schema.STATE][:1, -1, :10]
     steps = policy.config.n_action_history_steps
     lifts = torch.tensor([0.02, -0.02, 0.05])

@@ -38,7 +38,7 @@ def test_a_loaded_policy_acts_and_trains_as_the_saved_one(
 ) -> None:
     policy, before, _, dataset = _trained(make_tiny, batch_of, **changes)
     policy.save_pretrained(tmp_path)
-    loaded = DP3AdaptivePolicy.from_pretrained(tmp_path)
+    loaded = DP3AdaptivePolicy.from_pretrained(tmp_path, dataset_meta=dataset.meta, dataset_stats=dataset.meta.stats)
     assert not loaded.training
     saved, found = policy.state_dict(), loaded.state_dict()
     assert saved.keys() == found.keys()
@@ -134,8 +134,8 @@ def test_fine_tuning_measures_poses_as_the_new_data_are_normalised(
     )
     old, new = batch_of(dataset, before, 6), batch_of(dataset, again, 6)
     assert not torch.allclose(old[schema.ACTION], new[schema.ACTION], atol=1e-2)
-    expected = policy.frames.to_relative(old[schema.ACTION], old[schema.STATE][:, -1])
-    found = tuned.frames.to_relative(new[schema.ACTION], new[schema.STATE][:, -1])
+    expected = policy.frames.to_relative(old[schema.ACTION][:, None], old[schema.STATE])
+    found = tuned.frames.to_relative(new[schema.ACTION][:, None], new[schema.STATE])
     torch.testing.assert_close(found[..., :3], expected[..., :3], rtol=0, atol=1e-5)
     # The encoder keeps the units it was trained in.
     assert torch.equal(tuned.frames.cloud_center, policy.frames.cloud_center)

@@ -42,7 +42,7 @@ def test_the_papers_preset_has_the_papers_numbers() -> None:
 def test_dp3_has_the_numbers_of_its_release_and_sees_no_past_action() -> None:
     config = DP3AdaptiveConfig(preset="dp3", device="cpu")
     assert (config.n_obs_steps, config.horizon, config.n_action_steps) == (2, 4, 3)
-    assert config.action_delta_indices == [0, 1, 2, 3]
+    assert config.n_action_history_steps == 0
     assert config.observation_delta_indices == [-1, 0]
 
 
@@ -115,11 +115,10 @@ def test_the_help_of_every_option_is_true(name: str) -> None:
         assert f"({', '.join(shown)})" in " ".join(told.split())
 
 
-def test_windows_are_history_then_chunk(make_config: Callable[..., Any]) -> None:
-    config = make_config(n_obs_steps=2, n_action_history_steps=3, horizon=4)
-    assert config.observation_delta_indices == [-1, 0]
-    assert config.action_delta_indices == [-3, -2, -1, 0, 1, 2, 3]
-    assert make_config(n_obs_steps=1, n_action_history_steps=0, horizon=4).action_delta_indices == [0, 1, 2, 3]
+def test_lerobot_is_asked_for_the_present_row_alone(make_config: Callable[..., Any]) -> None:
+    config = make_config(n_action_history_steps=3, horizon=4)
+    assert (config.observation_delta_indices, config.action_delta_indices) == (None, None)
+    assert make_config(n_obs_steps=2).observation_delta_indices == [-1, 0]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -60,7 +61,7 @@ def test_training_and_run_time_condition_on_the_same_tensors(
     episode = dataset.meta.episodes[1]
     frames = range(episode["dataset_from_index"], episode["dataset_to_index"])
     past = policy.config.n_action_history_steps
-    labels = torch.cat([batch_of(dataset, before, index)[schema.ACTION][:, past] for index in frames])
+    labels = torch.cat([batch_of(dataset, before, index)[schema.ACTION] for index in frames])
     at_frame = _steer(policy, labels)
     for now, index in enumerate(frames):
         with torch.no_grad():
@@ -90,13 +91,11 @@ def test_the_first_frame_cannot_see_its_label(
 ) -> None:
     policy, before, _, dataset = make_tiny(**_config(shape), tcp_relative=relative)
     spy = Spy(policy)
-    batch = batch_of(dataset, before, 0)
-    past = policy.config.n_action_history_steps
-    # LeRobot pads the history with the label: this is the leak that the mask is for.
-    assert all(torch.equal(batch[schema.ACTION][0, row], batch[schema.ACTION][0, past]) for row in range(past))
-    policy.forward(batch)
-    policy.forward({**batch, schema.ACTION: batch[schema.ACTION] + 3.0})
-    policy.forward({**batch, schema.ACTION: torch.full_like(batch[schema.ACTION], -7.0)})
+    window, labels, real = policy.training_window(batch_of(dataset, before, 0))
+    # Rows before the episode are its first one, whose action is the label: this is the leak that the mask is for.
+    assert all(torch.equal(padded, labels[0, 0]) for padded in window.history[0])
+    for history in (window.history, window.history + 3.0, torch.full_like(window.history, -7.0)):
+        policy.head.loss(policy.model, replace(window, history=history), labels, real)
     first, *others = (seen["vector"] for seen in spy.seen)
     assert all(torch.equal(first, other) for other in others)
 
@@ -107,15 +106,16 @@ def test_labels_never_condition_but_every_past_action_does(
 ) -> None:
     policy, before, _, dataset = make_tiny(**_config(shape))
     spy = Spy(policy)
-    batch = batch_of(dataset, before, 6)
-    for row in range(batch[schema.ACTION].shape[1]):
-        changed = batch[schema.ACTION].clone()
-        changed[:, row] += 0.5
-        policy.forward({**batch, schema.ACTION: changed})
-    policy.forward(batch)
+    window, labels, real = policy.training_window(batch_of(dataset, before, 6))
+    past = policy.config.n_action_history_steps
+    both = torch.cat([window.history, labels], dim=1)
+    for row in (*range(both.shape[1]), None):
+        changed = both.clone()
+        if row is not None:
+            changed[:, row] += 0.5
+        policy.head.loss(policy.model, replace(window, history=changed[:, :past]), changed[:, past:], real)
     plain = spy.seen.pop()["vector"]
     differs = [not torch.equal(seen["vector"], plain) for seen in spy.seen]
-    past = policy.config.n_action_history_steps
     assert differs == [True] * past + [False] * (len(differs) - past)
 
 
@@ -142,7 +142,7 @@ def test_noise_on_the_history_is_for_training_only(make_tiny: MakeTiny, batch_of
     noisy, noisier, clean, cleaner = (seen["history"] for seen in spy.seen)
     assert not torch.equal(noisy, noisier)
     assert torch.equal(clean, cleaner)
-    torch.testing.assert_close(clean, batch[schema.ACTION][:, :3], rtol=0, atol=0)
+    assert torch.equal(clean, policy.training_window(batch)[0].history)
 
 
 def test_an_action_is_remembered_as_the_environment_receives_it(make_tiny: MakeTiny, observation_of: Any) -> None:

@@ -63,9 +63,11 @@ def test_a_policy_that_is_fine_tuned_gets_the_fixed_ranges_too(
 
 
 @pytest.fixture
-def raw(make_config: Callable[..., Any], open_dataset: Callable[..., Any]) -> dict[str, Any]:
-    """A collated batch as the loader gives it, clouds as points: metres, two observation steps, seven actions."""
-    dataset = open_dataset(make_config(n_obs_steps=2, n_action_history_steps=3, horizon=4))
+def raw(open_dataset: Callable[..., Any]) -> dict[str, Any]:
+    """A collated batch as a loader gives it, clouds as points: metres, two observation steps, seven actions."""
+    steps = dict.fromkeys((schema.POINT_CLOUD, schema.STATE, schema.EFFORT, schema.FRONT_IMAGE), (-1, 0))
+    steps[schema.ACTION] = tuple(range(-3, 4))
+    dataset = open_dataset(delta_timestamps={key: [step / schema.FPS for step in each] for key, each in steps.items()})
     batch = dict(torch.utils.data.default_collate([dataset[index] for index in (0, 5, 12, 20)]))
     return {**batch, schema.POINT_CLOUD: as_points(batch[schema.POINT_CLOUD])}
 
@@ -222,7 +224,7 @@ def test_a_pose_stays_as_it_is_and_other_actions_are_no_poses(raw: dict[str, Any
 def test_tool_frames_are_inverse_to_each_other(make_tiny: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_tiny()
     batch = batch_of(dataset, before, 0, 9, 20)
-    state, actions = batch[schema.STATE][:, -1], batch[schema.ACTION]
+    state, (_, actions, _) = batch[schema.STATE], policy.training_window(batch)
     relative = policy.frames.to_relative(actions, state)
     torch.testing.assert_close(policy.frames.to_absolute(relative, state), actions, rtol=0, atol=1e-5)
     torch.testing.assert_close(
@@ -239,15 +241,11 @@ def test_tool_frames_are_metric(make_tiny: MakeTiny, batch_of: Any) -> None:
 
     item = dataset[13]
     batch = batch_of(dataset, before, 13)
-    state = batch[schema.STATE][:, -1]
-    relative = policy.frames.to_relative(batch[schema.ACTION], state)[0, :, :3] * RELATIVE_SCALE
-    torch.testing.assert_close(relative, item[schema.ACTION][:, :3] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5)
-    points = (
-        policy.frames.points(as_points(batch[schema.POINT_CLOUD]), batch[schema.STATE])[0, -1, :, 3:] * RELATIVE_SCALE
-    )
-    torch.testing.assert_close(
-        points, as_points(item[schema.POINT_CLOUD])[-1] - item[schema.STATE][-1, :3], rtol=0, atol=1e-5
-    )
+    relative = policy.frames.to_relative(batch[schema.ACTION][:, None], batch[schema.STATE])[0, 0, :3] * RELATIVE_SCALE
+    torch.testing.assert_close(relative, item[schema.ACTION][:3] - item[schema.STATE][:3], rtol=0, atol=1e-5)
+    cloud = as_points(batch[schema.POINT_CLOUD])
+    points = policy.frames.points(cloud, batch[schema.STATE])[0, :, 3:] * RELATIVE_SCALE
+    torch.testing.assert_close(points, as_points(item[schema.POINT_CLOUD]) - item[schema.STATE][:3], rtol=0, atol=1e-5)
 
 
 def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, tmp_path: Path) -> None:
@@ -280,8 +278,5 @@ def test_pipelines_keep_their_options_on_disk(make_tiny: MakeTiny, tmp_path: Pat
 
 def test_normalising_and_back_gives_the_recorded_action(make_tiny: MakeTiny, batch_of: Any) -> None:
     _, before, after, dataset = make_tiny(augmentation_translation=0.0, augmentation_yaw=0.0)
-    past = 8
     batch = batch_of(dataset, before, 4)
-    torch.testing.assert_close(
-        after(batch[schema.ACTION][:, past]), dataset[4][schema.ACTION][past][None], rtol=0, atol=1e-5
-    )
+    torch.testing.assert_close(after(batch[schema.ACTION]), dataset[4][schema.ACTION][None], rtol=0, atol=1e-5)

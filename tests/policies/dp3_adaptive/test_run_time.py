@@ -150,7 +150,7 @@ def test_a_single_observation_without_batch_dimension_is_understood(make_tiny: M
     policy, before, after, dataset = make_tiny()
     policy.eval()
     item = dataset[4]
-    single = before({key: item[key][-1] for key in (schema.POINT_CLOUD, schema.STATE)})
+    single = before({key: item[key] for key in (schema.POINT_CLOUD, schema.STATE)})
     assert after(policy.select_action(single)).shape == (1, 10)
 
 

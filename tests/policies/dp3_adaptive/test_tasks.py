@@ -69,12 +69,13 @@ def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
     loss.backward()
     assert torch.isfinite(loss)
     policy.eval()
-    item = dataset[5]
+    item = {**dataset[5]}
     keys = (schema.POINT_CLOUD, schema.STATE)
+    item.update({key: item[key][-1] for key in keys if f"{key}_is_pad" in item})
 
     def act(text: str) -> torch.Tensor:
         policy.reset()
-        seen = before({**{key: item[key][-1][None] for key in keys}, "task": [text]})
+        seen = before({**{key: item[key][None] for key in keys}, "task": [text]})
         shape = (1, policy.config.horizon, schema.ACTION_DIM)
         return policy.select_action(dict(seen), noise=torch.full(shape, 0.3))
 

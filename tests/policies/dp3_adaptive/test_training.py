@@ -40,14 +40,15 @@ def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, b
     policy, before, _, dataset = make_tiny(tcp_relative=False)
     policy.eval()
     batch = batch_of(dataset, before, 8, 3)
-    assert batch["action_is_pad"][0, -3:].all()
-    assert not batch["action_is_pad"][1].any() or policy.config.n_action_history_steps > 3
-    wild = batch[schema.ACTION].clone()
+    window, labels, real = policy.training_window(batch)
+    assert real.tolist() == [[True] + [False] * 3, [True] * 4]
+    wild = labels.clone()
     wild[0, -3:] = 50.0
     losses = []
-    for actions in (batch[schema.ACTION], wild):
+    for actions in (labels, wild):
         torch.manual_seed(3)
-        losses.append(policy.forward({**batch, schema.ACTION: actions}, reduction="none")[0])
+        policy.training_window = lambda _, actions=actions: (window, actions, real)
+        losses.append(policy.forward(batch, reduction="none")[0])
     # The U-Net sees padded rows beside real ones, so the prediction may differ; an error of 50 squared may not enter.
     assert losses[1].max() < 100
     assert torch.equal(losses[0][1], losses[1][1])

@@ -1,0 +1,36 @@
+"""Columns of Arrow tables as numpy arrays, without Python lists between."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+
+def numeric_array(column: pa.Array | pa.ChunkedArray) -> NDArray[Any] | None:
+    """Returns a column as (rows, ...) numpy; None for text, nulls and ragged lists."""
+    chunk = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    shape = [len(chunk)]
+    while True:
+        if isinstance(chunk, pa.ExtensionArray):
+            chunk = chunk.storage
+        if chunk.null_count:
+            return None
+        if not _is_list(chunk.type):
+            break
+        lengths = pc.unique(pc.list_value_length(chunk))
+        if len(lengths) != 1:
+            return None
+        shape.append(lengths[0].as_py())
+        chunk = chunk.flatten()
+    kind = chunk.type
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)):
+        return None
+    return np.asarray(chunk.to_numpy(zero_copy_only=False)).reshape(shape)
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
