@@ -74,30 +74,42 @@ def install_stand_in(folder: Path) -> Path:
 
 def untrained(folder: Path, site: Path) -> None:
     """Runs the page's block that saves an untrained ``dp3``."""
-    (block,) = (block for block in blocks("python") if block.document == PAGE)
+    (block,) = (block for block in blocks("python") if block.document == PAGE and "dp3_untrained" in block.code)
     code = f"import sys; sys.path.insert(0, {str(site)!r}); import lerobot_policy_stand_in\n{block.code}"
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.sim
-def test_a_policy_that_reads_what_lerobots_dp3_reads_is_trained_and_evaluated(demos: Path) -> None:
-    """The cloud comes under its name, in metres, and in as many steps as the state; the checkpoint keeps the rename."""
-    site = install_stand_in(demos / "site")
-    untrained(demos, site)
+@pytest.fixture(scope="module")
+def trained_dp3(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder in which the page's ``dp3`` was trained some steps on a renamed cloud, and what the training said."""
+    folder = tmp_path_factory.mktemp("dp3")
+    collect_fake_demos(folder / "outputs" / "demos")
+    site = install_stand_in(folder / "site")
+    untrained(folder, site)
     short = ("--batch_size=2", "--steps=3", "--log_freq=1", "--policy.device=cpu")
-    said = run(documented("lerobot-train", "dp3_untrained"), demos, *short, path=site)
+    return folder, run(documented("lerobot-train", "dp3_untrained"), folder, *short, path=site)
+
+
+def test_a_policy_that_reads_what_lerobots_dp3_reads_is_trained(trained_dp3: tuple[Path, str]) -> None:
+    """The cloud comes under its name, in metres, and in as many steps as the state; the checkpoint keeps the rename."""
+    folder, said = trained_dp3
     farthest = [float(value) for value in re.findall(r"farthest:([0-9.]+)", said)]
     assert len(farthest) == 3
     assert all(0 < value < 3 for value in farthest), "metres, not normalised"
-    checkpoint = demos / "outputs" / "dp3" / "checkpoints" / "last" / "pretrained_model"
+    checkpoint = folder / "outputs" / "dp3" / "checkpoints" / "last" / "pretrained_model"
     (rename,) = (
         step["config"]["rename_map"]
         for step in json.loads((checkpoint / "policy_preprocessor.json").read_text())["steps"]
         if "rename_map" in step.get("config", {})
     )
     assert rename == {"observation.point_cloud": "observation.pointcloud"}
+
+
+@pytest.mark.sim
+def test_a_policy_that_reads_what_lerobots_dp3_reads_is_evaluated(trained_dp3: tuple[Path, str]) -> None:
+    folder, _ = trained_dp3
     few = ("--eval.n_episodes=1", "--eval.batch_size=1", "--env.episode_length=3", "--policy.device=cpu")
-    run(documented("lerobot-eval", "dp3"), demos, *few, path=site)
-    (record,) = (demos / "outputs" / "dp3.jsonl").read_text().splitlines()
+    run(documented("lerobot-eval", "dp3"), folder, *few, path=folder / "site")
+    (record,) = (folder / "outputs" / "dp3.jsonl").read_text().splitlines()
     assert json.loads(record)["key_frames"] == 3
