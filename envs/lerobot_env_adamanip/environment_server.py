@@ -8,20 +8,19 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.options import EnvironmentOptions, require_known
 from lerobot_adamanip.seeds import CATEGORY_STRIDE
-from lerobot_env_adamanip.keyframe_env import KeyframeEnv, Observation
-from lerobot_env_adamanip.spaces import observation_space
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.vector import FlatCloud
 
 PREVIEW = "preview"
 """Camera of pictures for people alone: without a Vulkan device they are shaded shapes, which no policy has seen."""
 
 
-class ServedEnv(gym.ObservationWrapper[Observation, NDArray[np.float32], Observation]):
+class ServedEnv(FlatCloud):
     """A `KeyframeEnv` with a picture in every observation, for the server renders none but observed ones.
 
     Observation: ``agent_pos`` (24,), ``effort`` (7,), ``point_cloud`` (3 N,) [m] as datasets have it, and ``pixels``:
@@ -37,15 +36,15 @@ class ServedEnv(gym.ObservationWrapper[Observation, NDArray[np.float32], Observa
         # The server reads these of the outermost object.
         self.task, self.task_description = env.task, env.task_description
         self._max_episode_steps = env.max_key_frames
-        size = options.image_size
+        size, seen = options.image_size, self.observation_space
+        assert isinstance(seen, gym.spaces.Dict)
         pixels = gym.spaces.Dict({PREVIEW: gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
-        cloud = gym.spaces.Box(-np.inf, np.inf, (3 * options.num_points,), np.float32)
-        self.observation_space = gym.spaces.Dict({"pixels": pixels, **observation_space(options), "point_cloud": cloud})
+        self.observation_space = gym.spaces.Dict({"pixels": pixels, **seen})
 
-    def observation(self, observation: Observation) -> Observation:
-        """Adds the picture and flattens the cloud."""
-        pixels = observation.get("pixels") or {PREVIEW: self.env.render()}
-        return {**observation, "point_cloud": observation["point_cloud"].reshape(-1), "pixels": pixels}
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """Adds the picture, and flattens the cloud."""
+        seen = super().observation(observation)
+        return seen if "pixels" in seen else {**seen, "pixels": {PREVIEW: self.env.render()}}
 
 
 def create_adamanip_envs(
