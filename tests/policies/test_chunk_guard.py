@@ -54,8 +54,9 @@ def observations() -> list[dict[str, torch.Tensor]]:
 
 
 @pytest.fixture
-def policy_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def policy_server(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
     """LeRobot's module of that name, with a gRPC that carries nothing."""
+    monkeypatch.chdir(tmp_path)  # it writes logs where it is
     held: dict[str, dict[str, Any]] = {
         "grpc": {},
         "lerobot.transport": {
