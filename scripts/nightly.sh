@@ -42,6 +42,7 @@ simulated_arm() {
 
 part "long tests" long_tests
 part "simulated FR3" simulated_arm
+part "no patches" env ADAMANIP_NO_PATCHES=1 "$python" -m pytest -n "$workers" --dist loadfile -m "not sim and not nightly"
 # Fails below 97 % of a category or 99 % of all, for either expert under any preset.
 part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel \
     --episodes "$episodes" --first-seed "$first_seed" --workers "$workers" --out "$out/experts.json"

@@ -4,11 +4,11 @@ Unless the environment variable `lerobot_adamanip.NO_PLUGIN` is set: LeRobot's c
 """
 
 import os
-import sys
 
-from lerobot_adamanip import NO_PLUGIN, __version__
+from lerobot_adamanip import NO_PLUGIN, __version__, lerobot_patches
 
 if not os.environ.get(NO_PLUGIN):
+    from lerobot_adamanip.hardware import ON_CREATION
     from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import AdamanipK4aConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
@@ -38,20 +38,7 @@ if not os.environ.get(NO_PLUGIN):
     from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
     from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 
-    _recorder = "lerobot.scripts.lerobot_record"
-    # An embedded interpreter may have no module of that name, or one without a specification.
-    _main = getattr(sys.modules.get("__main__"), "__spec__", None)
-    if _recorder in sys.modules or getattr(_main, "name", None) == _recorder:
-        # Its loop tells robots and teleoperators of episodes then, in LeRobots that this was tested with.
-        from lerobot_adamanip import lerobot_episodes
-
-        lerobot_episodes.apply()
-
-    if "lerobot.datasets.lerobot_dataset" in sys.modules:
-        # LeRobot's commands load datasets before plugins, so this costs them nothing; who never reads one does not pay.
-        from lerobot_adamanip import lerobot_recording
-
-        lerobot_recording.apply()
+    ON_CREATION.append(lerobot_patches.apply)
 
 __all__ = [
     "AdaAffordConfig",

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import files, schema
+from lerobot_adamanip import files, lerobot_patches, schema
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.demos.dense.choose import DenseEpisode
 from lerobot_adamanip.demos.record import EpisodeRequest, ExpertFactory, attempt_episode
-from lerobot_adamanip.errors import ConfigurationError, DatasetError, UnreachableError
+from lerobot_adamanip.errors import DatasetError, UnreachableError
 from lerobot_adamanip.hardware.features import KEY_FRAMES, SCALAR_NAMES
 from lerobot_adamanip.rotations import pose_vector
 from lerobot_env_adamanip.dense_folder import ROBOT_TYPE, claimed
@@ -183,7 +183,6 @@ def collect_dense(
         How many episodes there are.
 
     Raises:
-        ConfigurationError: LeRobot is not one whose recordings outlive a kill.
         DatasetError: an expert did not succeed, or there is something else at ``root``.
     """
     root = claimed(root, spec)
@@ -222,15 +221,7 @@ class _Watches:
 def _opened(root: Path) -> Any:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from lerobot_adamanip import lerobot_recording
-
-    if not lerobot_recording.apply():
-        raise ConfigurationError(
-            "This LeRobot writes recordings otherwise.",
-            got="another version",
-            allowed=", ".join(lerobot_recording.TESTED),
-            hint="pip install 'lerobot==0.6.1'",
-        )
+    lerobot_patches.apply()
     if (root / "meta" / "info.json").exists():
         return LeRobotDataset.resume(f"local/{root.name}", root=root)
     features = {

@@ -1,1 +1,8 @@
 """A real Franka, its twin, depth cameras and teleoperators, as devices of LeRobot; drivers load on first use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+ON_CREATION: list[Callable[[], object]] = []
+"""Called when a robot is created. LeRobot's recorder opens the dataset after that, so the plugin patches it then."""

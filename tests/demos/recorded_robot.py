@@ -16,6 +16,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.robots import Robot, RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
+from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.schema import POSE_NAMES
@@ -149,5 +150,6 @@ def _tell(saved: Path) -> None:
     LeRobotDataset.save_episode = save_episode
 
 
+lerobot_patches.apply()  # before the lines: it rehearses with two episodes of its own
 if SAVED in os.environ:
     _tell(Path(os.environ[SAVED]))

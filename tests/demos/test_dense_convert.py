@@ -28,7 +28,7 @@ from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_js
 from lerobot_adamanip.hardware.session import BOARD
 from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.check.repair import repair
-from lerobot_adamanip.lerobot_writer import _keep_safety
+from lerobot_adamanip.lerobot_patches.durable_recording import _keep_safety
 from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.rotations import pose_from_vector
 

@@ -10,13 +10,14 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from recorded_robot import SAVED
 
-from lerobot_adamanip import files, lerobot_recording, lerobot_version, schema
+from lerobot_adamanip import files, lerobot_patches, schema
 from lerobot_adamanip.demos.loading import read_info
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
@@ -26,6 +27,15 @@ HERE = Path(__file__).parent
 ENCODINGS = (False, True)
 PATIENCE = 280.0
 WAIT = 0.05
+
+
+@pytest.fixture(autouse=True)
+def patched(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Recordings are durable here, also where the other tests run without patches."""
+    monkeypatch.delenv(lerobot_patches.NO_PATCHES, raising=False)
+    lerobot_patches.apply()
+    yield
+    lerobot_patches.restore()
 
 
 def command(root: Path, *, resume: bool, streaming: bool, episodes: int) -> list[str]:
@@ -151,7 +161,6 @@ def episode_length(root: Path, number: int) -> int:
 
 
 def test_a_killed_recording_is_readable_and_goes_on(tmp_path: Path) -> None:
-    assert lerobot_recording.is_tested()
     episodes = killed_again_and_again(tmp_path, 1, streaming=True, seed=5)
     assert episodes >= 2
     info = read_info(tmp_path / "recording")
@@ -170,7 +179,6 @@ def test_ten_kills(tmp_path: Path, streaming: bool) -> None:
 def test_of_other_robots_lerobot_keeps_the_writing(tmp_path: Path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    assert lerobot_recording.apply()
     features = {"observation.state": {"dtype": "float32", "shape": (2,), "names": ["a", "b"]}}
     dataset = LeRobotDataset.create("local/other", 30, features, root=tmp_path / "other")
     for _ in range(2):
@@ -181,35 +189,12 @@ def test_of_other_robots_lerobot_keeps_the_writing(tmp_path: Path) -> None:
     assert len(list((tmp_path / "other").glob("data/*/*.parquet"))) == 1
 
 
-def test_a_lerobot_that_was_not_tested_stays_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    from lerobot.datasets import lerobot_dataset
-
-    # Other tests of this process may have been warned already, and LeRobot's may have set up logging of their own.
-    told: list[str] = []
-    monkeypatch.setattr(lerobot_version, "_warned", set())
-    monkeypatch.setattr(lerobot_recording._log, "warning", lambda text, *given: told.append(text % given))
-
-    lerobot_recording.restore()
-    stock = lerobot_dataset.DatasetWriter
-    monkeypatch.setattr(lerobot_recording, "TESTED", {"0.6.1": "another"})
-    try:
-        assert not lerobot_recording.apply()
-        assert not lerobot_recording.apply()
-        assert lerobot_dataset.DatasetWriter is stock
-        assert len(told) == 1
-        assert "a kill loses" in told[0]
-    finally:
-        monkeypatch.undo()
-        lerobot_recording.apply()
-        assert lerobot_dataset.DatasetWriter is not stock
-
-
 def test_depth_of_an_episode_that_ends_at_once_can_be_written(tmp_path: Path) -> None:
     """With LeRobot's own settings one video in four of one or two frames cannot be."""
     from lerobot.configs.video import DepthEncoderConfig
     from lerobot.datasets.video_utils import StreamingVideoEncoder
 
-    from lerobot_adamanip.lerobot_writer import in_order
+    from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 
     encoder = StreamingVideoEncoder(30, depth_encoder=in_order(DepthEncoderConfig()), encoder_threads=1)
     for number in range(30):
@@ -222,7 +207,7 @@ def test_depth_of_an_episode_that_ends_at_once_can_be_written(tmp_path: Path) ->
 def test_settings_of_ones_own_are_kept() -> None:
     from lerobot.configs.video import DepthEncoderConfig
 
-    from lerobot_adamanip.lerobot_writer import in_order
+    from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 
     assert in_order(DepthEncoderConfig()).extra_options == {"x265-params": "lossless=1:bframes=0"}
     for own in ({"x265-params": "lossless=1:bframes=2"}, {"x265-params": "bframes=0"}):
@@ -235,7 +220,6 @@ def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
 ) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    assert lerobot_recording.apply()
     root = tmp_path / "dense"
     features = {
         schema.STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},

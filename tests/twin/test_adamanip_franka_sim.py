@@ -19,7 +19,7 @@ from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
 from lerobot_adamanip.hardware.session import BOARD, OPERATOR_SUCCESS, RESET_WANTED
 from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.lerobot_episodes import EpisodicRobot
+from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
 from lerobot_adamanip.rotations import pose_from_vector, transform

@@ -27,7 +27,9 @@ START_TIME, RESET_TIME = 600.0, 300.0
 
 
 class AdamanipFrankaSim(AdamanipFranka):
-    """The twin. Implements `lerobot_adamanip.lerobot_episodes.EpisodicRobot`: episode k has the seed of its number.
+    """The twin. Implements `lerobot_adamanip.lerobot_patches.episode_signals.EpisodicRobot`.
+
+    Episode k has the seed of its number.
 
     Args:
         config: see `AdamanipFrankaSimConfig`.

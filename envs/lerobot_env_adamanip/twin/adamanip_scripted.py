@@ -14,7 +14,7 @@ from lerobot_adamanip.hardware.session import RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
 from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
-from lerobot_adamanip.lerobot_episodes import end_episode
+from lerobot_adamanip.lerobot_patches.episode_signals import end_episode
 from lerobot_adamanip.schema import GRIPPER_DIM
 from lerobot_env_adamanip.twin.annotations import annotations_from_json
 from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig

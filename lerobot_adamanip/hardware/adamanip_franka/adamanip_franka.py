@@ -13,6 +13,7 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 
 from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.loop_warnings import SlowLoopFilter
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules, action_vector
@@ -46,6 +47,8 @@ class AdamanipFranka(Robot):
 
     def __init__(self, config: AdamanipFrankaConfig) -> None:
         super().__init__(config)
+        for call in ON_CREATION:
+            call()
         self.config = config
         self.cameras = make_cameras_from_configs(config.cameras)
         self._client: ArmClient | None = None

@@ -1,29 +1,28 @@
-"""Tells robots and teleoperators that an episode begins or ends, which LeRobot's recorder tells nobody.
+"""Tells robots and teleoperators when an episode begins and ends.
 
-`lerobot-record` calls one function per episode and one per pause in between. That function is wrapped, in LeRobot
-versions it was tested with; in every other the recorder stays as it is, a warning says so, and an episode is anchored
-by hand (clutch) or by a new session.
+What it changes: `record_loop` of `lerobot.scripts.lerobot_record`, which runs once per episode and once per pause
+between episodes. It gets a wrapper; its own code stays.
+Why: LeRobot tells no robot that an episode begins. The twin has to reset its scene, a teleoperator to start from the
+robot's present pose, and the scripted one to end the episode.
+Upstream: https://github.com/huggingface/lerobot/pull/4173 (closed) would let a caller hand in the events; for robots
+none filed.
+Versions: needed for 0.6.1 and for main of 2026-08-23, tested with both.
+Guard: `record` calls the loop by its global name, and the loop takes ``robot``, ``events`` and ``dataset``.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
-import logging
-import sys
 from collections.abc import Callable, MutableMapping
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
-from lerobot_adamanip import lerobot_version
 from lerobot_adamanip.hardware.session import BOARD
+from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
 
-TESTED = {"0.6.1": "95cc7a877af8ca53"}
-"""LeRobot version -> hash of the source of its recorder's loop, for which the wrapper was written and tested."""
 RECORDER = "lerobot.scripts.lerobot_record"
 LOOP = "record_loop"
-_log = logging.getLogger(__name__)
 _running: list[MutableMapping[str, Any]] = []
 
 
@@ -49,30 +48,21 @@ def end_episode() -> bool:
     return bool(_running)
 
 
-def loop_hash(loop: Callable[..., Any]) -> str:
-    """Returns a short hash of the source of a loop, that of the function which its decorators wrap."""
-    return lerobot_version.source_hash(undecorated(loop))
-
-
 def undecorated(loop: Callable[..., Any]) -> Callable[..., Any]:
     """Returns the function that a decorator wraps; LeRobot's own does not say which, but holds it as ``func``."""
     held = inspect.getclosurevars(loop).nonlocals.get("func") if inspect.isfunction(loop) else None
     return undecorated(held) if callable(held) else inspect.unwrap(loop)
 
 
-def apply() -> bool:
-    """Wraps the loop of a recorder that is loaded. Idempotent; False where there is none, or none that was tested."""
-    module = _recorder()
-    if module is None:
-        return False
-    stock = getattr(module, LOOP, None)
-    if getattr(stock, "tells_episodes", False):
-        return True
-    if stock is None or not lerobot_version.is_tested(TESTED, lambda: [undecorated(stock)]):
-        _log.warning("This LeRobot's recorder is not one that episode events were tested with; nobody is told of them.")
-        return False
-    setattr(module, LOOP, telling(stock))
-    return True
+def apply() -> None:
+    """Applies the patch. Raises `UnsupportedError` for a recorder with another loop."""
+    module = loaded(RECORDER)
+    stock, record = getattr(module, LOOP, None), getattr(module, "record", None)
+    if not callable(stock) or not callable(record) or LOOP not in undecorated(record).__code__.co_names:
+        raise UnsupportedError(f"its recorder does not call {LOOP}")
+    if missing := {"robot", "events", "dataset"} - set(inspect.signature(undecorated(stock)).parameters):
+        raise UnsupportedError(f"{LOOP} takes no {', '.join(sorted(missing))}")
+    replace(module, LOOP, telling(stock))
 
 
 def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
@@ -100,7 +90,6 @@ def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
                 if listens:
                     robot.end_episode(int(dataset.num_episodes), Path(dataset.root))
 
-    record_loop.tells_episodes = True  # type: ignore[attr-defined]
     return record_loop
 
 
@@ -109,12 +98,3 @@ def _count(robot: Any) -> None:
     session = BOARD.find(getattr(robot, "id", None)) or BOARD.find()
     if session is not None:
         session.episodes += 1
-
-
-def _recorder() -> ModuleType | None:
-    """The recorder's module, also where it is run as a program."""
-    main = sys.modules.get("__main__")
-    spec = getattr(main, "__spec__", None)
-    if spec is not None and spec.name == RECORDER:
-        return main
-    return sys.modules.get(RECORDER)

@@ -1,19 +1,15 @@
-"""LeRobot's recorder tells robots and teleoperators of episodes, and stays itself where it was not tested."""
+"""Signals of episodes around LeRobot's recording loop."""
 
 from __future__ import annotations
 
-import inspect
-import logging
-import sys
-import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from lerobot_adamanip import lerobot_episodes
 from lerobot_adamanip.hardware.session import BOARD, RobotSession
+from lerobot_adamanip.lerobot_patches import episode_signals
 
 
 class Twin:
@@ -38,7 +34,7 @@ def loop(robot: Any, events: dict[str, Any], fps: int, dataset: Any = None, cont
     if hasattr(robot, "told"):
         robot.told.append("loop")
     if events.get("ends"):
-        lerobot_episodes.end_episode()
+        episode_signals.end_episode()
     return f"{fps}"
 
 
@@ -58,21 +54,21 @@ def test_a_decorator_that_hides_its_function_hides_nothing(session: RobotSession
         return wrapper
 
     robot = Twin()
-    assert lerobot_episodes.undecorated(decorated(loop)) is loop
-    lerobot_episodes.telling(decorated(loop))(robot, {}, 30, dataset=Dataset())
+    assert episode_signals.undecorated(decorated(loop)) is loop
+    episode_signals.telling(decorated(loop))(robot, {}, 30, dataset=Dataset())
     assert robot.told[0] == ("begin", 7)
 
 
 def test_an_episode_is_begun_and_ended_around_the_loop(session: RobotSession) -> None:
     robot = Twin()
-    told = lerobot_episodes.telling(loop)
+    told = episode_signals.telling(loop)
     assert told(robot=robot, events={}, fps=30, dataset=Dataset()) == "30"
     assert robot.told == [("begin", 7), "loop", ("end", 7, "recorded")]
     assert session.episodes == 1
 
 
 def test_the_pause_is_left_out_for_a_scene_that_resets_itself_alone(session: RobotSession) -> None:
-    told = lerobot_episodes.telling(loop)
+    told = episode_signals.telling(loop)
     twin, arm, events = Twin(), Twin(resets_itself=False), {"exit_early": True}
     told(twin, events, 30)
     assert twin.told == []
@@ -88,14 +84,14 @@ def test_an_episode_that_fails_is_logged_and_its_error_is_seen(session: RobotSes
 
     robot = Twin()
     with pytest.raises(ValueError, match="camera"):
-        lerobot_episodes.telling(fails)(robot, {}, Dataset())
+        episode_signals.telling(fails)(robot, {}, Dataset())
     assert robot.told == [("begin", 7), ("end", 7, "recorded")]
-    assert not lerobot_episodes.end_episode()
+    assert not episode_signals.end_episode()
 
 
 def test_a_teleoperator_ends_the_episode_that_is_recorded_and_no_other(session: RobotSession) -> None:
     events: dict[str, Any] = {"ends": True}
-    told = lerobot_episodes.telling(loop)
+    told = episode_signals.telling(loop)
     told(Twin(), events, 30, dataset=Dataset())
     assert events["exit_early"] is True
     events = {"ends": True}
@@ -104,33 +100,4 @@ def test_a_teleoperator_ends_the_episode_that_is_recorded_and_no_other(session: 
 
 
 def test_other_robots_are_recorded_as_before() -> None:
-    assert lerobot_episodes.telling(loop)(object(), {}, 30, dataset=Dataset()) == "30"
-
-
-def test_lerobots_recorder_is_the_one_that_was_tested() -> None:
-    """If this fails, LeRobot has changed its loop: read it, adapt the wrapper, then write the new hash down."""
-    import lerobot
-    from lerobot.scripts import lerobot_record
-
-    stock = lerobot_episodes.undecorated(lerobot_record.record_loop)
-    assert stock.__name__ == lerobot_episodes.LOOP
-    assert lerobot_episodes.loop_hash(stock) == lerobot_episodes.TESTED[lerobot.__version__]
-    assert {"robot", "events", "dataset"} <= set(inspect.signature(stock).parameters)
-
-
-def test_another_loop_is_left_alone_with_a_warning(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    module = types.ModuleType("recorder")
-    module.record_loop = loop  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, lerobot_episodes.RECORDER, module)
-    with caplog.at_level(logging.WARNING, logger=lerobot_episodes.__name__):
-        assert lerobot_episodes.apply() is False
-    assert module.record_loop is loop
-    assert "not one that episode events were tested with" in caplog.text
-    monkeypatch.setattr(lerobot_episodes, "TESTED", {"0.6.1": lerobot_episodes.loop_hash(loop)})
-    assert lerobot_episodes.apply() is True
-    wrapped = module.record_loop
-    assert wrapped is not loop
-    assert lerobot_episodes.apply() is True
-    assert module.record_loop is wrapped  # once is enough
+    assert episode_signals.telling(loop)(object(), {}, 30, dataset=Dataset()) == "30"

@@ -1,0 +1,210 @@
+"""Makes every saved episode of our robots' recordings readable at once, whatever happens to the process afterwards.
+
+What it changes: `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
+`LeRobotDataset.resume`, which first mends such a recording. An episode gets files of its own, complete when it is
+saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A kill in
+between leaves files that nothing counts. `lerobot_adamanip.hub.check.repair` moves them away, or counts them if they
+are whole. The writer also keeps the calibrations and safety limits of the connected robot beside its recording.
+Why: LeRobot ends its Parquet files when a session ends, so a kill loses every episode of it.
+Upstream: https://github.com/huggingface/lerobot/issues/3522 and
+https://github.com/huggingface/lerobot/issues/2495; https://github.com/huggingface/lerobot/pull/2864 (open) flushes
+periodically, but not for `lerobot-record`.
+Versions: needed for 0.6.1 and for main of 2026-08-23, tested with both.
+Guard: two episodes are recorded into a scratch folder, and each has to be readable as soon as it is saved.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import logging
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import datasets
+import numpy as np
+import pyarrow.parquet as pq
+from lerobot.datasets import lerobot_dataset
+from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+from lerobot.datasets.dataset_writer import DatasetWriter
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
+
+from lerobot_adamanip import files
+from lerobot_adamanip.demos.output_folder import lock_output, resolve_output
+from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.session import BOARD
+from lerobot_adamanip.lerobot_patches.support import UnsupportedError, replace
+from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE
+
+INFO = "info.json"
+_log = logging.getLogger(__name__)
+
+
+def apply() -> None:
+    """Applies the patch. Raises `UnsupportedError` if an episode is not readable as soon as it is saved."""
+    stock, resume = lerobot_dataset.DatasetWriter, LeRobotDataset.resume.__func__
+
+    def make_writer(meta: Any, *args: Any, **options: Any) -> Any:
+        return (DurableWriter if is_dense(meta.features) else stock)(meta, *args, **options)
+
+    @functools.wraps(resume)
+    def resume_mended(cls: type[Any], repo_id: str, root: str | Path | None = None, *args: Any, **options: Any) -> Any:
+        if root is not None:
+            mend(Path(root))
+        return resume(cls, repo_id, root, *args, **options)
+
+    replace(lerobot_dataset, "DatasetWriter", make_writer)
+    replace(LeRobotDataset, "resume", classmethod(resume_mended))
+    try:
+        rehearse()
+    except Exception as error:
+        raise UnsupportedError(str(error)) from error
+
+
+class DurableMetadata(LeRobotDatasetMetadata):
+    """LeRobot's metadata, complete on the disk after every episode."""
+
+    root: Path
+    data_files_size_in_mb = video_files_size_in_mb = 0.0
+    """Any file is full [MB], so an episode has files of its own. What ``meta/info.json`` says stays."""
+
+    def save_episode_tasks(self, tasks: list[str]) -> None:
+        """As LeRobot's, but a crash leaves the old list of tasks or the new one."""
+        with self._replacing_files():
+            super().save_episode_tasks(tasks)
+
+    @functools.wraps(LeRobotDatasetMetadata.save_episode)
+    def save_episode(self, *args: Any, **kwargs: Any) -> None:
+        """As LeRobot's; the episode is saved once ``meta/info.json`` has been replaced."""
+        with self._replacing_files():
+            super().save_episode(*args, **kwargs)
+
+    def _save_episode_metadata(self, episode: dict[str, Any]) -> None:
+        scratch, self.root = self.root, self._place
+        try:
+            _keep_calibrations(self.root)
+            _keep_safety(self.root)
+            super()._save_episode_metadata(episode)
+            self._close_writer()
+            self._sync_latest()
+        finally:
+            self.root = scratch
+
+    @contextlib.contextmanager
+    def _replacing_files(self) -> Iterator[None]:
+        """Lets LeRobot write files elsewhere, and moves each into its place in one step, ``meta/info.json`` last."""
+        self._place = self.root
+        with tempfile.TemporaryDirectory() as scratch:
+            self.root = Path(scratch)
+            try:
+                yield
+            finally:
+                self.root = self._place
+            written = (path for path in Path(scratch).rglob("*") if path.is_file())
+            for path in sorted(written, key=lambda path: path.name == INFO):
+                files.write_atomically(self.root / path.relative_to(scratch), path.read_bytes())
+
+    def _sync_latest(self) -> None:
+        """Makes the files of the latest episode survive a power cut."""
+        latest = {key: value[0] for key, value in self.latest_episode.items()}
+
+        def numbers(prefix: str) -> dict[str, int]:
+            return {name: int(latest[f"{prefix}/{name}"]) for name in ("chunk_index", "file_index")}
+
+        names = [self.data_path.format(**numbers("data")), DEFAULT_EPISODES_PATH.format(**numbers("meta/episodes"))]
+        names += [self.video_path.format(video_key=key, **numbers(f"videos/{key}")) for key in self.video_keys]
+        for path in (self.root / name for name in names):
+            files.sync(path)
+            files.sync(path.parent)
+
+
+class DurableWriter(DatasetWriter):
+    """LeRobot's writer, which completes an episode's files when it saves the episode. It holds the dataset's lock."""
+
+    def __init__(self, meta: LeRobotDatasetMetadata, *args: Any, **options: Any) -> None:
+        if (size := options.get("batch_encoding_size", 1)) > 1:
+            options["batch_encoding_size"] = 1
+            _log.warning(
+                "video_encoding_batch_size = %d would leave saved episodes without videos: it is 1 for this robot. "
+                "For quick saving: --dataset.streaming_encoding=true",
+                size,
+            )
+        super().__init__(meta, *args, **options)
+        self._lock = contextlib.ExitStack()
+        self._lock.enter_context(lock_output(resolve_output(meta.root), optional=True))
+        meta.__class__ = DurableMetadata  # the same data, written differently
+
+    def finalize(self) -> None:
+        """As LeRobot's; then another process may write the dataset, or repair it."""
+        super().finalize()
+        self._lock.close()
+
+    def _save_episode_data(self, episode_buffer: dict[str, Any]) -> dict[str, Any]:
+        metadata: dict[str, Any] = super()._save_episode_data(episode_buffer)
+        self.close_writer()
+        return metadata
+
+
+def rehearse() -> None:
+    """Records two episodes of one row into a scratch folder; raises if one cannot be read when it is saved."""
+    names = {STATE: SCALAR_NAMES, ACTION: POSE_NAMES}
+    features = {key: {"dtype": "float32", "shape": (len(each),), "names": list(each)} for key, each in names.items()}
+    quiet = datasets.are_progress_bars_disabled()
+    datasets.disable_progress_bars()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder) / "rehearsal"
+            dataset = LeRobotDataset.create("local/rehearsal", 30, features, root=root)
+            for episodes in (1, 2):
+                row = {key: np.zeros(len(each), np.float32) for key, each in names.items()}
+                dataset.add_frame({**row, "task": "rehearsal"})
+                dataset.save_episode()
+                counted = json.loads((root / "meta" / INFO).read_text(encoding="utf-8"))["total_episodes"]
+                found = [_rows(root / name) for name in ("data", "meta/episodes")]
+                if [counted, *found] != [episodes] * 3:
+                    raise ValueError(f"{[counted, *found]} episodes are readable of {episodes} that are saved")
+            dataset.finalize()
+    finally:
+        if not quiet:
+            datasets.enable_progress_bars()
+
+
+def _rows(folder: Path) -> int:
+    return sum(pq.read_metadata(path).num_rows for path in folder.rglob("*.parquet"))
+
+
+def mend(root: Path) -> None:
+    """Mends a recording of our robots that a kill has left; does nothing to any other dataset, or to none."""
+    from lerobot_adamanip.demos.loading import read_info
+    from lerobot_adamanip.hub.check.repair import repair
+
+    try:
+        if not is_dense(read_info(root)["features"]):
+            return
+    except (OSError, ValueError):
+        return  # LeRobot says what is wrong
+    done = repair(root)
+    for line in done.lines():
+        _log.warning("%s: %s", root.name, line)
+
+
+def _keep_calibrations(root: Path) -> None:
+    """Writes where the connected robot's cameras stand beside its first episode: the pictures alone do not tell."""
+    session = BOARD.find()
+    if session is None or (root / CALIBRATIONS).exists():
+        return
+    for key, calibration in session.calibrations.items():
+        save_calibration(root / CALIBRATIONS, key, calibration)
+
+
+def _keep_safety(root: Path) -> None:
+    """Writes the limits of the connected robot's safety filter: a roll-out does not tell which target was accepted."""
+    session = BOARD.find()
+    if session is not None and isinstance(session.safety, SafetyLimits) and not (root / SAFETY).exists():
+        files.write_atomically(root / SAFETY, session.safety.to_json().encode())

@@ -1,0 +1,204 @@
+"""The three patches of LeRobot: on where a robot of ours is created, in any order of imports, and off with one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from lerobot.datasets import lerobot_dataset
+from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+from lerobot.datasets.dataset_writer import DatasetWriter
+from lerobot.datasets.video_utils import StreamingVideoEncoder
+from lerobot.scripts import lerobot_record
+
+from lerobot_adamanip import lerobot_patches, schema
+from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.lerobot_patches import NO_PATCHES, PATCHES
+
+ORDERS = (
+    ("import lerobot_env_adamanip", "import lerobot.scripts.lerobot_record"),
+    ("import lerobot.scripts.lerobot_record", "import lerobot_env_adamanip"),
+)
+ROBOT = """
+import json
+import lerobot.datasets.lerobot_dataset as datasets, lerobot.scripts.lerobot_record as recorder
+from lerobot.datasets.dataset_writer import DatasetWriter
+def changed():
+    return [datasets.DatasetWriter is not DatasetWriter, hasattr(datasets.LeRobotDataset.resume, "__wrapped__"),
+            recorder.record_loop.__code__.co_filename.endswith("episode_signals.py")]
+before = changed()
+from lerobot.robots import make_robot_from_config
+from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+make_robot_from_config(AdamanipFrankaConfig(id="left", address="127.0.0.1"))
+print(json.dumps([before, changed()]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def lerobot_as_it_is(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Each test begins, and ends, with LeRobot as it is; the variable is unset whatever it is for the other tests."""
+    monkeypatch.delenv(NO_PATCHES, raising=False)
+    lerobot_patches.restore()
+    yield
+    lerobot_patches.restore()
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    lines: list[str] = []
+    monkeypatch.setattr(lerobot_patches._log, "warning", lines.append)
+    return lines
+
+
+def stock() -> dict[str, Any]:
+    return {
+        "writer": lerobot_dataset.DatasetWriter,
+        "resume": vars(lerobot_dataset.LeRobotDataset)["resume"],
+        "loop": lerobot_record.record_loop,
+    }
+
+
+def record(root: Path, episodes: int) -> Any:
+    """A recording with our robots' columns that is not finalized."""
+    names = {schema.STATE: SCALAR_NAMES, schema.ACTION: schema.POSE_NAMES}
+    features = {key: {"dtype": "float32", "shape": (len(each),), "names": list(each)} for key, each in names.items()}
+    dataset = lerobot_dataset.LeRobotDataset.create("local/recording", 30, features, root=root)
+    for _ in range(episodes):
+        dataset.add_frame({key: np.zeros(len(each), np.float32) for key, each in names.items()} | {"task": "open it"})
+        dataset.save_episode()
+    return dataset
+
+
+def is_readable(root: Path) -> bool:
+    try:
+        return all(pq.read_metadata(path).num_rows for path in root.rglob("*.parquet"))
+    except Exception:
+        return False
+
+
+@pytest.mark.parametrize("order", ORDERS, ids=["plugin first", "plugin last"])
+def test_a_robot_is_recorded_durably_in_any_order_of_imports(order: tuple[str, ...]) -> None:
+    """Importing alone changes nothing."""
+    environment = {key: value for key, value in os.environ.items() if key != NO_PATCHES}
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(order) + ROBOT], capture_output=True, text=True, check=False, env=environment
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert json.loads(done.stdout.splitlines()[-1]) == [[False] * 3, [True] * 3]
+
+
+def test_patches_change_lerobot_once_and_are_taken_back(said: list[str]) -> None:
+    before = stock()
+    lerobot_patches.apply()
+    after = stock()
+    assert all(after[key] is not before[key] for key in before)
+    lerobot_patches.apply()
+    assert stock() == after
+    assert said == []
+    lerobot_patches.restore()
+    assert stock() == before
+
+
+def test_nothing_is_applied_before_its_module_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = stock()
+    recorder = sys.modules.pop(PATCHES["episode_signals"][0])
+    lerobot_patches.apply()
+    assert lerobot_dataset.DatasetWriter is not before["writer"]
+    assert lerobot_record.record_loop is before["loop"]
+    sys.modules[PATCHES["episode_signals"][0]] = recorder
+    lerobot_patches.apply()
+    assert lerobot_record.record_loop is not before["loop"]
+
+
+def test_one_variable_turns_all_off_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, said: list[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv(NO_PATCHES, "1")
+    before = stock()
+    lerobot_patches.apply()
+    lerobot_patches.apply()
+    assert stock() == before
+    (line,) = said
+    assert all(loss in line for _, loss in PATCHES.values())
+    dataset = record(tmp_path / "recording", 2)
+    assert not is_readable(tmp_path / "recording")  # until the session ends, as LeRobot has it
+    dataset.finalize()
+    assert is_readable(tmp_path / "recording")
+    monkeypatch.setenv(NO_PATCHES, "0")
+    lerobot_patches.apply()
+    assert stock() != before
+
+
+def other_metadata(patch: pytest.MonkeyPatch) -> None:
+    patch.delattr(LeRobotDatasetMetadata, "_close_writer")
+    patch.setattr(LeRobotDatasetMetadata, "close", lambda self: None, raising=False)
+
+
+def open_files(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(DatasetWriter, "close_writer", lambda self: None)
+
+
+def other_encoder(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(StreamingVideoEncoder, "__init__", lambda self, depth_encoder: None)
+
+
+def other_loop(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(lerobot_record, "record_loop", lambda session: None)
+
+
+def no_loop(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(lerobot_record, "record", lambda cfg: None)
+
+
+@pytest.mark.parametrize(
+    ("change", "off"),
+    [
+        (other_metadata, "durable_recording"),
+        (open_files, "durable_recording"),
+        (other_encoder, "ordered_depth"),
+        (other_loop, "episode_signals"),
+        (no_loop, "episode_signals"),
+    ],
+)
+def test_a_patch_that_does_not_fit_is_off_alone_with_one_line(
+    change: Any, off: str, monkeypatch: pytest.MonkeyPatch, said: list[str]
+) -> None:
+    change(monkeypatch)
+    before = stock()
+    lerobot_patches.apply()
+    lerobot_patches.apply()
+    (line,) = said
+    assert line.startswith(f"The patch {off} does not fit this LeRobot (")
+    assert line.endswith(PATCHES[off][1])
+    assert lerobot_patches._on == set(PATCHES) - {off}
+    assert (stock()["loop"] is before["loop"]) == (off == "episode_signals")
+    assert (stock()["resume"] is before["resume"]) == (off == "durable_recording")
+
+
+def test_depth_is_in_order_though_recordings_are_not_durable(
+    monkeypatch: pytest.MonkeyPatch, said: list[str], tmp_path: Path
+) -> None:
+    open_files(monkeypatch)
+    lerobot_patches.apply()
+    monkeypatch.undo()
+    dataset = record(tmp_path / "recording", 1)
+    assert type(dataset.writer) is DatasetWriter
+    assert "bframes=0" in dataset.writer._depth_encoder.extra_options["x265-params"]
+    dataset.finalize()
+
+
+def test_every_patch_says_what_it_changes_and_why() -> None:
+    for name in PATCHES:
+        text = (Path(lerobot_patches.__file__).parent / f"{name}.py").read_text()
+        for word in ("What it changes: ", "Why: ", "Upstream: ", "Versions: ", "Guard: "):
+            assert word in text.split('"""')[1], (name, word)
+    here = {path.stem for path in Path(lerobot_patches.__file__).parent.glob("*.py")} - {"__init__", "support"}
+    assert here == set(PATCHES)
