@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+__all__ = ["ON_CREATION"]
 ON_CREATION: list[Callable[[], object]] = []
 """Called when a robot is created. LeRobot's recorder opens the dataset after that, so the plugin patches it then."""

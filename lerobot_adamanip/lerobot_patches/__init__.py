@@ -13,6 +13,7 @@ import os
 from lerobot_adamanip.lerobot_patches import support
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError
 
+__all__ = ["NO_PATCHES", "PATCHES", "apply", "restore"]
 NO_PATCHES = "ADAMANIP_NO_PATCHES"
 """Environment variable: set to 1, LeRobot stays as it is."""
 PATCHES = {

@@ -5,7 +5,6 @@ Its argument is a JSON list of [what, options]; its last line a JSON list of ``{
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import traceback
@@ -18,12 +17,6 @@ def dataset(name: str, **options: Any) -> Any:
     found = LeRobotDataset(name, video_backend="pyav", **options)
     cloud = found[0]["observation.point_cloud"]
     return {"root": str(found.root), "rows": len(found), "episodes": found.num_episodes, "cloud": cloud.sum().item()}
-
-
-def with_plugin(name: str) -> Any:
-    for module in ("lerobot.datasets.lerobot_dataset", "lerobot_env_adamanip"):  # in lerobot-train's order
-        importlib.import_module(module)
-    return dataset(name)
 
 
 def stream(name: str, **options: Any) -> Any:
@@ -51,7 +44,7 @@ def environment(name: str, trust: bool = True) -> Any:
     return {suite: {task: vec.num_envs for task, vec in tasks.items()} for suite, tasks in envs.items()}
 
 
-CALLS = {"dataset": dataset, "with_plugin": with_plugin, "stream": stream, "policy": policy, "environment": environment}
+CALLS = {"dataset": dataset, "stream": stream, "policy": policy, "environment": environment}
 
 
 def main() -> None:
