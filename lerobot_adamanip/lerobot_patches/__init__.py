@@ -27,7 +27,7 @@ PATCHES = {
     ),
     "episode_signals": (
         "lerobot.scripts.lerobot_record",
-        "The twin does not reset its scene between episodes, and no teleoperator ends an episode or starts anew in it.",
+        "The twin keeps its scene between episodes, no teleoperator ends one, and the clutch alone anchors goals.",
     ),
 }
 """Patch -> the module of LeRobot that it changes, and what a user loses without it."""

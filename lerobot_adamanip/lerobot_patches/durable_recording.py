@@ -1,16 +1,22 @@
-"""Makes every saved episode of our robots' recordings readable at once, whatever happens to the process afterwards.
+"""Patch: make every saved episode of our robots' recordings readable at once, whatever happens to the process then.
 
-What it changes: `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
-`LeRobotDataset.resume`, which first mends such a recording. An episode gets files of its own, complete when it is
-saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A kill in
-between leaves files that nothing counts. `lerobot_adamanip.hub.check.repair` moves them away, or counts them if they
-are whole. The writer also keeps the calibrations and safety limits of the connected robot beside its recording.
-Why: LeRobot ends its Parquet files when a session ends, so a kill loses every episode of it.
-Upstream: https://github.com/huggingface/lerobot/issues/3522 and
-https://github.com/huggingface/lerobot/issues/2495; https://github.com/huggingface/lerobot/pull/2864 (open) flushes
-periodically, but not for `lerobot-record`.
-Versions: needed for 0.6.1 and for main of 2026-08-23, tested with both.
-Guard: two episodes are recorded into a scratch folder, and each has to be readable as soon as it is saved.
+Changes:
+    `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
+    ``LeRobotDataset.resume``, which first mends such a recording. An episode gets files of its own, complete when it is
+    saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A kill
+    in between leaves files that nothing counts. `lerobot_adamanip.hub.check.repair` moves them away, or counts them if
+    they are whole. The writer also keeps calibrations and safety limits of the connected robot beside its recording.
+Why:
+    LeRobot completes its Parquet files when a session ends.
+Without it:
+    A kill loses every episode of a recording session, and the robot's calibrations are not kept beside it.
+Upstream:
+    https://github.com/huggingface/lerobot/issues/3522 and https://github.com/huggingface/lerobot/issues/2495;
+    https://github.com/huggingface/lerobot/pull/2864 (open) flushes periodically, but not for `lerobot-record`.
+Needed for:
+    0.6.1 and main of 2026-08-23, tested with both.
+Guard:
+    Two episodes are recorded into a scratch folder. Each has to be readable as soon as it is saved.
 """
 
 from __future__ import annotations

@@ -1,13 +1,19 @@
-"""Tells robots and teleoperators when an episode begins and ends.
+"""Patch: tell robots and teleoperators when an episode begins and ends.
 
-What it changes: `record_loop` of `lerobot.scripts.lerobot_record`, which runs once per episode and once per pause
-between episodes. It gets a wrapper; its own code stays.
-Why: LeRobot tells no robot that an episode begins. The twin has to reset its scene, a teleoperator to start from the
-robot's present pose, and the scripted one to end the episode.
-Upstream: https://github.com/huggingface/lerobot/pull/4173 (closed) would let a caller hand in the events; for robots
-none filed.
-Versions: needed for 0.6.1 and for main of 2026-08-23, tested with both.
-Guard: `record` calls the loop by its global name, and the loop takes ``robot``, ``events`` and ``dataset``.
+Changes:
+    ``record_loop`` of `lerobot.scripts.lerobot_record`, which runs once per episode and once per pause between
+    episodes. It gets a wrapper; its own code stays.
+Why:
+    LeRobot tells no robot that an episode begins. The twin has to reset its scene, a teleoperator to start from the
+    robot's present pose, and the scripted one to end the episode.
+Without it:
+    The twin keeps its scene between episodes, no teleoperator ends one, and the clutch alone anchors goals.
+Upstream:
+    https://github.com/huggingface/lerobot/pull/4173 (closed) would let a caller pass the events; for robots none filed.
+Needed for:
+    0.6.1 and main of 2026-08-23, tested with both.
+Guard:
+    ``record`` calls the loop by its global name, and the loop takes ``robot``, ``events`` and ``dataset``.
 """
 
 from __future__ import annotations

@@ -1,13 +1,20 @@
-"""Writes depth videos of our robots without B-frames.
+"""Patch: write depth videos of our robots without B-frames.
 
-What it changes: `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`). x265 gets
-``bframes=0`` for depth, which stays lossless.
-Why: with B-frames, one in four videos of one or two frames cannot be written ("pts/dts pair unsupported"). That error
-ends the session of an operator who ends an episode at once.
-Upstream: https://github.com/Multicorewareinc/x265/issues/934; for LeRobot none filed.
-Versions: needed for 0.6.1 and for main of 2026-08-23, tested with both. Without the patch, the same by hand:
-``--dataset.depth_encoder.extra_options='{"x265-params": "lossless=1:bframes=0"}'``.
-Guard: the writer and its streaming encoder keep a depth encoder, as `_depth_encoder`.
+Changes:
+    `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`). x265 gets ``bframes=0``
+    for depth, which stays lossless.
+Why:
+    With B-frames, one in four videos of one or two frames cannot be written ("pts/dts pair unsupported"). That error
+    ends the session of an operator who ends an episode at once.
+Without it:
+    A recording session with depth may end with an error at an episode of one or two frames. The same by hand:
+    ``--dataset.depth_encoder.extra_options='{"x265-params": "lossless=1:bframes=0"}'``.
+Upstream:
+    https://github.com/Multicorewareinc/x265/issues/934; for LeRobot none filed.
+Needed for:
+    0.6.1 and main of 2026-08-23, tested with both.
+Guard:
+    The writer and its streaming encoder keep a depth encoder as ``_depth_encoder``.
 """
 
 from __future__ import annotations

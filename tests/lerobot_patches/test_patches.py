@@ -196,9 +196,13 @@ def test_depth_is_in_order_though_recordings_are_not_durable(
 
 
 def test_every_patch_says_what_it_changes_and_why() -> None:
-    for name in PATCHES:
-        text = (Path(lerobot_patches.__file__).parent / f"{name}.py").read_text()
-        for word in ("What it changes: ", "Why: ", "Upstream: ", "Versions: ", "Guard: "):
-            assert word in text.split('"""')[1], (name, word)
-    here = {path.stem for path in Path(lerobot_patches.__file__).parent.glob("*.py")} - {"__init__", "support"}
-    assert here == set(PATCHES)
+    files = set(Path(lerobot_patches.__file__).parent.glob("*.py"))
+    patches = {
+        path.stem: path.read_text().split('"""')[1] for path in files if path.stem not in ("__init__", "support")
+    }
+    assert set(patches) >= set(PATCHES)
+    for name, text in patches.items():
+        for section in ("Changes", "Why", "Without it", "Upstream", "Needed for"):
+            assert f"\n{section}:\n    " in text, (name, section)
+    for name, (_, loss) in PATCHES.items():
+        assert loss in " ".join(patches[name].split())
