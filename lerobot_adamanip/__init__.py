@@ -4,6 +4,3 @@ __version__ = "0.2.0"
 
 NO_PLUGIN = "ADAMANIP_NO_PLUGIN"
 """Environment variable with which a command keeps itself and its workers from registering a plugin with LeRobot."""
-
-UNSCALED_POSES = "ADAMANIP_UNSCALED_POSES"
-"""Environment variable: set to 1, trainings of any policy leave rotation and gripper of our datasets unscaled."""

@@ -1,21 +1,17 @@
-"""Every line that changes LeRobot: three patches, one file each, all for recordings of our robots.
+"""Every line that changes LeRobot, one file a patch: three for recordings of our robots, one for the speed of training.
 
-The plugin has them applied when a robot of ours is created. Importing this package or the plugin changes nothing, and
-the order of imports does not matter. A patch changes a module of LeRobot only if that is loaded. It tests what it
-changes, and turns itself off with one line in the log where LeRobot is different. `NO_PATCHES` turns all of them off.
+The plugin has the three of `PATCHES` applied when a robot of ours is created. A policy of ours applies
+`batched_reading` to the dataset it trains on. Importing this package or the plugin changes nothing, and the order of
+imports does not matter. A patch changes a module of LeRobot only if that is loaded. It tests what it changes, and turns
+itself off with one line in the log where LeRobot is different. The variable `NO_PATCHES` turns all of them off.
 """
 
 from __future__ import annotations
 
-import logging
-import os
-
 from lerobot_adamanip.lerobot_patches import support
-from lerobot_adamanip.lerobot_patches.support import UnsupportedError
+from lerobot_adamanip.lerobot_patches.support import NO_PATCHES, UnsupportedError, warn_once
 
 __all__ = ["NO_PATCHES", "PATCHES", "apply", "restore"]
-NO_PATCHES = "ADAMANIP_NO_PATCHES"
-"""Environment variable: set to 1, LeRobot stays as it is."""
 PATCHES = {
     "durable_recording": (
         "lerobot.datasets.lerobot_dataset",
@@ -31,9 +27,7 @@ PATCHES = {
     ),
 }
 """Patch -> the module of LeRobot that it changes, and what a user loses without it."""
-_log = logging.getLogger(__name__)
 _on: set[str] = set()
-_warned: set[str] = set()
 
 
 def apply() -> None:
@@ -41,9 +35,7 @@ def apply() -> None:
 
     A script that records a robot of its own with our columns calls this after its imports.
     """
-    if os.environ.get(NO_PATCHES, "") not in ("", "0"):
-        losses = " ".join(loss for _, loss in PATCHES.values())
-        _warn_once(f"{NO_PATCHES} is set, so LeRobot stays as it is. {losses}")
+    if support.are_off(" ".join(loss for _, loss in PATCHES.values())):
         return
     for name, (changed, loss) in PATCHES.items():
         if name in _on or support.loaded(changed) is None:
@@ -54,14 +46,13 @@ def apply() -> None:
             _on.add(name)
         except (UnsupportedError, ImportError) as error:
             support.restore(before)
-            _warn_once(f"The patch {name} does not fit this LeRobot ({error}) and is off. {loss}")
+            warn_once(f"The patch {name} does not fit this LeRobot ({error}) and is off. {loss}")
 
 
 def restore() -> None:
     """Takes all patches back: for comparison with LeRobot as it is."""
     support.restore()
     _on.clear()
-    _warned.clear()
 
 
 def _apply(name: str) -> None:
@@ -72,9 +63,3 @@ def _apply(name: str) -> None:
     else:
         from lerobot_adamanip.lerobot_patches.episode_signals import apply as patch
     patch()
-
-
-def _warn_once(line: str) -> None:
-    if line not in _warned:
-        _warned.add(line)
-        _log.warning(line)

@@ -23,6 +23,7 @@ import numpy as np
 import torch
 
 from lerobot_adamanip.arrow import numeric_array
+from lerobot_adamanip.lerobot_patches.support import are_off
 
 MARK = "_adamanip_read_in_batches"
 _ROWS = "_adamanip_arrow_rows"
@@ -39,7 +40,8 @@ class Mark:
 
 def read_in_batches(dataset_meta: Any) -> None:
     """Marks a dataset, by its metadata, as read by a policy that looks at no picture; and applies the patch."""
-    setattr(dataset_meta, MARK, _apply())
+    if not are_off("Trainings read their batches row by row, which takes longer."):
+        setattr(dataset_meta, MARK, _apply())
 
 
 def _apply() -> Mark:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import sys
 from types import ModuleType
 from typing import Any
 
+NO_PATCHES = "ADAMANIP_NO_PATCHES"
+"""Environment variable: set to 1, LeRobot stays as it is."""
+_log = logging.getLogger(__name__)
 _replaced: list[tuple[Any, str, Any]] = []
+_warned: set[str] = set()
 
 
 class UnsupportedError(Exception):
@@ -37,3 +43,18 @@ def restore(but: int = 0) -> None:
     """Sets back all attributes but the first so many that were replaced, the latest first."""
     while len(_replaced) > but:
         setattr(*_replaced.pop())
+
+
+def are_off(loss: str) -> bool:
+    """Whether `NO_PATCHES` is set; then one line in the log says what a user loses."""
+    off = os.environ.get(NO_PATCHES, "") not in ("", "0")
+    if off:
+        warn_once(f"{NO_PATCHES} is set, so LeRobot stays as it is. {loss}")
+    return off
+
+
+def warn_once(line: str) -> None:
+    """Logs a warning, once per process."""
+    if line not in _warned:
+        _warned.add(line)
+        _log.warning(line)

@@ -17,7 +17,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.arrow import numeric_array
-from lerobot_adamanip.lerobot_patches import batched_reading
+from lerobot_adamanip.lerobot_patches import NO_PATCHES, batched_reading
 
 LENGTHS = (5, 8, 2)
 CAMERA = schema.FRONT_IMAGE
@@ -61,7 +61,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _lerobot_as_it_was() -> Iterator[None]:
+def _lerobot_as_it_was(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.delenv(NO_PATCHES, raising=False)
     yield
     if "__getitems__" in vars(LeRobotDataset):
         del LeRobotDataset.__getitems__
@@ -143,6 +144,14 @@ def test_batches_of_spawned_workers_are_the_same(root: Path) -> None:
     )
     for one, other in zip(here, there, strict=True):
         _assert_same(one, other)
+
+
+def test_one_variable_leaves_lerobot_as_it_is(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(NO_PATCHES, "1")
+    dataset = _opened(root)
+    batched_reading.read_in_batches(dataset.meta)
+    assert not hasattr(dataset, "__getitems__")
+    assert not hasattr(dataset.meta, batched_reading.MARK)
 
 
 def test_a_lerobot_that_reads_batches_itself_stays_as_it_is(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from lerobot.scripts import lerobot_record
 
 from lerobot_adamanip import lerobot_patches, schema
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.lerobot_patches import NO_PATCHES, PATCHES
+from lerobot_adamanip.lerobot_patches import NO_PATCHES, PATCHES, support
 
 ORDERS = (
     ("import lerobot_env_adamanip", "import lerobot.scripts.lerobot_record"),
@@ -54,7 +54,8 @@ def lerobot_as_it_is(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     lines: list[str] = []
-    monkeypatch.setattr(lerobot_patches._log, "warning", lines.append)
+    monkeypatch.setattr(support._log, "warning", lines.append)
+    monkeypatch.setattr(support, "_warned", set())
     return lines
 
 
