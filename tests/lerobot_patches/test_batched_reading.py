@@ -61,11 +61,16 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _lerobot_as_it_was(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.delenv(NO_PATCHES, raising=False)
+def _lerobot_as_it_was() -> Iterator[None]:
     yield
     if "__getitems__" in vars(LeRobotDataset):
         del LeRobotDataset.__getitems__
+
+
+@pytest.fixture(autouse=True)
+def _patched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the other tests run with."""
+    monkeypatch.delenv(NO_PATCHES, raising=False)
 
 
 def _opened(root: Path, **options: Any) -> LeRobotDataset:
