@@ -11,7 +11,7 @@ from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
-from lerobot_adamanip.seeds import SPLITS
+from lerobot_adamanip.seeds import CHOOSE_SPLIT, SPLITS
 
 POSES = ("randomized", "fixed")
 """``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as upstream's code has them."""
@@ -45,7 +45,7 @@ class EnvironmentOptions:
         episode_log: a file to which each ended episode's record is appended as a line of JSON.
         run_id: of the evaluation that those records belong to; drawn anew if left out.
         run_label: what to call it in reports, for instance the policy.
-        logged_seeds: log only episodes whose given seed is in this half-open range; all if left out.
+        logged_seeds: log only episodes whose given seed is in this half-open range, first and end; all if left out.
         workspace: the box of which the cloud keeps the points, robot base frame [m].
 
     Raises:
@@ -62,7 +62,7 @@ class EnvironmentOptions:
     mechanism_preset: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
-    split: str = "test"
+    split: str = "validation"
     seed_offset: int = 0
     cloud_source: str = "raycast"
     render_backend: str = "auto"
@@ -86,7 +86,7 @@ class EnvironmentOptions:
         select_objects(self.category, self.objects, self.assets)
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
         require_choice("mechanism preset", self.mechanism_preset, MECHANISM_PRESETS)
-        require_choice("split of scenes", self.split, SPLITS, hint="--env.split=test")
+        require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
         check_num_points(self.num_points)
@@ -94,6 +94,13 @@ class EnvironmentOptions:
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
         _check_range("seed offset", self.seed_offset, (0, 2**31), "seed_offset=0")
         _check_workspace(self.workspace)
+        if self.logged_seeds is not None and not 0 <= self.logged_seeds[0] < self.logged_seeds[1]:
+            raise ConfigurationError(
+                "No seed is logged.",
+                got=f"logged_seeds={tuple(self.logged_seeds)}",
+                allowed="a first seed and an end above it",
+                hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
+            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles as values: a read-only mapping cannot be pickled as it is."""

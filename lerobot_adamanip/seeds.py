@@ -16,6 +16,10 @@ SPLITS = {"test": (0, 10**6), "validation": (10**6, 2 * 10**6), "train": (2**24,
 CATEGORY_STRIDE = 100_000
 """From a category's seeds to the next one's in a suite: poses and hidden state of one seed would be alike otherwise."""
 
+CHOOSE_SPLIT = (
+    "--env.split=validation (the default, also while training); --env.split=test for numbers that are reported"
+)
+
 
 def scene_seed(seed: int, split: str) -> int:
     """Returns the seed of a split's scene: ``seed`` if it lies in the split's range, else wrapped into it.
@@ -26,7 +30,7 @@ def scene_seed(seed: int, split: str) -> int:
         seed: any whole number, 0 or larger.
         split: see `SPLITS`; raises `ConfigurationError` for another name.
     """
-    first, end = SPLITS[require_choice("split of scenes", split, SPLITS, hint="--env.split=test")]
+    first, end = SPLITS[require_choice("split of scenes", split, SPLITS, hint=CHOOSE_SPLIT)]
     return seed if first <= seed < end else first + seed % (end - first)
 
 

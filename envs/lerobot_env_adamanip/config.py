@@ -27,9 +27,7 @@ from lerobot_adamanip.schema import (
     STATE,
     STATE_DIM,
 )
-from lerobot_env_adamanip.caller import evaluation_seeds, images_wanted
-from lerobot_env_adamanip.split import AUTO, resolve_split
-from lerobot_env_adamanip.trained_on import tell_training_objects
+from lerobot_env_adamanip.images import observes_images
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.vector import LazyAsyncVectorEnv
@@ -66,7 +64,7 @@ class AdaManipEnvConfig(EnvConfig):
     num_points: int = DEFAULT_NUM_POINTS
     # Side of the front image [px].
     image_size: int = IMAGE_SIZE
-    # Whether observations hold the front image. Left out: unless LeRobot's commands run a policy that takes none.
+    # Observe the front image: true, false, or left out: where this machine renders. false is fastest without a GPU.
     observe_images: bool | None = None
     # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
     poses: str = "randomized"
@@ -74,8 +72,8 @@ class AdaManipEnvConfig(EnvConfig):
     mechanism_preset: str = "paper"
     # Key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
-    # Whose scenes: test, validation or train, which share none. auto: validation inside lerobot-train, else test.
-    split: str = AUTO
+    # Whose scenes: validation to choose by, test for numbers that are reported, train. They share none.
+    split: str = "validation"
     # Where clouds come from: raycast (needs no renderer), or render (ten times slower); the same clouds.
     cloud_source: str = "raycast"
     # What renders: cuda, cpu, or auto, the first of them that renders on this machine.
@@ -86,6 +84,9 @@ class AdaManipEnvConfig(EnvConfig):
     workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
     # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.
     episode_log: str | None = None
+    # Log only episodes of these seeds, first and end: [1000,1005] for --seed=1000 --eval.n_episodes=5. LeRobot runs
+    # whole batches and counts the first n_episodes; left out, the log holds the last batch's surplus too.
+    logged_seeds: tuple[int, int] | None = None
     # What to call these episodes in the log, for instance the policy.
     run_label: str | None = None
     # The former name of --env.poses; setting it is an error that says so.
@@ -128,7 +129,7 @@ class AdaManipEnvConfig(EnvConfig):
     @property
     def options(self) -> EnvironmentOptions:
         """The environment's options."""
-        return self._options(self.category)
+        return self._options(self.category, observe_images=self._observes_images())
 
     def _check_options(self) -> None:
         """Raises `ConfigurationError` if a value cannot work."""
@@ -141,17 +142,16 @@ class AdaManipEnvConfig(EnvConfig):
             assets=self.assets,
             num_points=self.num_points,
             image_size=self.image_size,
-            observe_images=images_wanted(self) if self.observe_images is None else self.observe_images,
             poses=self.poses,
             mechanism_preset=self.mechanism_preset,
             max_key_frames=self.episode_length,
             hidden_overrides=self.hidden_overrides,
-            split=resolve_split(self.split, self),
+            split=self.split,
             cloud_source=self.cloud_source,
             render_backend=self.render_backend,
             episode_log=self.episode_log,
             run_label=self.run_label,
-            logged_seeds=evaluation_seeds(self),
+            logged_seeds=self.logged_seeds,
             workspace=Workspace(self.workspace_lower, self.workspace_upper),
             **others,
         )
@@ -163,9 +163,15 @@ class AdaManipEnvConfig(EnvConfig):
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
-        options = self._options(self.category, run_id=self._new_run_id())
-        tell_training_objects(self, [options])
+        options = self._options(self.category, observe_images=self._observes_images(), run_id=self._new_run_id())
         return {self.type: {0: make_vector_env(options, n_envs, use_async_envs)}}
+
+    def _observes_images(self) -> bool:
+        """Returns whether pictures are observed; where they are not, they are no feature either."""
+        observed = observes_images(self.observe_images)
+        if not observed:
+            self.features.pop("pixels/front", None)
+        return observed
 
     def _new_run_id(self) -> str | None:
         """Returns the id that all environments of an evaluation share in their log."""
@@ -183,7 +189,11 @@ def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bo
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
         )
-    _log.info("%s: %d environment(s) with scenes of the %s split.", options.category, n_envs, options.split)
+    _log.info(
+        "%s: %s scenes, %s objects%s.",
+        *(options.category, options.split, options.objects),
+        "" if options.split == "test" else " (for a test result: --env.split=test)",
+    )
     functions = [lambda: FlatCloud(KeyframeEnv(options=options))] * n_envs
     # More than one simulator in a process would render one after the other; a process each uses every core.
     if use_async_envs and n_envs > 1:

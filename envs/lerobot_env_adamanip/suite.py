@@ -11,7 +11,6 @@ from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.seeds import CATEGORY_STRIDE
 from lerobot_env_adamanip.config import AdaManipEnvConfig, VectorEnvs, make_vector_env
-from lerobot_env_adamanip.trained_on import tell_training_objects
 
 
 @EnvConfig.register_subclass("adamanip")
@@ -48,6 +47,6 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
         """Returns ``{category: {0: vector environment}}``; one seed is another scene in each category."""
         offsets, run_id = {name: CATEGORY_STRIDE * k for k, name in enumerate(CATEGORIES)}, self._new_run_id()
-        options = [self._options(name, seed_offset=offsets[name], run_id=run_id) for name in self.chosen()]
-        tell_training_objects(self, options)
+        common = {"observe_images": self._observes_images(), "run_id": run_id}
+        options = [self._options(name, seed_offset=offsets[name], **common) for name in self.chosen()]
         return {each.category: {0: make_vector_env(each, n_envs, use_async_envs)} for each in options}

@@ -184,7 +184,10 @@ def _evaluation(
     )
     # A policy that is not trained has its code told here, for it has no training whose key would tell it.
     told = code.episodes if training else f"{code.episodes} {code.policies.get(cell.method, '')}"
-    return _step(EVALUATE, command, told, needs=training)
+    # A policy that looks at pictures has been trained with them; without, evaluating is faster, and the same.
+    named = any(word.startswith("--env.observe_images=") for word in command)
+    observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)
+    return _step(EVALUATE, command, told, aside=observed, needs=training)
 
 
 def _step(kind: str, command: Iterable[str], code: str, aside: tuple[str, ...] = (), needs: Step | None = None) -> Step:

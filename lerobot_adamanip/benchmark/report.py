@@ -97,6 +97,11 @@ class BenchmarkReport:
         return self.entries.get((method, trials, category, objects))
 
     @property
+    def scenes(self) -> str:
+        """Split of the results' scenes; of several, all with ``and`` between them."""
+        return " and ".join(sorted({result.scenes for result in self.results}))
+
+    @property
     def rows_with_results(self) -> tuple[Row, ...]:
         """The methods of which there is a number, or which cannot be run here: those that tables and pictures show."""
         there = {place[0] for place in self.entries if place[1] is None} | set(self.unavailable)
@@ -151,6 +156,7 @@ class BenchmarkReport:
         paper_names = {row.name: row.paper for row in self.rows}
         return {
             "scale": self.scale,
+            "scenes": self.scenes,
             "note": self.note,
             "reference": self.reference,
             "methods": [

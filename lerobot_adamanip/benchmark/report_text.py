@@ -58,7 +58,8 @@ def means_line(report: BenchmarkReport) -> str:
     told = [f"{name} {', '.join(f'{100 * mean:.1f}' for mean in each)}" for name, each in best]
     return (
         f"All methods of the paper's table (`adamanip benchmark --scale {report.scale}`; mean success in % over "
-        f"{len(report.categories)} categories, {' and '.join(report.splits)} objects): {'; '.join(told)}."
+        f"{len(report.categories)} categories, {' and '.join(report.splits)} objects, {report.scenes} scenes): "
+        f"{'; '.join(told)}."
     )
 
 
@@ -85,7 +86,7 @@ def _extent(report: BenchmarkReport) -> str:
     """What was reached and what was not, with reasons."""
     legends = [
         report.note,
-        f"{counted(len(report.results), 'result')}.",
+        f"{counted(len(report.results), 'result')}{report.scenes and f' on {report.scenes} scenes'}.",
         _LEGEND,
         _PAPER_LEGEND * report.beside_paper,
     ]
@@ -97,8 +98,10 @@ def _extent(report: BenchmarkReport) -> str:
     ]
     if marks:
         lines.append(f"{'; '.join(marks)}.")
-    if len({result.fingerprint for result in report.results}) > 1:
-        lines.append("Mind: not all of it is of one fingerprint; numbers of different ones are not to be compared.")
+    if len({(result.fingerprint, result.scenes) for result in report.results}) > 1:
+        lines.append(
+            "Mind: several fingerprints or splits of scenes; numbers of different ones are not to be compared."
+        )
     if report.missing:
         without = [_name(row) for row in report.rows if row not in report.rows_with_results]
         methods = f" No result of: {', '.join(without)}." if without else ""

@@ -13,7 +13,7 @@ from lerobot_adamanip import checked_json
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.declaration_fields import NAME, OBJECT_SPLITS, TITLE
 from lerobot_adamanip.benchmark.numbers import Numbers
-from lerobot_adamanip.benchmark.plan import FOLDERS, Step
+from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step, option
 from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.origin import HASH, MACHINE, ORIGIN, Origin
@@ -91,6 +91,11 @@ class CellResult:
     def key(self) -> str:
         """Of everything that decided it."""
         return tuple(self.steps.values())[-1].key
+
+    @property
+    def scenes(self) -> str:
+        """Split of the scenes that its evaluation ran on, by its command."""
+        return option(shlex.split(self.steps[EVALUATE].command), "--env.split")
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""

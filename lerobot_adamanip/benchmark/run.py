@@ -235,16 +235,19 @@ class BenchmarkRun:
 
     def _records(self, step: Step) -> list[EpisodeRecord]:
         """Returns the episodes of an evaluation; raises `StepError` if they are not those that were to be run."""
-        wanted = int(option(step.command, "--eval.n_episodes"))
+        wanted, scenes = int(option(step.command, "--eval.n_episodes")), option(step.command, "--env.split")
         try:
             records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), wanted)
         except DatasetError as error:
             raise StepError(str(error)) from error
-        fingerprints = {record.provenance.fingerprint for record in records}
-        if len(records) != wanted or fingerprints != {self.code.episodes}:
+        made = {(record.provenance.fingerprint, record.split) for record in records}
+        if len(records) != wanted or made != {(self.code.episodes, scenes)}:
+            told = ", ".join(
+                f"{split} scenes of the code {fingerprint}" for fingerprint, split in sorted(made, key=str)
+            )
             raise StepError(
-                f"The evaluation {step.key} is not what was asked for: {len(records)} episodes of the code "
-                f"{', '.join(fingerprints)}, not {wanted} of {self.code.episodes}."
+                f"The evaluation {step.key} is not what was asked for: {len(records)} episodes, {told}; not {wanted}, "
+                f"{scenes} scenes of the code {self.code.episodes}."
             )
         return records
 

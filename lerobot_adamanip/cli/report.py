@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 _PLOT_FORMATS = (".png", ".pdf", ".svg")
 FILE_WIDTH = 200
 """Columns of a table that goes into a file or a pipe."""
-OBJECT_SPLITS = (
-    "Seen, unseen and novel objects are splits of a category, whatever the policy was trained on. Which of them that "
-    "was, lerobot-eval says at its start."
+OBJECT_SPLITS = "Seen, unseen and novel objects are splits of a category, whatever the policy was trained on."
+SURPLUS = (
+    "All episodes of the logs are counted. lerobot-eval counts the first --eval.n_episodes=N: report --episodes N."
 )
 Evaluations = dict[str, list[EpisodeRecord]]
 
@@ -48,11 +48,11 @@ class Report:
     """What to call them, in the same order; file names by default."""
 
     episodes: int | None = None
-    """Count only the first so many episodes of each evaluation and category, by seed. Left out: all of them; a log
-    holds the episodes that --eval.n_episodes asked for (logs of version 0.2.0 also the last batch's surplus)."""
+    """Count only the first so many episodes of each evaluation and category, by seed, as lerobot-eval counts the first
+    --eval.n_episodes. Left out: all of them, also the surplus of a last batch that was not full."""
 
     pool: bool = False
-    """Count all evaluations of a log as one."""
+    """Count all evaluations of a log on one split of scenes as one."""
 
     plot: Path | None = None
     """Write a picture (.png, .pdf or .svg): success by group with intervals, and success over episodes."""
@@ -91,6 +91,8 @@ class Report:
             print(json.dumps({**comparison.to_json(), **paths}))
             return 0
         print_tables(comparison)
+        if self.episodes is None:
+            print(SURPLUS)
         for name, path in written.items():
             if path is not None:
                 print(f"{name}: {path}")
@@ -123,7 +125,7 @@ class Report:
         """Yields label and records of each evaluation; those of one log are numbered, or called by their labels."""
         for label, records in logs.items():
             chosen = records if self.episodes is None else first_episodes(records, self.episodes)
-            parts = [chosen] if self.pool else split_evaluations(chosen)
+            parts = split_evaluations(chosen, pool=self.pool)
             for number, part in enumerate(parts, start=1):
                 said = part[0].provenance.run_label
                 name = f"{number} {said}" if said else str(number)
@@ -167,7 +169,7 @@ def print_tables(comparison: Comparison) -> None:
     if not console.is_terminal:
         console.width = FILE_WIDTH
     summaries = comparison.summaries
-    console.print("Success with 95 % Wilson intervals", style="bold")
+    console.print(comparison.title, style="bold")
     console.print(_table(comparison, _success_rows(comparison)))
     console.print("\nFailed tries per success, and at best without seeing what is hidden", style="bold")
     console.print(_table(comparison, _tries_rows(comparison)))
@@ -207,6 +209,7 @@ def _table(comparison: Comparison, rows: Iterator[tuple[str, list[str]]]) -> Tab
 
 def _success_rows(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
     summaries = list(comparison.summaries.values())
+    yield "scenes", [summary.scenes for summary in summaries]
     yield "episodes", [str(summary.episodes) for summary in summaries]
     for group in comparison.groups:
         yield group.label, [percent(summary.success(group)) for summary in summaries]

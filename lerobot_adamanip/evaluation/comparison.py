@@ -28,13 +28,19 @@ class Comparison:
 
     Attributes:
         summaries: by label, in the order given; continuous hidden values are parted at the same places in all.
-        differences: of the first from every other one, by group.
+        differences: of the first from every other one on the same split of scenes, by group.
         warnings: what a reader has to know, see `warnings_of`.
     """
 
     summaries: Mapping[str, EvaluationSummary]
     differences: tuple[GroupDifference, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        """What the rates are, and on whose scenes."""
+        scenes = " and ".join(dict.fromkeys(summary.scenes for summary in self.summaries.values()))
+        return f"Success on {scenes} scenes, with 95 % Wilson intervals"
 
     @property
     def groups(self) -> list[Group]:
@@ -71,6 +77,7 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
     differences = tuple(
         GroupDifference(first, label, group, difference(reference.success(group), summary.success(group)))
         for label, summary in others
+        if summary.scenes == reference.scenes
         for group in reference.groups
         if group in summary.groups
     )
@@ -85,6 +92,7 @@ def _summary(summary: EvaluationSummary) -> dict[str, Any]:
     return {
         "episodes": summary.episodes,
         **success_summary(summary.overall.success),
+        "scenes": summary.scenes,
         "repeats": summary.repeats,
         "groups": groups,
         "tried_locked_first": asdict(summary.tried_locked_first),

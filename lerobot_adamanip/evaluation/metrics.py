@@ -84,6 +84,11 @@ class EvaluationSummary:
     mechanism_presets: tuple[str, ...]
 
     @property
+    def scenes(self) -> str:
+        """Split of the episodes' scenes; of several, all with ``and`` between them."""
+        return " and ".join(group.name for group in self.groups if group.by == "scenes")
+
+    @property
     def overall(self) -> GroupResult:
         """All episodes."""
         return self.groups[ALL]
@@ -105,11 +110,14 @@ def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     return list(last.values())
 
 
-def split_evaluations(records: Iterable[EpisodeRecord]) -> list[list[EpisodeRecord]]:
-    """Returns the records of each `EpisodeRecord.evaluation` that a log holds, in order of appearance."""
+def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
+    """Returns the records of each `EpisodeRecord.evaluation` that a log holds, in order of appearance.
+
+    Splits of scenes stay apart, also where all evaluations are pooled into one.
+    """
     found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
     for record in records:
-        found.setdefault(record.evaluation, []).append(record)
+        found.setdefault((None if pool else record.evaluation, record.split), []).append(record)
     return list(found.values())
 
 
@@ -117,8 +125,8 @@ def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[Episode
     """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
 
     LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
-    other, and counts the first ``n_episodes``: those given the lowest seeds. Logs of version 0.2.0, and of
-    evaluations without a seed, hold the last batch's surplus too.
+    other, and counts the first ``n_episodes``: those given the lowest seeds. A log holds the last batch's surplus too,
+    unless ``--env.logged_seeds`` leaves it out.
     (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
     """
     found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
@@ -201,10 +209,11 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> list[str]:
     """
     said = []
     for label, summary in summaries.items():
-        scenes = [group.name for group in summary.groups if group.by == "scenes"]
-        if len(scenes) > 1:
-            said.append(f"{label}: {' and '.join(scenes)} scenes are mixed; a number is of one split")
-        if "train" in scenes:
+        if " and " in summary.scenes:
+            said.append(f"{label}: {summary.scenes} scenes are mixed; a number is of one split")
+        elif summary.scenes != "test":
+            said.append(f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test")
+        if "train" in summary.scenes:
             said.append(f"{label}: scenes that demonstrations are recorded in are among these")
         for what, found in (("fingerprint", summary.fingerprints), ("preset", summary.mechanism_presets)):
             if len(found) > 1:
@@ -212,13 +221,9 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> list[str]:
     for what, sets in (
         ("fingerprints", [summary.fingerprints for summary in summaries.values()]),
         ("mechanism presets", [summary.mechanism_presets for summary in summaries.values()]),
-        ("splits of scenes", [_scenes(summary) for summary in summaries.values()]),
+        ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
     ):
         if len(set(sets)) > 1:
             told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
             said.append(f"not to be compared: {what} differ ({told})")
     return said
-
-
-def _scenes(summary: EvaluationSummary) -> tuple[str, ...]:
-    return tuple(group.name for group in summary.groups if group.by == "scenes")

@@ -51,7 +51,7 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
         curve.fill_between(counts, low, high, alpha=0.15, color=line.get_color(), linewidth=0)
     curve.set(xlabel="episodes", ylabel="success so far [%]", ylim=(0, 103))
     curve.xaxis.set_major_locator(MaxNLocator(integer=True))
-    save_figure(figure, "Success with 95 % Wilson intervals", path)
+    save_figure(figure, comparison.title, path)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -14,6 +14,7 @@ from torch import Tensor
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
+from lerobot_policy_adamanip.trained_on import log_training_objects
 
 Pipelines = tuple[
     PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
@@ -147,6 +148,7 @@ class LoadsStrictly:
 
     @classmethod
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
+        log_training_objects(Path(model_file).parent)
         try:
             return super()._load_as_safetensor(model, model_file, map_location, True)  # type: ignore[misc]
         except RuntimeError as error:

@@ -135,8 +135,13 @@ def test_the_tests_are_those_of_the_demonstrations_objects_poses_and_points() ->
         assert option(command, "--env.objects") == said
         assert option(command, "--env.split") == "test"
     pictures = declared(demonstrations={"adaptive": {"image_size": 96, "num_points": 512}, "static": {}})
-    command = steps(pictures)[EVALUATE].command
-    assert (option(command, "--env.image_size"), option(command, "--env.num_points")) == ("96", "512")
+    tested = steps(pictures)[EVALUATE]
+    assert (option(tested.command, "--env.image_size"), option(tested.command, "--env.num_points")) == ("96", "512")
+    assert tested.aside == ("--env.observe_images=true",)
+    assert steps(declaration)[EVALUATE].aside == ("--env.observe_images=false",)
+    methods = content()["methods"]
+    methods["ours"]["evaluate"] = ["--env.observe_images=true"]
+    assert steps(declared(methods=methods))[EVALUATE].aside == (), "no second word after a method's own"
 
 
 def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:

@@ -225,7 +225,7 @@ def test_other_code_and_other_options_are_marked(cells: Path) -> None:
     assert rows_of(page, "Success on seen objects")["Ours"][1].endswith(" †")
     assert rows_of(page, "Success on seen objects")["Ours"][2].endswith(" †")
     assert "of other code than the present" in page
-    assert "Mind: not all of it is of one fingerprint" in page
+    assert "Mind: several fingerprints" in page
     write_cell(path, result)
     changed_policy = benchmark_page(report_of(cells, stale={result.cell}))
     assert rows_of(changed_policy, "Success on seen objects")["Ours"][1].endswith(" †")

@@ -277,8 +277,13 @@ def test_a_log_of_other_code_or_too_few_episodes_is_no_result(tmp_path: Path) ->
     changed = dataclasses.replace(CODE, episodes="f" * 16)
     states = run_all(benchmark(tmp_path / "out", runner, code=changed))
     assert {each.state for each in states} == {"failed"}
-    assert f"not 5 of {'f' * 16}" in states[0].reason
+    assert f"not 5, test scenes of the code {'f' * 16}" in states[0].reason
     assert results(tmp_path / "out") == {}
+    other = content()["methods"]
+    other["untrained"]["evaluate"] = ["--env.split=validation"]
+    states = run_all(benchmark(tmp_path / "scenes", runner, declared(methods=other)))
+    assert "5 episodes, test scenes" in states[0].reason
+    assert "not 5, validation scenes" in states[0].reason
     fewer = content()["methods"]
     fewer["untrained"]["evaluate"] = ["--eval.batch_size=1", "--eval.n_episodes=4"]
     states = run_all(benchmark(tmp_path / "fewer", runner, declared(methods=fewer)))

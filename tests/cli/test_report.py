@@ -106,6 +106,28 @@ def test_the_surplus_of_an_uneven_last_batch_is_left_out(
     assert column["episodes"] == 15
 
 
+def test_scenes_are_told_and_never_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_log(tmp_path / "log.jsonl", 9)
+    tested = path.read_text()
+    path.write_text(
+        tested + tested.replace('"split": "test"', '"split": "validation"').replace('"seed": ', '"seed": 100')
+    )
+    for options in ([], ["--pool"]):
+        assert cli.main(["report", str(path), "--json", *options]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert [(each["scenes"], each["episodes"]) for each in report["evaluations"]] == [
+            ("test", 20),
+            ("validation", 20),
+        ]
+        assert report["differences"] == []
+        assert any("log #2: no test result, but one on validation scenes" in said for said in report["warnings"])
+        assert not any("log #1: no test result" in said for said in report["warnings"])
+    assert cli.main(["report", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "Success on test and validation scenes" in printed
+    assert "report --episodes N" in printed
+
+
 def test_logs_of_two_codes_are_compared_with_a_warning(
     logs: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import copy
 import dataclasses
+import logging
 from typing import Any
 
 import draccus
@@ -20,6 +22,7 @@ from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.seeds import scene_seed
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.vector import FlatCloud
 
 
@@ -78,7 +81,6 @@ def test_every_option_of_an_environment_can_be_typed() -> None:
         "category": "type",
         "seed_offset": "type",
         "run_id": "type",
-        "logged_seeds": "episode_log",
     }
     names = {item.name for item in dataclasses.fields(AdaManipSafeEnvConfig)} | {"type"}
     assert {elsewhere.get(item.name, item.name) for item in dataclasses.fields(EnvironmentOptions)} <= names
@@ -139,11 +141,12 @@ def test_nothing_hidden_is_a_feature() -> None:
         ({"num_points": 0}, "0"),
         ({"num_points": 20_000}, "20000"),
         ({"poses": "paper"}, "fixed, randomized"),
-        ({"split": "dev"}, "auto, test, train, validation"),
+        ({"split": "dev"}, "test, train, validation"),
         ({"render_backend": "gpu"}, "auto, cpu, cuda"),
         ({"workspace_upper": (0.1, 0.1, 0.1)}, "workspace"),
         ({"image_size": 0}, "image size"),
         ({"episode_length": 0}, "key frames"),
+        ({"logged_seeds": (5, 5)}, "logged_seeds=(5, 5)"),
     ],
 )
 def test_bad_options_are_refused_before_a_simulator_starts(wrong: dict[str, Any], said: str) -> None:
@@ -201,18 +204,50 @@ def split_of_envs(config: AdaManipSafeEnvConfig) -> str:
         vector.close()
 
 
-def test_a_training_validates_and_everything_else_tests() -> None:
+def test_a_copy_of_a_trainings_environment_gets_no_test_scenes() -> None:
     training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="local/none"), env=AdaManipSafeEnvConfig())
 
+    def train(cfg: TrainPipelineConfig) -> list[str]:
+        assert isinstance(cfg.env, AdaManipSafeEnvConfig)
+        made = (copy.copy(cfg.env), copy.deepcopy(cfg.env), dataclasses.replace(cfg.env))
+        return [split_of_envs(each) for each in made]
+
+    assert train(training) == ["validation"] * 3
+
+
+def test_a_pipeline_of_another_module_gets_no_test_scenes() -> None:
+    @dataclasses.dataclass
+    class TrainPipelineConfig:
+        env: EnvConfig
+
     def train(cfg: TrainPipelineConfig) -> str:
-        return evaluate_inside(cfg.env)
+        return split_of_envs(cfg.env)
 
-    def evaluate_inside(env: Any) -> str:
-        return split_of_envs(env)
+    assert train(TrainPipelineConfig(AdaManipSafeEnvConfig())) == "validation"
 
-    assert train(training) == "validation"
-    assert split_of_envs(AdaManipSafeEnvConfig()) == "test"
-    assert split_of_envs(AdaManipSafeEnvConfig(split="train")) == "train"
+
+def test_a_script_gets_no_test_scenes_unless_it_asks() -> None:
+    assert split_of_envs(AdaManipSafeEnvConfig()) == "validation"
+    assert split_of_envs(make_env_config("adamanip_safe", split="test")) == "test"
+    assert {make_env_config(each).split for each in TYPES} == {"validation"}
+    assert EnvironmentOptions().split == KeyframeEnv("safe").options.split == "validation"
+    assert AdamanipFrankaSimConfig().environment().split == "validation"
+
+
+@pytest.mark.parametrize(("split", "hinted"), [("validation", True), ("train", True), ("test", False)])
+def test_whose_scenes_they_are_is_logged(split: str, hinted: bool, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "lerobot_env_adamanip"):
+        split_of_envs(AdaManipSafeEnvConfig(split=split))
+    (said,) = [each.message for each in caplog.records if "scenes" in each.message]
+    assert f"{split} scenes" in said
+    assert ("--env.split=test" in said) is hinted
+
+
+def test_the_former_split_auto_is_an_error_that_says_what_to_type() -> None:
+    with pytest.raises(
+        draccus.utils.DecodingError, match=r"(?s)got: .*'auto'.*--env.split=validation .*--env.split=test"
+    ):
+        parsed("--env.split=auto")
 
 
 def test_lerobots_own_training_validates() -> None:

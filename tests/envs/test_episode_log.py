@@ -1,4 +1,4 @@
-"""The log of an evaluation holds the episodes that LeRobot counts, no surplus of its last batch."""
+"""With `logged_seeds`, an evaluation's log holds the episodes that LeRobot counts, no surplus of its last batch."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from records import record
 from torch import nn
 
 from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.metrics import first_episodes
 from lerobot_adamanip.options import EnvironmentOptions
 from lerobot_env_adamanip import keyframe_env
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
@@ -61,9 +62,11 @@ def test_the_log_holds_what_was_asked_for(
     monkeypatch.setattr(lerobot_eval, "PreTrainedPolicy", nn.Module)
     monkeypatch.setattr(lerobot_eval, "rollout", one_step)
     log = str(tmp_path / "log.jsonl")
-    chosen = AdaManipSuiteEnvConfig(categories="safe,lamp", episode_log=log) if suite else None
+    seeds = (1000, 1000 + episodes)
+    chosen = AdaManipSuiteEnvConfig(categories="safe,lamp", episode_log=log, logged_seeds=seeds) if suite else None
     pipeline = EvalPipelineConfig(
-        env=chosen or AdaManipSafeEnvConfig(episode_log=log), eval=EvalConfig(n_episodes=episodes, batch_size=batch)
+        env=chosen or AdaManipSafeEnvConfig(episode_log=log, logged_seeds=seeds),
+        eval=EvalConfig(n_episodes=episodes, batch_size=batch),
     )
     envs = pipeline.env.create_envs(pipeline.eval.batch_size)
     made = functools.partial(lerobot_eval.eval_policy, env_preprocessor=None, env_postprocessor=None)
@@ -77,5 +80,10 @@ def test_the_log_holds_what_was_asked_for(
         assert rate == pytest.approx(info["aggregated"]["pc_success"])
 
 
-def test_outside_lerobots_commands_every_episode_is_logged(tmp_path: Path) -> None:
-    assert AdaManipSafeEnvConfig(episode_log=str(tmp_path / "log.jsonl")).options.logged_seeds is None
+def test_left_out_a_whole_batch_is_logged_and_the_first_episodes_are_those_counted(tmp_path: Path) -> None:
+    log = EpisodeLog(tmp_path / "log.jsonl")
+    for seed in (1001, 1000, 1003, 1002):  # two batches of two, as their episodes end
+        log.append(record(seed=seed))
+    found = read_log(tmp_path / "log.jsonl")
+    assert len(found) == 4
+    assert sorted(each.given_seed for each in first_episodes(found, 3)) == [1000, 1001, 1002]

@@ -36,8 +36,8 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     assets: str | None = None
     """Folder of external assets to use instead."""
 
-    split: str = "test"
-    """Whose scenes seeds stand for."""
+    split: str = "validation"
+    """Whose scenes seeds stand for: validation, test or train."""
 
     poses: str = "randomized"
     """randomized, or fixed as upstream's code has them."""
