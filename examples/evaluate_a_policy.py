@@ -23,6 +23,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint")
     parser.add_argument("--category", default="safe")
+    parser.add_argument("--split", choices=("validation", "test"), default="validation", help="test: reported numbers")
     parser.add_argument("--episodes", type=int, default=10)
     parser.add_argument("--key-frames", type=int, default=schema.MAX_KEY_FRAMES)
     options = parser.parse_args()
@@ -31,7 +32,7 @@ def main() -> None:
     policy = get_policy_class(config.type).from_pretrained(options.checkpoint)
     before, after = make_pre_post_processors(config, pretrained_path=options.checkpoint)
     print("starting the simulator ...", flush=True)
-    env = KeyframeEnv(options.category, observe_images=False, max_key_frames=options.key_frames)
+    env = KeyframeEnv(options.category, split=options.split, observe_images=False, max_key_frames=options.key_frames)
 
     successes = 0
     for seed in range(1000, 1000 + options.episodes):
@@ -47,7 +48,7 @@ def main() -> None:
         print(f"seed {seed}: {'success' if info['is_success'] else 'failed'}, hidden {env.hidden_state()}", flush=True)
     env.close()
     low, high = wilson_interval(successes, options.episodes)
-    print(f"{successes}/{options.episodes}, 95 % interval {low:.2f} ... {high:.2f}")
+    print(f"{options.split} scenes: {successes}/{options.episodes}, 95 % interval {low:.2f} ... {high:.2f}")
 
 
 if __name__ == "__main__":

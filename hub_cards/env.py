@@ -12,7 +12,7 @@ except ModuleNotFoundError as error:
 
 
 def make_env(n_envs: int = 1, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:
-    """Returns ``{suite: {task: vector environment}}`` with ``n_envs`` environments each, of the test split's scenes."""
+    """Returns ``{suite: {task: vector environment}}`` with ``n_envs`` environments each, of validation scenes."""
     from lerobot.envs.factory import make_env as build
     from lerobot.envs.factory import make_env_config
 

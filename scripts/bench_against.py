@@ -228,6 +228,7 @@ def evaluation(old: Version, new: Version, checkpoint: Path, repeats: int, episo
                     "--env.type=adamanip_safe",
                     "--env.objects=0:4",
                     "--env.split=validation",
+                    "--env.observe_images=false",
                     f"--eval.n_episodes={episodes}",
                     "--eval.batch_size=2",
                     f"--seed={1000 + repeat}",

@@ -40,7 +40,7 @@ SHARE_OPENED = 0.9
 """Of the recorded doors that have to be open."""
 ENDLESS = 24 * 3600
 """The scripted teleoperator ends an episode; LeRobot's clock should not [s]."""
-TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave")
+TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave", "--robot.split=test")
 QUIET = ("--play_sounds=false",)
 
 
@@ -184,6 +184,8 @@ def _against_evaluation(session: Session, options: argparse.Namespace, won: int)
         "lerobot-eval",
         f"--policy.path={options.policy}",
         "--env.type=adamanip_microwave",
+        "--env.split=test",
+        "--env.observe_images=false",
         f"--env.episode_log={evaluated}",
         f"--seed={options.seed}",
         f"--eval.n_episodes={options.seeds}",

@@ -137,6 +137,7 @@ class Run:
             f"--env.type=adamanip{'' if self.category == SUITE else f'_{self.category}'}",
             f"--env.objects={objects}",
             f"--env.split={given.split}",
+            "--env.observe_images=false",
             f"--env.episode_log={log}",
             f"--eval.n_episodes={given.episodes}",
             "--eval.batch_size=2",

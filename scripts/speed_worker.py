@@ -105,7 +105,7 @@ class Measured:
         if self.env is not None:
             self.env.close()
         self.category = category
-        self.env = make_keyframe_env(EnvironmentOptions(category=category, observe_images=False))
+        self.env = make_keyframe_env(EnvironmentOptions(category=category, split="validation", observe_images=False))
         self.episode(0)
         return {"category": category}
 

@@ -27,7 +27,7 @@ RENDERED, CROP, SIDE, BAR = 768, (0, 10, 740, 630), 300, 30
 
 def frames() -> list[Image.Image]:
     """Returns the front image after each key frame, the start first."""
-    env = KeyframeEnv("safe", objects=OBJECT, image_size=RENDERED, hidden_overrides=HIDDEN)
+    env = KeyframeEnv("safe", objects=OBJECT, image_size=RENDERED, hidden_overrides=HIDDEN, split="test")
     env.reset(seed=SEED)
     expert = make_expert("safe", "adaptive", env.annotations, generator=np.random.default_rng(SEED))
     seen, goal, ended = [env.render()], next(expert), False

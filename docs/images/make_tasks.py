@@ -25,7 +25,7 @@ RENDERED, CROP, SIDE, BAR = 768, (60, 60, 708, 708), 300, 28
 def last_view(category: str) -> Image.Image:
     """Returns the front image after the adaptive expert has succeeded."""
     name, seed = SHOWN[category]
-    env = KeyframeEnv(category, objects=name, image_size=RENDERED, num_points=64)
+    env = KeyframeEnv(category, objects=name, image_size=RENDERED, num_points=64, split="test")
     env.reset(seed=seed)
     expert = make_expert(category, "adaptive", env.annotations, generator=np.random.default_rng(seed))
     goal, ended, truncated = next(expert), False, False

@@ -84,12 +84,8 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
 
 def _extent(report: BenchmarkReport) -> str:
     """What was reached and what was not, with reasons."""
-    legends = [
-        report.note,
-        f"{counted(len(report.results), 'result')}{report.scenes and f' on {report.scenes} scenes'}.",
-        _LEGEND,
-        _PAPER_LEGEND * report.beside_paper,
-    ]
+    number = f"{counted(len(report.results), 'result')}{report.scenes and f' on {report.scenes} scenes'}."
+    legends = (report.note, number, _LEGEND, _PAPER_LEGEND * report.beside_paper)
     lines = [" ".join(filter(None, legends))]
     marks = [
         f"{mark}: {meaning}"

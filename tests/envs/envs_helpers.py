@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.experts import Phase, make_expert
 
 ROOT = Path(__file__).resolve().parents[2]
-SMALL: dict[str, Any] = {"num_points": 128, "image_size": 64}
+SMALL: dict[str, Any] = {"num_points": 128, "image_size": 64, "split": "test"}
 
 
 class OneSimulator:

@@ -269,7 +269,7 @@ def test_an_episode_goes_on_past_success_and_its_record_does_not(env: KeyframeEn
 
 
 def test_scenes_stay_within_their_split(env: KeyframeEnv) -> None:
-    validation = KeyframeEnv("safe", split="validation", max_key_frames=30, **SMALL)
+    validation = KeyframeEnv("safe", max_key_frames=30, **{**SMALL, "split": "validation"})
     try:
         mapped, _ = validation.reset(seed=5)
         seed = validation.episode_record()["seed"]
