@@ -18,15 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from lerobot_adamanip.arrow import numeric_array
 from lerobot_adamanip.lerobot_patches.support import are_off
 
 MARK = "_adamanip_read_in_batches"
-_ROWS = "_adamanip_arrow_rows"
+NARROW_BYTES = 1024
+"""Columns of rows up to this size are kept in one piece."""
 Item = dict[str, Any]
 
 
@@ -54,31 +57,65 @@ def _apply() -> Mark:
 
 def _get_items(dataset: Any, indices: Sequence[int]) -> list[Item]:
     """Returns the items of rows, as ``dataset[index]`` gives them, less the videos."""
-    rows = _arrow_rows(dataset)
-    if rows is None:
+    columns = _columns(dataset)
+    if columns is None:
         return [dataset[index] for index in indices]
-    table = rows[list(indices)]
-    columns: dict[str, torch.Tensor] = {}
-    for name in table.column_names:
-        values = numeric_array(table.column(name))
-        if values is None:
-            return [dataset[index] for index in indices]
-        kind = {"f": np.float32, "b": np.bool_}.get(values.dtype.kind, np.int64)
-        columns[name] = torch.from_numpy(values.astype(kind))
-    tasks = [dataset.meta.tasks.iloc[task].name for task in columns["task_index"].tolist()]
-    items: list[Item] = [{"task": task} for task in tasks]
-    for name, column in columns.items():
-        for item, value in zip(items, column.unbind(), strict=True):
-            item[name] = value
-    return items
+    batch = columns.batch(indices)
+    names = dataset.meta.tasks.index
+    tasks = [names[task] for task in batch["task_index"].tolist()]
+    rows = zip(*(column.unbind() for column in batch.values()), tasks, strict=True)
+    return [dict(zip((*batch, "task"), values, strict=True)) for values in rows]
 
 
-def _arrow_rows(dataset: Any) -> Any:
-    """Returns the dataset's rows as Arrow tables; None where rows alone do not make an item."""
+def _columns(dataset: Any) -> _Columns | None:
+    """Returns a marked dataset's columns; None where they alone do not make an item."""
     if not hasattr(dataset.meta, MARK) or dataset.reader is None or dataset.reader.delta_indices is not None:
         return None
-    source, rows = getattr(dataset, _ROWS, (None, None))
+    source, columns = _known.get(dataset, (None, None))
     if source is not dataset.hf_dataset:
-        source, rows = dataset.hf_dataset, dataset.hf_dataset.with_format("arrow")
-        setattr(dataset, _ROWS, (source, rows))
-    return rows
+        source = dataset.hf_dataset
+        columns = _Columns.of(source.data) if source.data.num_rows == len(source) else None
+        _known[dataset] = source, columns
+    return columns
+
+
+class _Columns:
+    """Numeric columns of an Arrow table: narrow ones as tensors, wide ones where Arrow maps them into memory.
+
+    Args:
+        columns: name -> arrays (rows, ...), one after the other.
+    """
+
+    def __init__(self, columns: dict[str, list[NDArray[Any]]]) -> None:
+        self._arrays = columns
+        self._starts = {name: np.cumsum([0, *map(len, arrays)]) for name, arrays in columns.items()}
+
+    @classmethod
+    def of(cls, table: Any) -> _Columns | None:
+        """Returns the columns of a table; None if one of them is not numeric and regular, or there is no row."""
+        columns: dict[str, list[NDArray[Any]]] = {}
+        for name in table.column_names:
+            arrays = [numeric_array(chunk) for chunk in table.column(name).chunks if len(chunk)]
+            known = [array for array in arrays if array is not None]
+            if len(known) != len(arrays) or len({array.shape[1:] for array in known}) != 1:
+                return None
+            columns[name] = known if known[0][0].nbytes > NARROW_BYTES else [np.concatenate(known)]
+        return cls(columns)
+
+    def batch(self, indices: Sequence[int]) -> dict[str, torch.Tensor]:
+        """Returns name -> rows (B, ...), in the dtypes of LeRobot's reader: float32, int64 or bool."""
+        rows, batch = np.asarray(indices, dtype=np.int64), {}
+        for name, arrays in self._arrays.items():
+            if len(arrays) == 1:
+                values = arrays[0][rows]
+            else:
+                starts = self._starts[name]
+                places = np.searchsorted(starts, rows, side="right") - 1
+                pairs = zip(places.tolist(), (rows - starts[places]).tolist(), strict=True)
+                values = np.stack([arrays[place][row] for place, row in pairs])
+            kind = {"f": np.float32, "b": np.bool_}.get(values.dtype.kind, np.int64)
+            batch[name] = torch.from_numpy(values.astype(kind, copy=False))
+        return batch
+
+
+_known: WeakKeyDictionary[Any, tuple[Any, _Columns | None]] = WeakKeyDictionary()
