@@ -61,7 +61,8 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _lerobot_as_it_was() -> Iterator[None]:
+def _lerobot_as_it_was(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.delenv(support.NO_PATCHES, raising=False)
     yield
     if "__getitems__" in vars(LeRobotDataset):
         del LeRobotDataset.__getitems__
@@ -164,6 +165,14 @@ def test_a_lerobot_that_reads_batches_itself_stays_as_it_is(root: Path, monkeypa
     monkeypatch.setattr(LeRobotDataset, "__getitems__", own, raising=False)
     batched_reading.read_in_batches(_opened(root).meta)
     assert LeRobotDataset.__getitems__ is own
+
+
+def test_without_patches_the_same_items_are_read_row_by_row(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(support.NO_PATCHES, "1")
+    dataset = _opened(root)
+    batched_reading.read_in_batches(dataset.meta)
+    assert "__getitems__" not in vars(LeRobotDataset)
+    assert CAMERA in next(iter(torch.utils.data.DataLoader(dataset, batch_size=2)))
 
 
 @pytest.mark.parametrize(
