@@ -61,8 +61,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _lerobot_as_it_was(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.delenv(support.NO_PATCHES, raising=False)
+def _lerobot_as_it_was() -> Iterator[None]:
     yield
     if "__getitems__" in vars(LeRobotDataset):
         del LeRobotDataset.__getitems__
@@ -168,7 +167,7 @@ def test_a_lerobot_that_reads_batches_itself_stays_as_it_is(root: Path, monkeypa
 
 
 def test_without_patches_the_same_items_are_read_row_by_row(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(support.NO_PATCHES, "1")
+    monkeypatch.setenv(NO_PATCHES, "1")
     dataset = _opened(root)
     batched_reading.read_in_batches(dataset.meta)
     assert "__getitems__" not in vars(LeRobotDataset)
