@@ -50,6 +50,9 @@ def sort_statistics(root: Path) -> None:
     stats = load_stats(root)
     if stats is None:
         raise DatasetError(
-            "LeRobot wrote no statistics.", got=root / "meta", allowed="meta/stats.json", hint="lerobot 0.6.1"
+            "LeRobot wrote no statistics.",
+            got=root / "meta",
+            allowed="meta/stats.json",
+            hint="pip install 'lerobot==0.6.1'",
         )
     write_stats(dict(sorted(stats.items())), root)
