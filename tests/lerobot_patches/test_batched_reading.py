@@ -151,14 +151,6 @@ def test_batches_of_spawned_workers_are_the_same(root: Path) -> None:
         _assert_same(one, other)
 
 
-def test_one_variable_leaves_lerobot_as_it_is(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(NO_PATCHES, "1")
-    dataset = _opened(root)
-    batched_reading.read_in_batches(dataset.meta)
-    assert not hasattr(dataset, "__getitems__")
-    assert not hasattr(dataset.meta, batched_reading.MARK)
-
-
 def test_a_lerobot_that_reads_batches_itself_stays_as_it_is(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own = lambda self, indices: [self[index] for index in indices]  # noqa: E731
     monkeypatch.setattr(LeRobotDataset, "__getitems__", own, raising=False)
