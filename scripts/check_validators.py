@@ -21,7 +21,6 @@ PACKAGES = (
 )  # fmt: skip
 TIMEOUT_S = 600
 EXPECTED: dict[tuple[str, str], str] = {
-    ("robovet", "observation.point_cloud"): "counts a column of (N, 3) as N wide",
     ("rdq", "much shorter than usual"): "an episode that meets no failure is short",
     ("rdq", "short glitches"): "rows are key frames: the gripper closes within one",
     ("rdq", "gaps or jumps"): "rows are key frames: the hand moves far within one",

@@ -29,7 +29,7 @@ from lerobot_adamanip.demos.prepare import (
     video_encoder,
 )
 from lerobot_adamanip.demos.shards import read_shard
-from lerobot_adamanip.demos.statistics import sort_statistics
+from lerobot_adamanip.demos.statistics import sort_statistics, write_episodes
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.jobs import JobResult, WorkerError
 from lerobot_adamanip.pointcloud import Workspace
@@ -243,11 +243,7 @@ def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
         indices = table["episode_index"].to_pylist()
         for name, values in columns.items():
             table = table.append_column(name, pa.array([values[index] for index in indices]))
-        # Hugging Face's schema note lists the columns of before; without it the reader takes the types of the file.
-        table = table.replace_schema_metadata(None)
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="snappy")
-        files.write_atomically(path, sink.getvalue().to_pybytes())
+        write_episodes(path, table)
 
 
 def cameras_json(cameras: list[dict[str, Any]]) -> bytes:

@@ -50,7 +50,7 @@ def collected(folder: Path, *, spec: dict[str, Any] | None = None, **options: An
 
 
 def without_cloud(names: Any) -> Any:
-    """Statistics of a cloud's axes stand for each point here, where LeRobot's writer computes those of each number."""
+    """Statistics of clouds are computed here, to within a bin of LeRobot's histograms: see `test_check`."""
     kept = [name for name in names if not name.removeprefix("stats/").startswith(schema.POINT_CLOUD)]
     return {name: names[name] for name in kept} if isinstance(names, dict) else kept
 

@@ -23,7 +23,7 @@ from lerobot_adamanip.demos.editing.recordings import describe_recording, requir
 from lerobot_adamanip.demos.editing.selection import Selection, write_selection
 from lerobot_adamanip.demos.editing.source import Rows, Source
 from lerobot_adamanip.demos.loading import read_back, workspace_of
-from lerobot_adamanip.demos.statistics import sort_statistics
+from lerobot_adamanip.demos.statistics import sort_statistics, write_episodes
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.schema import POINT_CLOUD
@@ -208,7 +208,4 @@ def _write_columns(root: Path, columns: pa.Table) -> None:
         for name in mine.column_names:
             if name not in table.column_names:
                 table = table.append_column(name, mine[name])
-        # Without Hugging Face's schema note, which lists the columns of before: see `assemble.add_episode_columns`.
-        sink = pa.BufferOutputStream()
-        pq.write_table(table.replace_schema_metadata(None), sink, compression="snappy")
-        files.write_atomically(path, sink.getvalue().to_pybytes())
+        write_episodes(path, table)

@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from lerobot_adamanip import files
 from lerobot_adamanip.checked_json import read
 from lerobot_adamanip.demos.editing.compose import arrow_schema, with_types
 from lerobot_adamanip.demos.loading import MAX_STATISTICS_BYTES, read_info
+from lerobot_adamanip.demos.statistics import cloud_statistics, write_episodes
 from lerobot_adamanip.hub.check.contract import is_old_cloud
 from lerobot_adamanip.hub.check.layout import INFO, STATS
 from lerobot_adamanip.hub.check.reading import numeric
-from lerobot_adamanip.hub.check.rebuild import write_table
 from lerobot_adamanip.schema import POINT_CLOUD
 
 _STATS = f"stats/{POINT_CLOUD}/"
@@ -37,6 +38,8 @@ def flatten_clouds(root: Path, keep: Callable[[str], None]) -> bool:
     Returns:
         Whether there were any to store otherwise.
     """
+    from lerobot.datasets.compute_stats import aggregate_stats
+
     info = read_info(root)
     feature = info["features"].get(POINT_CLOUD, {})
     if not is_old_cloud(POINT_CLOUD, feature):
@@ -46,14 +49,16 @@ def flatten_clouds(root: Path, keep: Callable[[str], None]) -> bool:
     schema = arrow_schema({key: {**each, "shape": tuple(each["shape"])} for key, each in info["features"].items()})
     for name in (*names, STATS, INFO):
         keep(name)
-    for name in names:
+    found: dict[int, dict[str, NDArray[Any]]] = {}
+    for name in names:  # data come first
         if name.startswith("data/"):
             _flatten_rows(root / name, schema)
+            found |= _statistics(root / name)
         elif name.startswith("meta/episodes/"):
-            _repeat_statistics(root / name, feature["shape"][0])
+            _replace_statistics(root / name, found)
     stats = read(root / STATS, max_bytes=MAX_STATISTICS_BYTES)
-    told = stats.get(POINT_CLOUD, {})
-    told |= {key: _repeated(value, feature["shape"][0]) for key, value in told.items() if key != "count"}
+    whole = aggregate_stats([{POINT_CLOUD: each} for each in found.values()])[POINT_CLOUD]
+    stats[POINT_CLOUD] = {key: value.tolist() for key, value in whole.items()}
     for name, content in ((STATS, stats), (INFO, info)):
         files.write_atomically(root / name, (json.dumps(content, indent=4) + "\n").encode())
     return True
@@ -75,16 +80,20 @@ def _flatten_rows(path: Path, schema: pa.Schema) -> None:
     files.write_atomically(path, sink.getvalue())
 
 
-def _repeat_statistics(path: Path, width: int) -> None:
+def _statistics(path: Path) -> dict[int, dict[str, NDArray[Any]]]:
+    """Statistics of the clouds of each episode in a data file."""
+    table = pq.read_table(path, columns=[POINT_CLOUD, "episode_index"])
+    clouds, episodes = numeric(table, POINT_CLOUD), table["episode_index"].to_numpy()
+    if clouds is None:
+        raise ValueError(f"{path.name} has clouds of different sizes")
+    return {int(number): cloud_statistics(clouds[episodes == number]) for number in np.unique(episodes)}
+
+
+def _replace_statistics(path: Path, found: dict[int, dict[str, NDArray[Any]]]) -> None:
     table = pq.read_table(path)
+    numbers = table["episode_index"].to_pylist()
     for at, name in enumerate(table.column_names):
-        if name.startswith(_STATS) and name != f"{_STATS}count":
-            values = [_repeated(value, width) for value in table[name].to_pylist()]
-            table = table.set_column(at, name, pa.array(values, type=pa.list_(table[name].type.value_type)))
-    write_table(path, table.replace_schema_metadata(None))
-
-
-def _repeated(value: Any, width: int) -> list[float]:
-    """Statistics of a cloud's three axes, for each of its points: see `lerobot_adamanip.demos.statistics`."""
-    flat: list[float] = np.asarray(value).reshape(-1).tolist()
-    return flat * (width // len(flat))
+        if name.startswith(_STATS):
+            values = [found[number][name.removeprefix(_STATS)] for number in numbers]
+            table = table.set_column(at, name, pa.array(list(values)))
+    write_episodes(path, table)

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lerobot_adamanip import files, schema
-from lerobot_adamanip.demos.statistics import compute_statistics
+from lerobot_adamanip.demos.statistics import compute_statistics, write_episodes
 from lerobot_adamanip.hub.check.contract import OF_LEROBOT
 from lerobot_adamanip.hub.check.inventory import Found, file_numbers
 from lerobot_adamanip.hub.check.layout import EPISODES, INFO, STATS, TASKS, VERSION, VideoPart
@@ -118,15 +118,7 @@ def write_episode_rows(root: Path, rows: Sequence[Mapping[str, Any]], place: str
             at = table.schema.get_field_index(field.name)
             table = table.set_column(at, field, table[field.name].cast(field.type))
     order = [name for name in like.schema.names if name in table.column_names]
-    write_table(root / place, table.select([*order, *(name for name in table.column_names if name not in order)]))
-
-
-def write_table(path: Path, table: pa.Table) -> None:
-    """Writes a Parquet file, durably."""
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="snappy")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.write_atomically(path, sink.getvalue().to_pybytes())
+    write_episodes(root / place, table.select([*order, *(name for name in table.column_names if name not in order)]))
 
 
 def write_tasks(root: Path, tasks: Mapping[int, str]) -> None:
@@ -135,7 +127,9 @@ def write_tasks(root: Path, tasks: Mapping[int, str]) -> None:
 
     ordered = sorted(tasks)
     frame = pd.DataFrame({"task_index": ordered}, index=pd.Index([tasks[index] for index in ordered], name="task"))
-    write_table(root / TASKS, pa.Table.from_pandas(frame))
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_pandas(frame), sink, compression="snappy")
+    files.write_atomically(root / TASKS, sink.getvalue().to_pybytes())
 
 
 def write_info(root: Path, info: Mapping[str, Any], episodes: int, rows: int, tasks: int) -> None:

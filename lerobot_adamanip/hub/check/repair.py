@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 from lerobot_adamanip import files
 from lerobot_adamanip.demos.loading import read_info
 from lerobot_adamanip.demos.output_folder import lock_output, require_not_written, resolve_output
+from lerobot_adamanip.demos.statistics import write_episodes
 from lerobot_adamanip.hub.check.dataset import require_dataset
 from lerobot_adamanip.hub.check.findings import Progress, Report, listed
 from lerobot_adamanip.hub.check.flat_clouds import flatten_clouds
@@ -32,7 +33,6 @@ from lerobot_adamanip.hub.check.rebuild import (
     write_episode_rows,
     write_info,
     write_statistics,
-    write_table,
     write_tasks,
 )
 from lerobot_adamanip.hub.check.salvage import salvage
@@ -262,7 +262,7 @@ def _write_episodes(done: Repair, layout: Layout, found: list[Found], tasks: Map
         elif gone:
             done.keep(name, move=False)
             left = mine.filter(pc.is_in(mine["episode_index"], pa.array(sorted(kept), pa.int64())))
-            write_table(path, left.drop_columns(["listed_in"]))
+            write_episodes(path, left.drop_columns(["listed_in"]))
             done.did(f"{name}: metadata of episode {listed(gone)}, which is not there in full, taken out")
     new = [each for each in found if not each.listed]
     if new:

@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.checked_json import read
 from lerobot_adamanip.demos.loading import MAX_STATISTICS_BYTES
+from lerobot_adamanip.demos.statistics import QUANTILES
 from lerobot_adamanip.hub.check.findings import Report, listed
 from lerobot_adamanip.hub.check.layout import STATS, Layout
 from lerobot_adamanip.hub.check.reading import Batch, numeric, points_last
-from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.pose_statistics import unscaled_poses
-from lerobot_adamanip.schema import POINT_CLOUD
 
 OF_PLACE = ("index", "episode_index", "task_index")
 """Columns whose statistics nobody uses; LeRobot's merging leaves them as they were."""
-QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 NEEDED = frozenset(("min", "max", "mean", "std", "count"))
 _BINS = 5000
 """LeRobot reads quantiles off a histogram of so many bins."""
@@ -43,7 +41,7 @@ def stored_statistics(table: pa.Table) -> Stored:
         key, _, statistic = rest.rpartition("/")
         values = numeric(table, name)
         if values is not None:
-            found.setdefault(key, {})[statistic] = values.reshape(len(values), -1).astype(np.float64)
+            found.setdefault(key, {})[statistic] = values.reshape(len(values), -1).astype(np.float64, copy=False)
     return found
 
 
@@ -71,28 +69,10 @@ def check_episode_statistics(
             _note(wrong, numbers, np.ones(len(numbers), bool), f"none of {key}")
             continue
         chosen = {name: each[rows] for name, each in told.items()}
-        differ = _cloud_differs if key == POINT_CLOUD else _differ
-        _note(wrong, numbers, differ(values, starts, chosen), key)
+        _note(wrong, numbers, _differ(values, starts, chosen), key)
     for number, keys in wrong.items():
         if number not in report.damaged:
             report.add("episode-statistics", f"not those of its rows: {listed(keys)}", batch.where.file, number)
-
-
-def _cloud_differs(
-    values: NDArray[Any], starts: NDArray[np.int64], told: dict[str, NDArray[np.float64]]
-) -> NDArray[np.bool_]:
-    """As `_differ`, of clouds (R, 3 N); an axis' statistics may stand for each point, or each number has its own.
-
-    `lerobot_adamanip.demos.statistics` computes the former, LeRobot's own writer the latter.
-    """
-    width, rest = values.shape[-1], {name: each for name, each in told.items() if name != "count"}
-    if width % 3 or any(each.shape[1] != width for each in rest.values()):
-        return _differ(values, starts, told)
-    points = {name: each.reshape(len(each), -1, 3) for name, each in rest.items()}
-    repeated = np.all([(each == each[:, :1]).all(axis=(1, 2)) for each in points.values()], axis=0)
-    of_axes = {**told, **{name: each[:, 0] for name, each in points.items()}}
-    differ = np.asarray(~repeated | _differ(as_points(values), starts, of_axes))
-    return differ & _differ(values, starts, told) if differ.any() else differ
 
 
 def _note(wrong: dict[int, list[str]], numbers: NDArray[Any], which: NDArray[np.bool_], what: str) -> None:
