@@ -16,7 +16,7 @@ Needed for:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -61,7 +61,7 @@ def _get_items(dataset: Any, indices: Sequence[int]) -> list[Item]:
     columns = _columns(dataset)
     if columns is None:
         return [dataset[index] for index in indices]
-    batch = columns.batch(indices)
+    batch = columns.batch(np.asarray(indices, dtype=np.int64), dataset.reader.delta_indices or {})
     names = dataset.meta.tasks.index
     tasks = [names[task] for task in batch["task_index"].tolist()]
     rows = zip(*(column.unbind() for column in batch.values()), tasks, strict=True)
@@ -70,7 +70,7 @@ def _get_items(dataset: Any, indices: Sequence[int]) -> list[Item]:
 
 def _columns(dataset: Any) -> _Columns | None:
     """Returns a marked dataset's columns; None where they alone do not make an item."""
-    if not hasattr(dataset.meta, MARK) or dataset.reader is None or dataset.reader.delta_indices is not None:
+    if not hasattr(dataset.meta, MARK) or dataset.reader is None:
         return None
     source, columns = _known.get(dataset, (None, None))
     if source is not dataset.hf_dataset:
@@ -90,6 +90,9 @@ class _Columns:
     def __init__(self, columns: dict[str, list[NDArray[Any]]]) -> None:
         self._arrays = columns
         self._starts = {name: np.cumsum([0, *map(len, arrays)]) for name, arrays in columns.items()}
+        starts = np.flatnonzero(np.diff(columns["episode_index"][0], prepend=-1))
+        ends = np.append(starts[1:], len(columns["episode_index"][0]))
+        self._bounds = [np.repeat(bound, ends - starts) for bound in (starts, ends - 1)]
 
     @classmethod
     def of(cls, table: Any) -> _Columns | None:
@@ -103,20 +106,35 @@ class _Columns:
             columns[name] = known if known[0][0].nbytes > NARROW_BYTES else [np.concatenate(known)]
         return cls(columns)
 
-    def batch(self, indices: Sequence[int]) -> dict[str, torch.Tensor]:
-        """Returns name -> rows (B, ...), in the dtypes of LeRobot's reader: float32, int64 or bool."""
-        rows, batch = np.asarray(indices, dtype=np.int64), {}
-        for name, arrays in self._arrays.items():
-            if len(arrays) == 1:
-                values = arrays[0][rows]
-            else:
-                starts = self._starts[name]
-                places = np.searchsorted(starts, rows, side="right") - 1
-                pairs = zip(places.tolist(), (rows - starts[places]).tolist(), strict=True)
-                values = np.stack([arrays[place][row] for place, row in pairs])
-            kind = {"f": np.float32, "b": np.bool_}.get(values.dtype.kind, np.int64)
-            batch[name] = torch.from_numpy(values.astype(kind, copy=False))
+    def batch(self, rows: NDArray[np.int64], deltas: Mapping[str, Sequence[int]]) -> dict[str, torch.Tensor]:
+        """Returns name -> rows (B, ...), or their windows (B, T, ...) and padding (B, T), as LeRobot's reader does.
+
+        Args:
+            rows: (B,), each from 0 on.
+            deltas: name -> steps of its window relative to a row.
+        """
+        batch = {name: self._at(name, rows) for name in self._arrays if name not in deltas}
+        for name, steps in deltas.items():
+            wanted = rows[:, None] + np.asarray(steps, dtype=np.int64)
+            first, last = (bound[rows, None] for bound in self._bounds)
+            batch[f"{name}_is_pad"] = torch.from_numpy((wanted < first) | (wanted > last))
+            if name in self._arrays:
+                found = self._at(name, wanted.clip(first, last).ravel())
+                batch[name] = found.reshape(*wanted.shape, *found.shape[1:])
         return batch
+
+    def _at(self, name: str, rows: NDArray[np.int64]) -> torch.Tensor:
+        """Returns rows (R, ...) of a column, in the dtypes of LeRobot's reader: float32, int64 or bool."""
+        arrays = self._arrays[name]
+        if len(arrays) == 1:
+            values = arrays[0][rows]
+        else:
+            starts = self._starts[name]
+            places = np.searchsorted(starts, rows, side="right") - 1
+            pairs = zip(places.tolist(), (rows - starts[places]).tolist(), strict=True)
+            values = np.stack([arrays[place][row] for place, row in pairs])
+        kind = {"f": np.float32, "b": np.bool_}.get(values.dtype.kind, np.int64)
+        return torch.from_numpy(values.astype(kind, copy=False))
 
 
 _known: WeakKeyDictionary[Any, tuple[Any, _Columns | None]] = WeakKeyDictionary()
