@@ -143,9 +143,7 @@ create_adamanip_envs("all", 1, list)
 print("torch" in sys.modules, "sapien" in sys.modules)
 """
     environment = {"ADAMANIP_NO_PLUGIN": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}:{ROOT / 'policies'}"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
-    )  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["False", "False"], done.stderr
 
 

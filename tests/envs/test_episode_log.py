@@ -29,20 +29,21 @@ class OneStep(gym.Env[Any, Any]):
     """Logs an episode of one step, as `KeyframeEnv` does; every third succeeds."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
-    observation_space = action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+    action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
+    observation_space = gym.spaces.Dict({"point_cloud": gym.spaces.Box(-1, 1, (1, 3), np.float32)})
 
     def __init__(self, options: EnvironmentOptions) -> None:
         self._log, self._category = EpisodeLog(Path(str(options.episode_log)), options.logged_seeds), options.category
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         self._seed = seed or 0
-        return np.zeros(1, np.float32), {}
+        return {"point_cloud": np.zeros((1, 3), np.float32)}, {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         success = self._seed % 3 == 0
         episode = record(object_id=f"{self._category}_000", seed=self._seed, success=success)
         self._log.append(episode)
-        return np.zeros(1, np.float32), float(success), True, False, {"is_success": success}
+        return {"point_cloud": np.zeros((1, 3), np.float32)}, float(success), True, False, {"is_success": success}
 
 
 def one_step(env: Any, seeds: list[int], **_: object) -> dict[str, torch.Tensor]:
