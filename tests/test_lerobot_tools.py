@@ -110,9 +110,15 @@ def test_the_command_drops_what_it_does_not_know_of(whole: Path, edited: Path, n
     assert not [path.name for path in (edited / name / "meta").iterdir() if path.name.startswith(("coll", "cam"))]
 
 
-def test_lerobots_streaming_reader_gives_the_same_rows(whole: Path) -> None:
+def test_lerobots_streaming_reader_gives_the_same_rows(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lerobot.datasets import streaming_dataset, video_utils
     from lerobot.datasets.streaming_dataset import StreamingLeRobotDataset
 
+    def decode(path: str, times: list[float], tolerance: float, **_: object) -> Any:
+        return video_utils.decode_video_frames_pyav(path, times, tolerance)
+
+    # It decodes by torchcodec alone, which wants libraries of FFmpeg that not every machine has.
+    monkeypatch.setattr(streaming_dataset, "decode_video_frames_torchcodec", decode)
     plain = open_dataset(whole)
     streamed = {int(item["index"]): item for item in StreamingLeRobotDataset("local/whole", root=whole, shuffle=False)}
     assert sorted(streamed) == list(range(len(plain)))

@@ -6,6 +6,7 @@ import logging
 from typing import Any
 
 import draccus
+import numpy as np
 import pytest
 from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_help_text
 from lerobot.configs.default import DatasetConfig
@@ -124,6 +125,7 @@ def test_features_agree_with_map_space_and_dataset(images: bool) -> None:
         assert tuple(feature.shape) == tuple(dataset[config.features_map[key]]["shape"]), key
         assert (feature.type is FeatureType.ACTION) == (key == "action")
     assert ("pixels" in env.env.observation_space.spaces) is images
+    assert env.observation({"point_cloud": np.zeros((256, 3))})["point_cloud"].shape == (768,)
 
 
 def test_nothing_hidden_is_a_feature() -> None:
