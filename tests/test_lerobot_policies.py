@@ -11,8 +11,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 from doc_data import collect_fake_demos
 from documents import ROOT, blocks, commands
+
+from lerobot_policy_adamanip.points_step import CloudToPointsStep
 
 PAGE = "docs/lerobot_policies.md"
 MODULES = {"lerobot-train": "lerobot.scripts.lerobot_train", "lerobot-eval": "lerobot.scripts.lerobot_eval"}
@@ -104,6 +107,11 @@ def test_a_policy_that_reads_what_lerobots_dp3_reads_is_trained(trained_dp3: tup
         if "rename_map" in step.get("config", {})
     )
     assert rename == {"observation.point_cloud": "observation.pointcloud"}
+
+
+@pytest.mark.parametrize("name", ["observation.point_cloud", "observation.pointcloud"])
+def test_a_cloud_gets_its_shape_before_and_after_it_is_renamed(name: str) -> None:
+    assert CloudToPointsStep().observation({name: torch.zeros(2, 12)})[name].shape == (2, 4, 3)
 
 
 @pytest.mark.sim

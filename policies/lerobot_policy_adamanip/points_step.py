@@ -11,15 +11,21 @@ from lerobot.processor import ObservationProcessorStep
 from lerobot_adamanip.pointcloud import as_points
 from lerobot_adamanip.schema import POINT_CLOUD
 
+_CLOUDS = (POINT_CLOUD, "observation.pointcloud")
+"""Our name, and LeRobot's."""
+
 
 @dataclass
 class CloudToPointsStep(ObservationProcessorStep):
-    """Views ``observation.point_cloud`` (B, ..., 3 N) as (B, ..., N, 3). The first step of a pipeline."""
+    """Views a cloud (B, ..., 3 N) as (B, ..., N, 3). The first step of a pipeline.
+
+    LeRobots after 0.6.1 rename a batch before its preprocessor, so the cloud may have its new name already.
+    """
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns an observation with points, if it has a cloud."""
-        cloud = observation.get(POINT_CLOUD)
-        return observation if cloud is None else {**observation, POINT_CLOUD: as_points(cloud)}
+        clouds = {key: as_points(observation[key]) for key in _CLOUDS if key in observation}
+        return {**observation, **clouds}
 
     def transform_features(
         self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
