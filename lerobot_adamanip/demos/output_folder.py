@@ -176,7 +176,7 @@ def lock_path(root: Path) -> Path:
 def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
     """Keeps every other command of ours away from an output folder.
 
-    The lock file is beside the folder, and is removed at the end. A process that dies leaves an unlocked one.
+    The lock file is beside the folder, and is removed at the end. A process that dies leaves it unlocked.
 
     Args:
         root: resolved, see `resolve_output`.
@@ -189,6 +189,7 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
     descriptor = None
     try:
         descriptor = _locked(path)
+        _held.add(descriptor)
     except BlockingIOError as error:
         raise DatasetError(
             "Another command is at work in this folder.",
@@ -202,8 +203,9 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
     try:
         yield
     finally:
-        if descriptor is not None:
+        if descriptor in _held:
             path.unlink(missing_ok=True)
+            _held.discard(descriptor)
             os.close(descriptor)
 
 
@@ -220,6 +222,16 @@ def _locked(path: Path) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
+
+
+def _close_locks() -> None:
+    """For a forked process: an encoder of LeRobot's would hold them after its parent was killed."""
+    while _held:
+        os.close(_held.pop())
+
+
+_held: set[int] = set()
+os.register_at_fork(after_in_child=_close_locks)
 
 
 def require_not_written(root: Path) -> None:

@@ -62,6 +62,32 @@ def record_part(root: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.iterdir()}
 
 
+HOLDS = """
+import os, sys, time
+from pathlib import Path
+from lerobot_adamanip.demos.output_folder import lock_output
+with lock_output(Path(sys.argv[1])):
+    if not os.fork():
+        print(os.getpid(), flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_killed_command_leaves_no_lock_to_what_it_has_forked(tmp_path: Path, refuses: Refuses) -> None:
+    with subprocess.Popen([sys.executable, "-c", HOLDS, str(tmp_path / "out")], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        child = int(holder.stdout.readline())
+        refuses(DatasetError, lambda: contextlib.ExitStack().enter_context(lock_output(tmp_path / "out")))
+        holder.kill()
+        holder.wait()
+        try:
+            os.kill(child, 0)  # lives on, as an encoder does
+            with lock_output(tmp_path / "out"):
+                pass
+        finally:
+            os.kill(child, 9)
+
+
 @pytest.mark.parametrize("command", COMMANDS[1:])
 def test_an_unfinished_collection_owns_its_folder(
     unpictured: Path, tmp_path: Path, command: str, refuses: Refuses
