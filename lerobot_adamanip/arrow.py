@@ -34,3 +34,11 @@ def numeric_array(column: pa.Array | pa.ChunkedArray) -> NDArray[Any] | None:
 
 def _is_list(kind: pa.DataType) -> bool:
     return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
+
+
+def episode_bounds(episode: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the first and the last row (R,) of each row's episode, from the episode numbers (R,) of ordered rows."""
+    starts = np.flatnonzero(np.diff(episode, prepend=-1))
+    ends = np.append(starts[1:], len(episode))
+    lengths = ends - starts
+    return np.repeat(starts, lengths), np.repeat(ends - 1, lengths)

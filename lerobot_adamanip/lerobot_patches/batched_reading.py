@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from lerobot_adamanip.arrow import numeric_array
+from lerobot_adamanip.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.lerobot_patches.support import are_off
 
 LOSS = "Training reads row by row: the same batches, 0.6 ms a row, and videos are decoded that no policy looks at."
@@ -90,9 +90,7 @@ class _Columns:
     def __init__(self, columns: dict[str, list[NDArray[Any]]]) -> None:
         self._arrays = columns
         self._starts = {name: np.cumsum([0, *map(len, arrays)]) for name, arrays in columns.items()}
-        starts = np.flatnonzero(np.diff(columns["episode_index"][0], prepend=-1))
-        ends = np.append(starts[1:], len(columns["episode_index"][0]))
-        self._bounds = [np.repeat(bound, ends - starts) for bound in (starts, ends - 1)]
+        self._bounds = episode_bounds(columns["episode_index"][0])
 
     @classmethod
     def of(cls, table: Any) -> _Columns | None:

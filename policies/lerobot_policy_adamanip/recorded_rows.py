@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from lerobot_adamanip.arrow import episode_bounds
 from lerobot_adamanip.errors import ConfigurationError
 
 INDEX, EPISODE = "index", "episode_index"
@@ -34,16 +35,10 @@ class RecordedRows:
         index, episode = (columns[key].reshape(-1) for key in (INDEX, EPISODE))
         place = np.full(int(index.max(initial=-1)) + 2, -1, np.int64)
         place[index] = np.arange(len(index))
-        starts = np.flatnonzero(np.diff(episode, prepend=-1))
-        ends = np.append(starts[1:], len(index))
-        first, last = (np.repeat(bound, ends - starts) for bound in (starts, ends - 1))
+        first, last = episode_bounds(episode)
         read = {**columns, _PLACE: place, _FIRST: first, _LAST: last}
         arrays = {key: torch.from_numpy(np.array(values)) for key, values in read.items()}
         self._tensors = {torch.device("cpu"): arrays}
-
-    def __contains__(self, key: str) -> bool:
-        """Whether there is such a column."""
-        return key in self._on(torch.device("cpu"))
 
     def rows(self, index: Tensor) -> Tensor:
         """Returns the places (B,) of rows by their ``index`` (B,) or (B, 1).
