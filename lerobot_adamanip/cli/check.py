@@ -11,9 +11,10 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import Progress, show_progress
+from lerobot_adamanip.demos.replay import check_replays
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.texts import counted
-from lerobot_adamanip.hub.check.dataset import check, check_replays
+from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.check.findings import CheckResult
 from lerobot_adamanip.hub.check.repair import Repair as Mended
 from lerobot_adamanip.hub.check.repair import repair

@@ -23,9 +23,9 @@ from lerobot_adamanip.demos.collect import CollectOptions, collect
 from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, CollectionSpec
 from lerobot_adamanip.demos.parts import Part
 from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.demos.repository_names import require_hub_name, require_repo_id
 from lerobot_adamanip.demos.summary import CollectSummary
 from lerobot_adamanip.errors import ConfigurationError, require_choice
-from lerobot_adamanip.hub.endpoint import require_hub_name, require_repo_id
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
 from lerobot_adamanip.options import EnvironmentOptions, require_known

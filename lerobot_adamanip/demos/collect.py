@@ -30,10 +30,10 @@ from lerobot_adamanip.demos.output_folder import (
 from lerobot_adamanip.demos.partial import is_own_partial, prepare_partial, require_finished
 from lerobot_adamanip.demos.parts import Part, adopt, belongs, failed_attempts, given_up
 from lerobot_adamanip.demos.record import Factories, RecordingJob
+from lerobot_adamanip.demos.repository_names import require_repo_id
 from lerobot_adamanip.demos.shards import read_record
 from lerobot_adamanip.demos.summary import CollectSummary, ItemResult, summarize, summarize_part
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.jobs import DEFAULT_TIMEOUT, JobResult
 
 Listener = Callable[[str, int, int], None]

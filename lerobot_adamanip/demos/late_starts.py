@@ -7,7 +7,7 @@ itself whenever a grip slips, and experts that start at rest hardly ever show.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,23 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.checked_json import listing, number, parse, table
 from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Phase
 from lerobot_adamanip.observation import Observation
 from lerobot_adamanip.rollout import KeyframeEnvironment, SimulatedEnvironment, next_goal
 from lerobot_adamanip.rotations import transform
 from lerobot_adamanip.schema import ACTION_DIM
 
-RESET = "reset"
-"""What column ``start`` says of an episode that starts at rest."""
 KEY_FRAMES = (3, 12)
 """An expert drives at least and at most so many. Fewer than it needs to succeed."""
 BACK, SIDEWAYS, TURN = (0.05, 0.15), 0.03, 0.15
 """The hand is moved back by so much [m], and by normal draws of these deviations sideways [m] and in rotation [rad]."""
 _STREAM = 2
 """Tells these draws from any other that starts from the episode's seed."""
-_MAX_ACTIONS = 64
-_PREFIX = table({"actions": listing(listing(number(-10.0, 10.0), ACTION_DIM, ACTION_DIM), 1, _MAX_ACTIONS)})
 
 Actions = NDArray[np.float32]
 
@@ -107,17 +102,3 @@ def _driven(env: KeyframeEnvironment, expert: KeyFrames, limit: int, move: NDArr
     here: Feedback = env.feedback
     yield Goal(here.tcp_in_base, 1.0, Phase.RELEASE)
     yield Goal(env.feedback.tcp_in_base @ move, 1.0, Phase.RELEASE)
-
-
-def start_column(actions: Actions) -> Any:
-    """Returns what column ``start`` holds, before it becomes JSON: `RESET`, or the actions that led there."""
-    return {"actions": [[float(value) for value in row] for row in actions]} if len(actions) else RESET
-
-
-def read_start(value: str) -> Actions:
-    """Returns the (n, 10) actions that column ``start`` tells of; raises ValueError for anything else."""
-    content = parse(value)
-    if content == RESET:
-        return np.zeros((0, ACTION_DIM), np.float32)
-    fields: Mapping[str, Any] = _PREFIX("start", content)
-    return np.asarray(fields["actions"], np.float32)

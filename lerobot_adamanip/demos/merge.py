@@ -14,9 +14,9 @@ from lerobot_adamanip.demos.editing.selection import Selection
 from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.demos.loading import as_typed, load_check, workspace_of
 from lerobot_adamanip.demos.output_folder import WRITING, owned_output
+from lerobot_adamanip.demos.repository_names import require_repo_id
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.features import is_dense
-from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.pointcloud import Workspace
 from lerobot_adamanip.schema import FRONT_IMAGE
 

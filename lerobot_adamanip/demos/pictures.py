@@ -39,10 +39,10 @@ from lerobot_adamanip.demos.output_folder import (
     resolve_output,
 )
 from lerobot_adamanip.demos.record import EnvFactory
+from lerobot_adamanip.demos.repository_names import require_repo_id
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.fingerprint import combined
-from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.rollout import SimulatedEnvironment
 
 Progress = Callable[[str, int, int], None]

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.demos.corrections import Actor, ActorFactory, Correcting, corrected_rollout
-from lerobot_adamanip.demos.late_starts import draw_start, start_column, start_late
+from lerobot_adamanip.demos.late_starts import draw_start, start_late
 from lerobot_adamanip.demos.manifest import differing_parts
 from lerobot_adamanip.demos.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
 from lerobot_adamanip.demos.recorder import EpisodeRecorder
 from lerobot_adamanip.demos.shards import RecordedEpisode, shard_bytes
+from lerobot_adamanip.demos.start_column import start_column
 from lerobot_adamanip.errors import DatasetError, UnreachableError
 from lerobot_adamanip.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.jobs import Beat

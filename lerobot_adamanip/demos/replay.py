@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,14 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.checked_json import flag, integer, optional, parse, text
 from lerobot_adamanip.demos.collection import manifest_path
-from lerobot_adamanip.demos.late_starts import read_start
 from lerobot_adamanip.demos.loading import as_typed, episode_table, load_check, open_dataset
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, asset_hash, differing_parts, read_manifest
 from lerobot_adamanip.demos.record import EnvFactory
+from lerobot_adamanip.demos.start_column import read_start
 from lerobot_adamanip.demos.video import write_video
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.hub.check.findings import Progress as CheckProgress
+from lerobot_adamanip.hub.check.findings import Report
 from lerobot_adamanip.observation import observation_columns
 from lerobot_adamanip.rollout import SimulatedEnvironment
 
@@ -244,3 +246,34 @@ def _run(
         if truncated:
             break
     return seen, pictures, success
+
+
+def check_replays(
+    root: Path,
+    episodes: Iterable[int],
+    make_env: EnvFactory,
+    *,
+    tolerance: float,
+    assets: Path | None = None,
+    progress: CheckProgress = lambda stage, done, total: None,
+) -> Report:
+    """Replays episodes in the simulator; returns findings of kind ``replay``.
+
+    Args:
+        root: of a clean dataset that `adamanip collect` made.
+        episodes: to be replayed.
+        make_env: builds the environment.
+        tolerance: largest difference in any column, in its own units.
+        assets: folder of external assets, if the dataset was recorded with any.
+        progress: told of stage ``replay``, episodes done, and all.
+    """
+    report, chosen = Report(), list(episodes)
+    for done, number in enumerate(chosen, start=1):
+        result = replay(root, number, make_env, assets=assets)
+        if not result.agrees(tolerance):
+            largest = max(result.differences, key=lambda key: result.differences[key])
+            told = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
+            changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
+            report.add("replay", told + changed, None, number)
+        progress("replay", done, len(chosen))
+    return report

@@ -13,10 +13,10 @@ from demos_helpers import LATE, fakes, make_spec, patiently
 
 from lerobot_adamanip import schema
 from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.late_starts import RESET
 from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset, read_back
 from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
 from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.demos.start_column import RESET
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.fingerprint import combined
 

@@ -12,14 +12,12 @@ from demos_helpers import fakes, make_spec
 
 from lerobot_adamanip.demos.late_starts import (
     KEY_FRAMES,
-    RESET,
     draw_start,
-    read_start,
-    start_column,
     start_late,
 )
 from lerobot_adamanip.demos.loading import episode_table
 from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
+from lerobot_adamanip.demos.start_column import RESET, read_start, start_column
 from lerobot_adamanip.errors import UnreachableError
 from lerobot_adamanip.rotations import angle_between
 from lerobot_adamanip.schema import GRIPPER_DIM

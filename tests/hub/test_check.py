@@ -22,10 +22,11 @@ from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.demos.loading import open_dataset
 from lerobot_adamanip.demos.merge import merge
+from lerobot_adamanip.demos.replay import check_replays
 from lerobot_adamanip.demos.statistics import cloud_statistics
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.check import reading
-from lerobot_adamanip.hub.check.dataset import check, check_replays
+from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.check.findings import KINDS, MOST_OF_A_KIND, Report
 from lerobot_adamanip.hub.check.repair import repair
 from lerobot_adamanip.hub.check.statistics import check_episode_statistics

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import lerobot_adamanip
 from lerobot_adamanip import files, schema
-from lerobot_adamanip.demos.assemble import add_episode_columns, append_shards, cameras_json, create_dataset
+from lerobot_adamanip.demos.assemble import append_shards
 from lerobot_adamanip.demos.dense.choose import DenseEpisode, KeyFrameOptions, choose_key_frames
 from lerobot_adamanip.demos.dense.recording import INTERVENTION, DenseRecording
 from lerobot_adamanip.demos.dense.rows import (
@@ -30,12 +30,13 @@ from lerobot_adamanip.demos.dense.rows import (
 from lerobot_adamanip.demos.loading import load_check, read_back, read_info
 from lerobot_adamanip.demos.merge import merge_into, one_workspace
 from lerobot_adamanip.demos.output_folder import CONVERTING, owned_output
+from lerobot_adamanip.demos.repository_names import require_repo_id
 from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.demos.statistics import sort_statistics
+from lerobot_adamanip.demos.writing import add_episode_columns, cameras_json, create_dataset
 from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
 from lerobot_adamanip.hardware.frames import CameraCalibration
-from lerobot_adamanip.hub.endpoint import require_repo_id
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 
 Progress = Callable[[str, int, int], None]

@@ -13,8 +13,8 @@ from lerobot_adamanip.demos.editing.conditions import Facts, choose
 from lerobot_adamanip.demos.editing.facts import episode_facts
 from lerobot_adamanip.demos.editing.source import Source
 from lerobot_adamanip.demos.output_folder import WRITING, owned_output
+from lerobot_adamanip.demos.repository_names import require_repo_id
 from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.hub.endpoint import require_repo_id
 
 EPISODE = "episode_index"
 _SUM = 1e-6

@@ -17,13 +17,13 @@ import pyarrow.parquet as pq
 from lerobot_adamanip import files
 from lerobot_adamanip.checked_json import parse
 from lerobot_adamanip.demos.append import append_rows, can_append
-from lerobot_adamanip.demos.assemble import cameras_json
 from lerobot_adamanip.demos.editing.cutting import cut_episode
 from lerobot_adamanip.demos.editing.recordings import describe_recording, require_same_calibrations
 from lerobot_adamanip.demos.editing.selection import Selection, write_selection
 from lerobot_adamanip.demos.editing.source import Rows, Source
 from lerobot_adamanip.demos.loading import read_back, workspace_of
 from lerobot_adamanip.demos.statistics import sort_statistics, write_episodes
+from lerobot_adamanip.demos.writing import cameras_json
 from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.schema import POINT_CLOUD

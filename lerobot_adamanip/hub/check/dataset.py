@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from lerobot_adamanip.demos.loading import missing_dataset, workspace_of
-from lerobot_adamanip.demos.record import EnvFactory
 from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.hub.check.contract import check_features
 from lerobot_adamanip.hub.check.facts import (
@@ -129,39 +128,6 @@ def _counting(progress: Progress, stage: str, total: int) -> Callable[[int], Non
         progress(stage, done, total)
 
     return count
-
-
-def check_replays(
-    root: Path,
-    episodes: Iterable[int],
-    make_env: EnvFactory,
-    *,
-    tolerance: float,
-    assets: Path | None = None,
-    progress: Progress = lambda stage, done, total: None,
-) -> Report:
-    """Replays episodes in the simulator; returns findings of kind ``replay``.
-
-    Args:
-        root: of a clean dataset that `adamanip collect` made.
-        episodes: to be replayed.
-        make_env: builds the environment.
-        tolerance: largest difference in any column, in its own units.
-        assets: folder of external assets, if the dataset was recorded with any.
-        progress: told of stage ``replay``, episodes done, and all.
-    """
-    from lerobot_adamanip.demos.replay import replay
-
-    report, chosen = Report(), list(episodes)
-    for done, number in enumerate(chosen, start=1):
-        result = replay(root, number, make_env, assets=assets)
-        if not result.agrees(tolerance):
-            largest = max(result.differences, key=lambda key: result.differences[key])
-            told = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
-            changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
-            report.add("replay", told + changed, None, number)
-        progress("replay", done, len(chosen))
-    return report
 
 
 def _result(folder: Path, report: Report, episodes: int, rows: int) -> CheckResult:

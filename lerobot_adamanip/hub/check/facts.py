@@ -17,9 +17,9 @@ from lerobot_adamanip.catalog import category_of, parse_object_id
 from lerobot_adamanip.checked_json import flag, integer, mapping, optional, parse, read, text
 from lerobot_adamanip.demos.attempts import attempts_path, read_attempts
 from lerobot_adamanip.demos.collection import CollectionSpec, episode_seed, manifest_path
-from lerobot_adamanip.demos.late_starts import read_start
 from lerobot_adamanip.demos.loading import JSON_COLUMNS
 from lerobot_adamanip.demos.manifest import HIDDEN_STATE, Manifest, read_manifest
+from lerobot_adamanip.demos.start_column import read_start
 from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.fingerprint import combined
 from lerobot_adamanip.hardware.features import UNLABELLED
