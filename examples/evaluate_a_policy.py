@@ -12,7 +12,7 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
 import lerobot_env_adamanip  # noqa: F401  (registers dp3_adaptive)
-from lerobot_adamanip import schema
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

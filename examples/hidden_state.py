@@ -9,8 +9,8 @@ import argparse
 
 import numpy as np
 
+from lerobot_adamanip.episode.rollout import KeyFrame, rollout
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.rollout import KeyFrame, rollout
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 

@@ -6,8 +6,8 @@ import argparse
 
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.keyframes import Outcome, Phase
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Outcome, Phase
 
 
 def main() -> None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from lerobot_adamanip.contract.keyframes import Goal, KeyFrames, Phase
+from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.experts.primitives import before
-from lerobot_adamanip.keyframes import Goal, KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.rollout import rollout
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 PULLS, PUSH = (0.17, 0.38, 0.58, 0.73), 0.03

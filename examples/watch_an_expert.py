@@ -9,11 +9,11 @@ import argparse
 
 import numpy as np
 
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.demos.video import write_video
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.schema import FPS
+from lerobot_adamanip.episode.rollout import KeyFrame, rollout
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.rollout import KeyFrame, rollout
-from lerobot_adamanip.schema import FPS
+from lerobot_adamanip.util.video import write_video
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 

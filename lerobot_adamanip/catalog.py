@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Literal
 
 from lerobot_adamanip.assets import AssetSource, PlacementCheck, is_asset_id
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.objects.base import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""

@@ -26,8 +26,8 @@ from typing import Any
 
 from check_common import ROOT, count, header, list_of
 
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.files import write_atomically
 
 BEFORE = "cf928a8"
 """The last commit before the code was made fast."""

@@ -25,14 +25,14 @@ from typing import Any
 import numpy as np
 from check_common import count, header
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.adamanip_replay import AdamanipReplay
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE
 from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
 from lerobot_adamanip.hardware.cameras.recording import write_recording
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
-from lerobot_adamanip.hardware.frames import Frame
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import RobotError
 
 SIZE, FPS, FRAMES = 256, 30, 90
 LATE_MS, LATE_SHARE, P99_MS = 5.0, 0.01, 40.0

@@ -23,14 +23,14 @@ import numpy as np
 from check_common import Progress, count, header
 from numpy.typing import NDArray
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.collection.trained_policy import TrainedPolicy
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
+from lerobot_adamanip.episode.contact_labels import CLOSED, JointRange, KeyFrameMotion, find_try, joint_ranges
 from lerobot_adamanip.evaluation.draws import NO_TRY
-from lerobot_adamanip.evaluation.labels import CLOSED, JointRange, KeyFrameMotion, find_try, joint_ranges
 from lerobot_adamanip.evaluation.recovery import failed_since_motion
-from lerobot_adamanip.files import write_atomically
-from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_adamanip.schema import GRIPPER_DIM
-from lerobot_adamanip.trained_policy import TrainedPolicy
+from lerobot_adamanip.util.files import write_atomically
 
 FLIPPED: dict[str, tuple[Any, ...]] = {"locked": (False, True), "direction": (-1, 1), "mode": (0, 1, 2)}
 """Hidden values that a scene is played under; the others (ranges of joints) stay as drawn."""

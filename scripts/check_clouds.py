@@ -26,10 +26,10 @@ import numpy as np
 from check_common import Progress, count, header
 from numpy.typing import NDArray
 
-from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.keyframes import Feedback, KeyFrames
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.keyframes import Feedback, KeyFrames
+from lerobot_adamanip.util.errors import UnreachableError
 
 FIRST_SEED = 300
 MOST_OFF = 0.001

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.errors import AdaManipError
-from lerobot_adamanip.fingerprint import versions
+from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.fingerprint import present_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]

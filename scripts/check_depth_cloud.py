@@ -24,13 +24,13 @@ import numpy as np
 from check_common import Progress, count, header
 from numpy.typing import NDArray
 
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.observation import workspace_cloud
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
 from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud, points_in_base
-from lerobot_adamanip.hardware.frames import CameraCalibration
-from lerobot_adamanip.observation import workspace_cloud
-from lerobot_adamanip.schema import DEFAULT_NUM_POINTS
+from lerobot_adamanip.util.errors import UnreachableError
 
 FIRST_SEED = 500
 MEDIAN, P99, CLOUD_MS = 1.0, 5.0, 10.0

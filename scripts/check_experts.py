@@ -25,13 +25,13 @@ from check_common import Progress, count, header, list_of
 from expert_episodes import Episode, run_all
 
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
-from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.evaluation.groups import hidden_names
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
 from lerobot_adamanip.evaluation.result_rows import ResultRow
 from lerobot_adamanip.evaluation.results import check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 FIRST_SEED = 5_000_000
 """Away from the seeds of demonstrations and evaluations; experts were tuned on these."""

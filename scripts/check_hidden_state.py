@@ -29,11 +29,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.keyframes import Phase
+from lerobot_adamanip.contract.observation import state_vector
 from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.keyframes import Phase
-from lerobot_adamanip.observation import state_vector
 
 SEED_OFFSET = 300
 BATCH = 20
@@ -211,7 +211,7 @@ def task_of(category: str, hold: bool) -> Any:
 
 def check_batch(category: str, work: list[tuple[int, int, bool]], hold: bool) -> list[SeedResult]:
     """Runs (seed, label, compare) one after the other."""
-    from lerobot_adamanip.errors import UnreachableError
+    from lerobot_adamanip.util.errors import UnreachableError
 
     results = []
     for seed, label, compare in work:

@@ -22,12 +22,12 @@ from check_common import count, header
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collection import manifest_path
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.manifest import read_manifest
-from lerobot_adamanip.files import write_atomically
-from lerobot_adamanip.keyframes import Phase
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Phase
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.manifest import read_manifest
+from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.util.files import write_atomically
 
 SHARES = (10, 50, 90)
 """Percentiles that tell of a distribution."""
@@ -56,7 +56,7 @@ def drawn(policy: Any, before: Any, after: Any, batch: dict[str, Any], samples: 
 
 def motions(actions: Tensor, tools: Tensor) -> tuple[Array, Array]:
     """Poses (..., 10) and the tools (..., 10) they start from -> lengths [mm] and angles [deg]."""
-    from lerobot_policy_adamanip.tool_frame import motion_between
+    from lerobot_policy_adamanip.common.tool_frame import motion_between
 
     motion = motion_between(actions, tools)
     return 1e3 * motion[..., :3].norm(dim=-1).numpy(), np.degrees(motion[..., 3:6].norm(dim=-1).numpy())

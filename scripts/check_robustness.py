@@ -21,10 +21,10 @@ import numpy as np
 from check_common import Progress, count, header
 from numpy.typing import NDArray
 
-from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError, UnreachableError
-from lerobot_adamanip.rotations import rotation_6d_from_matrix, rotation_about
-from lerobot_adamanip.schema import ACTION_DIM
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix, rotation_about
+from lerobot_adamanip.contract.schema import ACTION_DIM
+from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
 
 FIRST_SEED = 7_000_000
 BATCH = 20

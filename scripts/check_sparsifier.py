@@ -18,12 +18,12 @@ from typing import Any
 from check_common import Progress, count, header
 
 from lerobot_adamanip.catalog import select_objects
-from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.dense.choose import choose_key_frames
-from lerobot_adamanip.demos.dense.score import Score, score
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames
+from lerobot_adamanip.recordings.keyframe_score import Score, score
 from lerobot_env_adamanip.dense import FPS, TickWatch, successful_episode
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

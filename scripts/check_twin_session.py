@@ -30,9 +30,9 @@ from typing import Any
 import twin_learning
 from check_common import ROOT, count, header
 
-from lerobot_adamanip import files
-from lerobot_adamanip.checked_json import parse
 from lerobot_adamanip.evaluation.rates import wilson_interval
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.json_fields import parse
 
 STAGES = "stages.json"
 """What came of each part of a session: the same command goes on where it was interrupted."""

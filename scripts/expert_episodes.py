@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from typing import Any
 
-from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.util.errors import UnreachableError
 
 BATCH = 20
 """Episodes that share a simulator process's start, and are kept at once."""
@@ -75,9 +75,9 @@ def run_batch(episodes: list[Episode]) -> list[Episode]:
 def _run(task: Any, episode: Episode) -> Episode:
     import numpy as np
 
+    from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+    from lerobot_adamanip.episode.rollout import rollout
     from lerobot_adamanip.experts import make_expert
-    from lerobot_adamanip.rollout import rollout
-    from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
     try:
         task.reset(seed=episode.seed, options={"object_id": episode.object_id, "reconfigure": True})

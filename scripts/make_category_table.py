@@ -8,7 +8,7 @@ import sys
 from check_common import ROOT, document_command
 
 from lerobot_adamanip.catalog import make_object, object_id
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.experts import EXPERTS
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, MECHANISM_PRESETS, RULES, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, Joint

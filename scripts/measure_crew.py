@@ -18,9 +18,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from lerobot_adamanip import files
-from lerobot_adamanip.demos.cluster import LOCAL, connected
-from lerobot_adamanip.jobs import Beat, Crew, Work, WorkerPool
+from lerobot_adamanip.collection.ray_cluster import LOCAL, connected
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.jobs import Beat, Crew, Work, WorkerPool
 
 EPISODE_BYTES = 1_300_000
 
@@ -56,7 +56,7 @@ def main() -> None:
     asked = parser.parse_args()
     found: dict[str, list[float]] = {"pool": [], "ray": []}
     with tempfile.TemporaryDirectory() as folder, connected(LOCAL, workers=asked.workers, insecure=False):
-        from lerobot_adamanip.demos.ray_crew import RayCrew
+        from lerobot_adamanip.collection.ray_executor import RayCrew
 
         for _ in range(asked.repeats):
             pool = WorkerPool[int](session, asked.workers)

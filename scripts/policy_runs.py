@@ -34,14 +34,14 @@ from check_common import ROOT, count, list_of
 
 from lerobot_adamanip.benchmark.command import environment
 from lerobot_adamanip.benchmark.training import last_checkpoint, resuming, trained_steps
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.result_rows import rows_of_records
 from lerobot_adamanip.evaluation.results import policy_result, write_result
 from lerobot_adamanip.experts import EXPERT_PRESETS
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.util.files import write_atomically
 
 BIN = Path(sys.executable).parent
 SUITE = "suite"

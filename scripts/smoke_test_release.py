@@ -22,7 +22,7 @@ from typing import Any
 
 DATA = """
 from lerobot_adamanip.benchmark.declaration import read_declaration
-from lerobot_adamanip.hub.cards import card_template
+from lerobot_adamanip.datasets.cards.templates import card_template
 read_declaration()
 card_template("dataset_card.md"), card_template("model_card.md")
 print("true")
@@ -48,7 +48,7 @@ print(json.dumps(all(importlib.util.find_spec(name) for name in ("sapien", "mani
 """
 RESET = """
 import json
-from lerobot_adamanip.schema import STATE_DIM
+from lerobot_adamanip.contract.schema import STATE_DIM
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 env = KeyframeEnv("safe", objects="0:4", observe_images=False)
 observation, info = env.reset(seed=5)

@@ -99,8 +99,8 @@ class Measured:
 
     def open(self, category: str) -> dict[str, Any]:
         """Makes the environment of a category, and an episode to warm it up."""
-        from lerobot_adamanip.options import EnvironmentOptions
-        from lerobot_env_adamanip.factory import make_keyframe_env
+        from lerobot_adamanip.episode.options import EnvironmentOptions
+        from lerobot_env_adamanip.make_env import make_keyframe_env
 
         if self.env is not None:
             self.env.close()
@@ -124,8 +124,8 @@ class Measured:
 
     def episode(self, seed: int) -> bool:
         """Runs one episode of the adaptive expert; True if it succeeds."""
+        from lerobot_adamanip.episode.rollout import rollout
         from lerobot_adamanip.experts import make_expert
-        from lerobot_adamanip.rollout import rollout
 
         observation, _ = self.env.reset(seed=seed)
         self._time_physics()

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.checked_json import read
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, SENT_NAMES
-from lerobot_policy_adamanip.demonstrations import read_columns
+from lerobot_adamanip.util.json_fields import read
+from lerobot_policy_adamanip.common.demonstrations import read_columns
 
 STEPS = 300
 """Of the mixed training."""

@@ -16,7 +16,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.util.errors import AdaManipError
 
 # Before anything imports huggingface_hub or torch: both read these once. Subprocesses inherit them.
 _SCRATCH = Path(tempfile.mkdtemp(prefix="adamanip-tests-"))

@@ -205,12 +205,10 @@ def test_no_import_circle() -> None:
 
 
 def rooms() -> dict[str, set[str]]:
-    """Folder or file right under the core -> those that it imports. A card is written by what records, and uploaded by
-    what publishes: the files of `hub` are rooms of their own.
-    """
+    """Folder or file right under the core -> those that it imports."""
 
     def room(name: str) -> str:
-        return ".".join(name.split(".")[: 3 if name.startswith("lerobot_adamanip.hub.") else 2])
+        return ".".join(name.split(".")[:2])
 
     found: dict[str, set[str]] = {}
     for name, imported in import_graph().items():

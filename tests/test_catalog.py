@@ -18,7 +18,7 @@ from lerobot_adamanip.catalog import (
     seen_objects,
     unseen_objects,
 )
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 numbers = st.integers(0, 999_999)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_adamanip.catalog import make_object, object_id
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.experts import EXPERTS, make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lerobot_adamanip import checked_json as checked
+from lerobot_adamanip.util import json_fields as checked
 
 CHECK = checked.table(
     {

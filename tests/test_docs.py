@@ -13,8 +13,8 @@ import pytest
 from doc_data import collect_fake_demos, write_asset_safe
 from documents import DOCUMENTS, ROOT, Block, blocks, commands
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import parse
+from lerobot_adamanip.contract import schema
 
 
 def python_blocks() -> list[Any]:
@@ -179,7 +179,7 @@ def test_labels_in_the_contract_table_are_the_codes() -> None:
 
 @pytest.mark.sim  # the driver's module imports sapien
 def test_motion_limits_are_the_codes() -> None:
-    from lerobot_adamanip.keyframes import MotionLimits
+    from lerobot_adamanip.contract.keyframes import MotionLimits
 
     written = {name: float(value) for name, value, _ in table("limits")}
     actual = {key: value for key, value in dataclasses.asdict(MotionLimits()).items() if not key.startswith("reach_")}
@@ -187,7 +187,7 @@ def test_motion_limits_are_the_codes() -> None:
 
 
 def test_seed_numbers_are_the_codes() -> None:
-    from lerobot_adamanip.demos.collection import DEMO_SEED_START
+    from lerobot_adamanip.datasets.collection_spec import DEMO_SEED_START
 
     text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
     assert f"{DEMO_SEED_START:,}" in text

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_adamanip import errors
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, require_choice
+from lerobot_adamanip.util import errors
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, require_choice
 
 KINDS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, Exception)]
 

@@ -83,7 +83,7 @@ def test_a_policy_is_evaluated(tmp_path: Path, run: Run) -> None:
     from lerobot.configs.types import FeatureType, PolicyFeature
     from lerobot.policies.factory import make_pre_post_processors
 
-    from lerobot_adamanip import schema
+    from lerobot_adamanip.contract import schema
     from lerobot_policy_adamanip import DP3AdaptiveConfig
     from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 

@@ -89,7 +89,7 @@ from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import get_object, parse_object_selection
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
-from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.episode.options import EnvironmentOptions
 
 assert lerobot_adamanip.__file__.startswith({tree!r})
 for split in ("seen", "unseen", "novel"):
@@ -140,7 +140,7 @@ def test_the_page_of_categories_gets_its_row(tree: Path) -> None:
 IN_THE_SIMULATOR = """
 import numpy as np
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.rollout import rollout
+from lerobot_adamanip.episode.rollout import rollout
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 env = KeyframeEnv("jar", objects="0:1", num_points=64, image_size=64)

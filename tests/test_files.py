@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_adamanip import files
+from lerobot_adamanip.util import files
 
 
 @pytest.fixture

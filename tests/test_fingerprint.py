@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_adamanip.fingerprint import code_hash
+from lerobot_adamanip.util.fingerprint import code_hash
 
 
 @pytest.fixture

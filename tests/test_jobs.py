@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from jobs_helpers import session
 
-from lerobot_adamanip import jobs
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.jobs import JobResult, WorkerError, WorkerPool
+from lerobot_adamanip.util import jobs
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.jobs import JobResult, WorkerError, WorkerPool
 
 
 @pytest.fixture(autouse=True, params=["spawned", "copied"])

@@ -15,7 +15,7 @@ import torch
 from doc_data import collect_fake_demos
 from documents import ROOT, blocks, commands
 
-from lerobot_policy_adamanip.points_step import CloudToPointsStep
+from lerobot_policy_adamanip.common.cloud_to_points_step import CloudToPointsStep
 
 PAGE = "docs/lerobot_policies.md"
 MODULES = {"lerobot-train": "lerobot.scripts.lerobot_train", "lerobot-eval": "lerobot.scripts.lerobot_eval"}

@@ -17,11 +17,11 @@ import pyarrow.parquet as pq
 import pytest
 from demos_helpers import fakes, make_spec, patiently
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.editing.source import Source
-from lerobot_adamanip.demos.loading import open_dataset, read_back
-from lerobot_adamanip.hub.check.dataset import check
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.editing.source import Source
+from lerobot_adamanip.datasets.reading import open_dataset, read_back
 
 ROOT = Path(__file__).resolve().parents[1]
 UPSTREAM = ROOT / "docs" / "upstream"

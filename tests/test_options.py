@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.pointcloud import Workspace
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import ConfigurationError
 
 GIVEN = EnvironmentOptions(
     category="lamp",

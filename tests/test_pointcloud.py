@@ -11,8 +11,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.pointcloud import Workspace, as_points, check_num_points, farthest_point_order
+from lerobot_adamanip.contract.pointcloud import Workspace, as_points, check_num_points, farthest_point_order
+from lerobot_adamanip.util.errors import ConfigurationError
 
 fast = settings(max_examples=30, deadline=None)
 seeds = st.integers(0, 2**31)

@@ -14,9 +14,9 @@ from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.policies.factory import make_policy_config, make_pre_post_processors
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.pose_statistics import leave_poses_unscaled, unscaled_poses
-from lerobot_adamanip.schema import Statistics
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.schema import Statistics
+from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled, unscaled_poses
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,11 @@ from records import record
 
 from lerobot_adamanip.benchmark.report_text import means_line
 from lerobot_adamanip.benchmark.result import write_cell
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS
 from lerobot_adamanip.evaluation.result_rows import ResultRow, rows_of_records
 from lerobot_adamanip.evaluation.results import ResultFile, make_result, parse_result, read_result, write_result
 from lerobot_adamanip.evaluation.tables import END, NOTHING, START, readme_block, result_table, results_page, with_block
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_env_adamanip.fingerprint import (
     code_fingerprint,
     environment_fingerprint,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip import rotations
+from lerobot_adamanip.contract import rotations
 
 fast = settings(max_examples=60, deadline=None)
 coordinates = arrays(np.float64, 3, elements=st.floats(-2, 2))

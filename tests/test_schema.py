@@ -7,8 +7,8 @@ import copy
 import numpy as np
 import pytest
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.rotations import pose_vector, transform
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.rotations import pose_vector, transform
 
 POSES = [schema.ACTION, schema.STATE]
 DIMS = {schema.ACTION: 10, schema.STATE: 24}

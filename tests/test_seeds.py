@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.seeds import SPLITS, retried_seed, scene_seed, split_of
+from lerobot_adamanip.contract.seeds import SPLITS, retried_seed, scene_seed, split_of
+from lerobot_adamanip.util.errors import ConfigurationError
 
 ANY_SEED = st.integers(0, 2**40)
 

@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.experts import make_expert
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

@@ -6,8 +6,8 @@ import functools
 import importlib.util
 import logging
 
-from lerobot_adamanip.errors import require_choice
-from lerobot_adamanip.options import CLOUD_SOURCES
+from lerobot_adamanip.episode.options import CLOUD_SOURCES
+from lerobot_adamanip.util.errors import require_choice
 
 _logger = logging.getLogger(__name__)
 

@@ -10,10 +10,8 @@ import gymnasium as gym
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.errors import ConfigurationError, shown_by_parsers
-from lerobot_adamanip.options import EnvironmentOptions, renamed_poses
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
-from lerobot_adamanip.schema import (
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_adamanip.contract.schema import (
     ACTION,
     ACTION_DIM,
     DEFAULT_NUM_POINTS,
@@ -27,7 +25,9 @@ from lerobot_adamanip.schema import (
     STATE,
     STATE_DIM,
 )
-from lerobot_env_adamanip.images import observes_images
+from lerobot_adamanip.episode.options import EnvironmentOptions, renamed_poses
+from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
+from lerobot_env_adamanip.image_options import observes_images
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.vector import LazyAsyncVectorEnv
@@ -44,7 +44,7 @@ def hidden_value() -> Any:
 
 @dataclass
 class AdaManipEnvConfig(EnvConfig):
-    """What the environments share; see `lerobot_adamanip.options.EnvironmentOptions`."""
+    """What the environments share; see `lerobot_adamanip.episode.options.EnvironmentOptions`."""
 
     category: ClassVar[str] = ""
 

@@ -16,14 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import files, lerobot_patches, schema
+from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, episode_seed
-from lerobot_adamanip.demos.dense.choose import DenseEpisode
-from lerobot_adamanip.demos.record import EpisodeRequest, ExpertFactory, attempt_episode
-from lerobot_adamanip.errors import DatasetError, UnreachableError
+from lerobot_adamanip.collection.record import EpisodeRequest, ExpertFactory, attempt_episode
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.hardware.features import KEY_FRAMES, SCALAR_NAMES
-from lerobot_adamanip.rotations import pose_vector
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError, UnreachableError
 from lerobot_env_adamanip.dense_folder import ROBOT_TYPE, claimed
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
@@ -106,7 +108,7 @@ class KnownKeyFrames:
         object_id, seed: of the episode.
         ends: (K,) ticks at which they had ended.
         actions: (K, 10) that were commanded.
-        outcomes: (K,) `lerobot_adamanip.keyframes.Outcome`.
+        outcomes: (K,) `lerobot_adamanip.contract.keyframes.Outcome`.
         success: whether the task was done.
     """
 

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.demos.collection import CollectionSpec, EpisodeSpec, episode_seed
-from lerobot_adamanip.demos.output_folder import WRITING, is_free, owned_output
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.datasets.output_folder import WRITING, is_free, owned_output
 from lerobot_adamanip.hardware.features import KEY_FRAMES
+from lerobot_adamanip.util.errors import DatasetError
 
 ROBOT_TYPE = "adamanip_dense"
 """Of such recordings."""

@@ -9,10 +9,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from lerobot_adamanip.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.seeds import CATEGORY_STRIDE
+from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
-from lerobot_adamanip.options import EnvironmentOptions, require_known
-from lerobot_adamanip.seeds import CATEGORY_STRIDE
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import FlatCloud
 

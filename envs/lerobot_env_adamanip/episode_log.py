@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import object_split
-from lerobot_adamanip.evaluation.labels import TryLabeler
+from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.seeds import split_of
+from lerobot_adamanip.episode.contact_labels import TryLabeler
 from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.mechanisms import Mechanism
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
-from lerobot_adamanip.seeds import split_of
 
 
 class WatchedTask(Protocol):

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Mapping
 from pathlib import Path
 
-from lerobot_adamanip.fingerprint import code_hash, combined, core_fingerprint
+from lerobot_adamanip.util.fingerprint import code_hash, combined, core_fingerprint
 
 
 @functools.cache

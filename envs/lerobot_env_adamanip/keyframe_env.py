@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import SimulatorError, UnreachableError
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
+from lerobot_adamanip.contract.pointcloud import depth_size
+from lerobot_adamanip.contract.schema import ACTION_DIM, FPS
+from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
+from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.fingerprint import versions
-from lerobot_adamanip.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.observation import state_vector, workspace_cloud
-from lerobot_adamanip.options import EnvironmentOptions, require_known
-from lerobot_adamanip.pointcloud import depth_size
-from lerobot_adamanip.schema import ACTION_DIM, FPS
-from lerobot_adamanip.seeds import retried_seed, scene_seed
+from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
+from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
+from lerobot_env_adamanip.simulator import make_task, require_simulator, sensors_name
 from lerobot_env_adamanip.spaces import observation_space
-from lerobot_env_adamanip.starting import make_task, require_simulator, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
@@ -46,10 +46,10 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``; who steps on gets
         observations, no reward, and leaves the episode's record as it was.
 
-    Implements `lerobot_adamanip.rollout.SimulatedEnvironment`.
+    Implements `lerobot_adamanip.episode.rollout.SimulatedEnvironment`.
 
     Args:
-        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.categories`; ``safe`` if nothing names one.
+        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`; ``safe`` if nothing names one.
         options: all options at once ...
         values: ... or some of them by name, see `EnvironmentOptions`: ``objects``, ``assets``, ``num_points``,
             ``image_size``, ``observe_images``, ``poses``, ``mechanism_preset``, ``max_key_frames``,
@@ -167,7 +167,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._sim.close()
             self._sim = self._monitor = self._record = None
 
-    # For experts, recorders and reports: `lerobot_adamanip.rollout.KeyframeEnvironment` -----------------------------
+    # For experts, recorders and reports: `lerobot_adamanip.episode.rollout.KeyframeEnvironment` ---------------------
 
     @property
     def max_key_frames(self) -> int:

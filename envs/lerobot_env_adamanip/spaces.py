@@ -7,8 +7,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.schema import NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.contract.schema import NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.episode.options import EnvironmentOptions
 
 
 def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.seeds import CATEGORY_STRIDE
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.seeds import CATEGORY_STRIDE
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.config import AdaManipEnvConfig, VectorEnvs, make_vector_env
 
 

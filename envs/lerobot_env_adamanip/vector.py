@@ -11,8 +11,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from lerobot_adamanip.errors import SimulatorError
-from lerobot_adamanip.jobs import preload
+from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_adamanip.util.jobs import preload
 
 Make = Callable[[], gym.Env[Any, Any]]
 Transition = tuple[Any, float, bool, bool, dict[str, Any]]
@@ -79,7 +79,7 @@ class LazyAsyncVectorEnv:
     """
 
     def __init__(self, makers: Sequence[Make]) -> None:
-        preload("lerobot_env_adamanip.preload")  # while whoever made this loads a policy
+        preload("lerobot_env_adamanip.fork_server_preload")  # while whoever made this loads a policy
         self._makers = list(makers)
         self._env: gym.vector.AsyncVectorEnv | None = None
         self.num_envs = len(self._makers)

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 HUGE = 1e4
 """No number in the description of a household object is larger."""

@@ -17,6 +17,7 @@ from lerobot_adamanip.assets.plausible import check_meshes, left_out, tell_left_
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import check_kind, find_annotation
 from lerobot_adamanip.assets.urdf import Urdf, read_urdf
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.mechanisms.feasibility import MARGIN, infeasible
 from lerobot_adamanip.objects.base import (
     ArticulatedObject,
@@ -28,7 +29,6 @@ from lerobot_adamanip.objects.base import (
     Shape,
     annotate,
 )
-from lerobot_adamanip.rotations import transform
 
 Array = NDArray[np.float64]
 

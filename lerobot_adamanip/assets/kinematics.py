@@ -13,8 +13,8 @@ from lerobot_adamanip.assets.checked_xml import broken
 from lerobot_adamanip.assets.meshes import Surface, surfaces
 from lerobot_adamanip.assets.paths import MissingFileError
 from lerobot_adamanip.assets.urdf import Geometry, Urdf, UrdfJoint
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.base import Pose
-from lerobot_adamanip.rotations import rotation_about, transform
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 Stamps = tuple[tuple[str, int, int], ...]
 """Name, time [ns] and size [bytes] of each file."""

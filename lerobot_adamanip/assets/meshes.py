@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml
 from lerobot_adamanip.assets.paths import MAX_BYTES, inside, resolver
 from lerobot_adamanip.assets.urdf import Geometry
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.util.files import write_atomically
 
 logger = logging.getLogger(__name__)
 

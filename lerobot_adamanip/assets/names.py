@@ -6,7 +6,7 @@ import re
 import unicodedata
 
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 MAX_NAME_BYTES = 100
 """An id is part of a file's name, and has to stay shorter than a dataset's limit for ids."""

@@ -14,8 +14,8 @@ from lerobot_adamanip.assets.loading import PlacementCheck, inspect_object, load
 from lerobot_adamanip.assets.names import asset_id, name_problem, parse_asset_id, shown_name
 from lerobot_adamanip.assets.notices import warn_once
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.errors import ConfigurationError, require_choice
 from lerobot_adamanip.objects.base import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 URDF_NAME = "mobility.urdf"
 """What every layout calls its description."""

@@ -20,9 +20,9 @@ from lerobot_adamanip.assets.annotation.file import (
 from lerobot_adamanip.assets.checked_xml import HUGE, broken
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, from_above
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 MAX_POINT_BYTES = 1_000_000
 PART_FROM_OBJECT: NDArray[np.float64] = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml
 from lerobot_adamanip.assets.notices import warn_once
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import Pose
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.util.errors import ConfigurationError
 
 UrdfJointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 GeometryKind = Literal["box", "cylinder", "sphere", "mesh"]

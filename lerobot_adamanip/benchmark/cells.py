@@ -8,8 +8,8 @@ from typing import Any
 
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 
 @dataclass(frozen=True, kw_only=True)

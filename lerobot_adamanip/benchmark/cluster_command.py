@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.command import Running, begun, ended, run_command
-from lerobot_adamanip.demos.cluster import connected
-from lerobot_adamanip.demos.node import NodeFacts, node_facts, require_equal_versions
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.collection.ray_cluster import connected
+from lerobot_adamanip.collection.ray_nodes import NodeFacts, node_facts, require_equal_versions
+from lerobot_adamanip.util.errors import ConfigurationError
 
 LOCAL_PROGRAM = "adamanip"
 _POLL_SECONDS, _STOP_SECONDS, _GREETING_SECONDS = 0.1, 30.0, 120.0
@@ -56,7 +56,7 @@ def cluster_commands(address: str, folder: Path, *, insecure: bool, gpu: bool) -
     """Connects to a cluster, and yields what begins commands on it.
 
     Args:
-        address: as of `lerobot_adamanip.demos.cluster.connected`.
+        address: as of `lerobot_adamanip.collection.ray_cluster.connected`.
         folder: of the benchmark; made if it is not there.
         insecure: go on without a token.
         gpu: each command needs a GPU.
@@ -114,7 +114,7 @@ def _answers(greetings: Sequence[Any]) -> list[tuple[NodeFacts, bool]]:
     import ray
     from ray.exceptions import RayError
 
-    from lerobot_adamanip.demos.ray_crew import reason
+    from lerobot_adamanip.collection.ray_executor import reason
 
     try:
         answers: list[tuple[NodeFacts, bool]] = ray.get(list(greetings), timeout=_GREETING_SECONDS)
@@ -156,7 +156,7 @@ class _RemoteCommand:
         import ray
         from ray.exceptions import RayError
 
-        from lerobot_adamanip.demos.ray_crew import reason
+        from lerobot_adamanip.collection.ray_executor import reason
 
         if self.status is None and ray.wait([self.reference], timeout=0)[0]:
             try:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 _STOP_SECONDS = 20.0
 _KEPT_BYTES = 2**34

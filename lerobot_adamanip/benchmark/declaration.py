@@ -9,14 +9,14 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.benchmark.declaration_fields import DECLARATION, DEMONSTRATIONS, METHOD, SCALE, TRIALS
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.checked_json import Check, choice, table
-from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS
+from lerobot_adamanip.episode.options import POSES
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
-from lerobot_adamanip.options import POSES
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.json_fields import Check, choice, table
 
 PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
 """The declaration that is used where no other is given."""

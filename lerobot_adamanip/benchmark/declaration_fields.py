@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from lerobot_adamanip.benchmark.paper import SUCCESS
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.checked_json import Check, choice, flag, integer, listing, mapping, number, table, text
-from lerobot_adamanip.demos.collection import LIMITS
+from lerobot_adamanip.benchmark.paper_rates import SUCCESS
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.datasets.collection_spec import LIMITS
+from lerobot_adamanip.episode.options import IMAGE_SIZES, POSES
 from lerobot_adamanip.experts import EXPERT_KINDS
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
-from lerobot_adamanip.options import IMAGE_SIZES, POSES
+from lerobot_adamanip.util.json_fields import Check, choice, flag, integer, listing, mapping, number, table, text
 
 OBJECT_SPLITS = ("seen", "unseen", "novel")
 NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")

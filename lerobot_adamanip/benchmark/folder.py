@@ -11,13 +11,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import checked_json, files
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.plan import COLLECT, EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step
 from lerobot_adamanip.benchmark.result import STEP_COST, StepCost
 from lerobot_adamanip.benchmark.training import last_checkpoint
-from lerobot_adamanip.demos.collection import manifest_path
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
 
 
 @dataclass(frozen=True)

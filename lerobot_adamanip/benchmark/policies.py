@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.declaration import Method
-from lerobot_adamanip.errors import AdaManipError
-from lerobot_adamanip.fingerprint import code_hash
+from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.fingerprint import code_hash
 
 
 @dataclass(frozen=True)

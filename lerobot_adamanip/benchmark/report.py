@@ -9,15 +9,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
+from lerobot_adamanip.benchmark.counts import Numbers, pooled
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.numbers import Numbers, pooled
-from lerobot_adamanip.benchmark.paper import reported, reported_mean
+from lerobot_adamanip.benchmark.paper_rates import reported, reported_mean
 from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import CellResult, StepCost
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.rates import Difference, difference
-from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
 BUDGETS = (5, 10, 15, 25, MAX_KEY_FRAMES)
 """Key frames within which success is told."""

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.benchmark.numbers import pooled
-from lerobot_adamanip.benchmark.paper import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
+from lerobot_adamanip.benchmark.counts import pooled
+from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
 from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Row
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.plots import heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate
-from lerobot_adamanip.evaluation.texts import words
-from lerobot_adamanip.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.evaluation.text_format import words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from lerobot_adamanip.benchmark.numbers import Numbers, pooled
-from lerobot_adamanip.benchmark.paper import (
+from lerobot_adamanip.benchmark.counts import Numbers, pooled
+from lerobot_adamanip.benchmark.paper_rates import (
     PAPER_OBJECTS,
     SUCCESS_BY_TRIALS,
     TRIALS_CATEGORY,
@@ -13,10 +13,10 @@ from lerobot_adamanip.benchmark.paper import (
     reported_mean,
 )
 from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, Row
-from lerobot_adamanip.evaluation.origin import machine_text
+from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.tables import is_half_of_range
-from lerobot_adamanip.evaluation.texts import counted, duration_text, interval_text, markdown_table, words
+from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"

@@ -9,17 +9,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import checked_json
 from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.counts import Numbers
 from lerobot_adamanip.benchmark.declaration_fields import NAME, OBJECT_SPLITS, TITLE
-from lerobot_adamanip.benchmark.numbers import Numbers
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step, option
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.evaluation.origin import HASH, MACHINE, ORIGIN, Origin
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, ORIGIN, Origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.results import check_command
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.files import write_atomically
 
 SCHEMA = 1
 

@@ -10,21 +10,21 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lerobot_adamanip import files
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.command import Runner, Running, run_command
+from lerobot_adamanip.benchmark.counts import Numbers
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
-from lerobot_adamanip.benchmark.numbers import Numbers
 from lerobot_adamanip.benchmark.plan import COLLECT, EPISODE_LOG, EVALUATE, TRAIN, Code, Step, option, options_key, plan
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, scene_seeds_of, write_cell
 from lerobot_adamanip.benchmark.training import resuming, trained_steps
-from lerobot_adamanip.errors import AdaManipError, DatasetError
+from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import first_episodes
-from lerobot_adamanip.evaluation.origin import Origin
+from lerobot_adamanip.evaluation.provenance import Origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.pose_statistics import leave_poses_unscaled
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
 """States of a cell. Stale: its result is of other code or other options. Begun: one of its steps is, or is done."""

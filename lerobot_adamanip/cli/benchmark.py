@@ -26,12 +26,12 @@ from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.cluster import require_usable
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.origin import machine_class, present_origin
+from lerobot_adamanip.collection.ray_cluster import require_usable
+from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate, success_summary
-from lerobot_adamanip.evaluation.texts import counted, interval_text
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.evaluation.text_format import counted, interval_text
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.files import write_atomically
 
 DEFAULT_SCALE = "cpu"
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143

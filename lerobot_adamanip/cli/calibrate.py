@@ -13,11 +13,11 @@ import numpy as np
 import tyro
 
 import lerobot_adamanip
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.hardware.calibration.board import Board
 from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, solve
 from lerobot_adamanip.hardware.calibration.views import ViewFolder
+from lerobot_adamanip.util.errors import ConfigurationError
 
 DOTS_PER_METRE = 300 / 0.0254
 ENOUGH = 20

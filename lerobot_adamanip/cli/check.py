@@ -11,13 +11,13 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import Progress, show_progress
-from lerobot_adamanip.demos.replay import check_replays
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.texts import counted
-from lerobot_adamanip.hub.check.dataset import check
-from lerobot_adamanip.hub.check.findings import CheckResult
-from lerobot_adamanip.hub.check.repair import Repair as Mended
-from lerobot_adamanip.hub.check.repair import repair
+from lerobot_adamanip.collection.replay import check_replays
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.check.findings import CheckResult
+from lerobot_adamanip.datasets.check.repair import Repair as Mended
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.evaluation.text_format import counted
+from lerobot_adamanip.util.errors import ConfigurationError
 
 _SHOWN = 20
 """Findings of a kind that are printed; `--json` has more."""
@@ -68,7 +68,7 @@ class Check:
         return 0 if result.clean else 1
 
     def _with_replays(self, result: CheckResult, progress: Progress) -> CheckResult:
-        from lerobot_env_adamanip.factory import make_keyframe_env
+        from lerobot_env_adamanip.make_env import make_keyframe_env
 
         count = min(self.replay, result.episodes)
         chosen = [number * result.episodes // count for number in range(count)]

@@ -14,21 +14,21 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.collect_start import begin, objects_to_collect
-from lerobot_adamanip.cli.pictures import resolve_images
+from lerobot_adamanip.cli.picture_choice import resolve_images
 from lerobot_adamanip.cli.progress import print_categories, show_progress
-from lerobot_adamanip.demos.collect import CollectOptions, collect
-from lerobot_adamanip.demos.collection import DEFAULT_LATE_STARTS, CollectionSpec
-from lerobot_adamanip.demos.parts import Part
-from lerobot_adamanip.demos.record import Factories
-from lerobot_adamanip.demos.repository_names import require_hub_name, require_repo_id
-from lerobot_adamanip.demos.summary import CollectSummary
-from lerobot_adamanip.errors import ConfigurationError, require_choice
-from lerobot_adamanip.jobs import DEFAULT_TIMEOUT
+from lerobot_adamanip.collection.collect import CollectOptions, collect
+from lerobot_adamanip.collection.parts import Part
+from lerobot_adamanip.collection.record import Factories
+from lerobot_adamanip.collection.summary import CollectSummary
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS, CollectionSpec
+from lerobot_adamanip.datasets.repository_names import require_hub_name, require_repo_id
+from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
-from lerobot_adamanip.options import EnvironmentOptions, require_known
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.jobs import DEFAULT_TIMEOUT
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -255,14 +255,14 @@ class Collect:
     def _policy_hash(self) -> str:
         if self.policy is None:
             return ""
-        from lerobot_adamanip.trained_policy import policy_hash  # with torch, which nobody else waits for
+        from lerobot_adamanip.collection.trained_policy import policy_hash  # with torch, which nobody else waits for
 
         return policy_hash(self.policy)
 
     def _factories(self) -> Factories:
         if self.policy is None:
             return factories()
-        from lerobot_adamanip.trained_policy import TrainedPolicy
+        from lerobot_adamanip.collection.trained_policy import TrainedPolicy
 
         return dataclasses.replace(factories(), actor=functools.partial(TrainedPolicy, self.policy))
 
@@ -292,6 +292,6 @@ class Collect:
 def factories() -> Factories:
     """Returns what demonstrations are recorded with: the simulator and the scripted experts."""
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.factory import make_keyframe_env
+    from lerobot_env_adamanip.make_env import make_keyframe_env
 
     return Factories(make_keyframe_env, make_expert)

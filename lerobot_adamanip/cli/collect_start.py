@@ -9,12 +9,16 @@ from pathlib import Path
 
 from lerobot_adamanip.catalog import SEEN_COUNTS, object_split
 from lerobot_adamanip.cli.external import select_placeable
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.texts import counted
-from lerobot_adamanip.jobs import preload
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.evaluation.text_format import counted
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.jobs import preload
 
-_WORKER_MODULES = ("lerobot_adamanip.demos.record", "lerobot_adamanip.experts", "lerobot_env_adamanip.preload")
+_WORKER_MODULES = (
+    "lerobot_adamanip.collection.record",
+    "lerobot_adamanip.experts",
+    "lerobot_env_adamanip.fork_server_preload",
+)
 """What workers that record need: imported while this process is busy with its own."""
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.editing.choose import filter_episodes
+from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
 
 
 @dataclass

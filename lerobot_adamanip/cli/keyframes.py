@@ -11,14 +11,14 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.dense.choose import KeyFrameOptions
-from lerobot_adamanip.demos.dense.convert import Converted, ConvertOptions, convert
-from lerobot_adamanip.demos.dense.rows import RowOptions
-from lerobot_adamanip.demos.sparsify import SparsifyOptions
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
-from lerobot_adamanip.keyframes import DEFAULT_MOTION
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Workspace
-from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE
+from lerobot_adamanip.recordings.convert import Converted, ConvertOptions, convert
+from lerobot_adamanip.recordings.keyframe_choice import KeyFrameOptions
+from lerobot_adamanip.recordings.rows import RowOptions
+from lerobot_adamanip.recordings.sparsify import SparsifyOptions
 
 _STAGES = {"convert": "episodes read", "assemble": "episodes written", "merge": "episodes mixed"}
 _SPARSIFY = SparsifyOptions()

@@ -12,7 +12,7 @@ import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.cli.folder_argument import folder_first
 from lerobot_adamanip.cli.option_names import check_options
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130

@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.merge import Merged, merge
+from lerobot_adamanip.datasets.merge import Merged, merge
 
 
 @dataclass

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from lerobot_adamanip.errors import ConfigurationError, listed, nearest, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest, require_choice
 
 
 def check_options(command: str, options: type[Any], arguments: Sequence[str]) -> None:

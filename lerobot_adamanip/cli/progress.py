@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TextIO
 
-from lerobot_adamanip.demos.summary import CollectSummary
+from lerobot_adamanip.collection.summary import CollectSummary
 
 EVERY_SECONDS, EVERY_SHARE = 15.0, 0.05
 """A line is written after so much time [s], or after so much more of the work, whichever comes first."""

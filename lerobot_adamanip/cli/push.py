@@ -12,12 +12,12 @@ from typing import Literal
 
 import tyro
 
-from lerobot_adamanip.categories import ALL
-from lerobot_adamanip.demos.repository_names import require_hub_name, require_release_name
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.datasets.repository_names import require_hub_name, require_release_name
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.push import PushResult, push
 from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @dataclass

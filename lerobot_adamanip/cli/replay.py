@@ -12,7 +12,7 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.replay import ReplayResult, replay
+from lerobot_adamanip.collection.replay import ReplayResult, replay
 
 
 @dataclass
@@ -58,7 +58,7 @@ class Replay:
         return 0 if agrees else 1
 
     def _replay(self) -> ReplayResult:
-        from lerobot_env_adamanip.factory import make_keyframe_env
+        from lerobot_env_adamanip.make_env import make_keyframe_env
 
         # What libraries print must not get into the JSON.
         with show_progress({"replay": "key frames"}) as progress, contextlib.redirect_stdout(sys.stderr):

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.evaluation.comparison import Comparison, compare
 from lerobot_adamanip.evaluation.failures import failures_text
 from lerobot_adamanip.evaluation.groups import Group
@@ -19,6 +18,7 @@ from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import EvaluationSummary, first_episodes, split_evaluations
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from rich.table import Table

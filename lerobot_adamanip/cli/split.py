@@ -11,8 +11,8 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.editing.choose import EPISODE, Parts, split_episodes
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.datasets.editing.filter_split import EPISODE, Parts, split_episodes
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @dataclass

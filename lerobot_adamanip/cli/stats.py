@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 
 from lerobot_adamanip.cli.report import FILE_WIDTH, check_plot, percent
-from lerobot_adamanip.hub.contents import Contents, GroupContents, contents
+from lerobot_adamanip.datasets.contents import Contents, GroupContents, contents
 
 
 @dataclass
@@ -35,7 +35,7 @@ class Stats:
         check_plot(self.plot)
         found = contents(self.root)
         if self.plot is not None:
-            from lerobot_adamanip.hub.contents_plot import plot_contents
+            from lerobot_adamanip.datasets.contents_plot import plot_contents
 
             plot_contents(found, self.plot)
         if self.json:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import tyro
 
-from lerobot_adamanip.demos.view.episode import ViewedEpisode, read_episode
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.datasets.view.episode import ViewedEpisode, read_episode
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @dataclass
@@ -46,14 +46,14 @@ class View:
             raise ConfigurationError("Unknown kind of recording.", got=self.save, allowed=".rrd", hint="--save x.rrd")
         watched = self.image is None or self.save is not None or self.web
         if watched and self.save is None and not self.web:
-            from lerobot_adamanip.demos.view import viewer
+            from lerobot_adamanip.datasets.view import viewer
 
             viewer.require_display()
         with contextlib.redirect_stdout(sys.stderr):
             episode = read_episode(self.root, self.episode, images=watched)
         print(episode.title)
         if self.image is not None:
-            from lerobot_adamanip.demos.view.still import write_still
+            from lerobot_adamanip.datasets.view.still import write_still
 
             write_still(episode, self.image)
             print(f"picture: {self.image}")
@@ -62,7 +62,7 @@ class View:
         return 0
 
     def _show(self, episode: ViewedEpisode) -> None:
-        from lerobot_adamanip.demos.view import viewer
+        from lerobot_adamanip.datasets.view import viewer
 
         if self.save is not None:
             viewer.save(episode, self.save)

@@ -9,13 +9,13 @@ from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.checked_json import choice, integer, listing, mapping, number, optional, table, text
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import Phase
 from lerobot_adamanip.evaluation.results import check_command
-from lerobot_adamanip.evaluation.texts import markdown_table
-from lerobot_adamanip.keyframes import Phase
+from lerobot_adamanip.evaluation.text_format import markdown_table
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.json_fields import choice, integer, listing, mapping, number, optional, table, text
 
 NO_TRY = "no try"
 """What a draw is called that tries nothing: an approach, a grasp, a release."""

@@ -6,9 +6,10 @@ import json
 import uuid
 from pathlib import Path
 
-from lerobot_adamanip import checked_json, files
-from lerobot_adamanip.errors import DatasetError
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
 
 
 def new_run_id() -> str:

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from lerobot_adamanip import checked_json
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
-from lerobot_adamanip.seeds import SPLITS
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 LABEL = r"[^\r\n\x00-\x1f\u2028\u2029]{1,100}"
 """What an evaluation may be called."""
@@ -27,7 +27,7 @@ class Provenance:
     """What made an episode.
 
     Attributes:
-        fingerprint: hash of the code that decides episodes, see `lerobot_adamanip.fingerprint.combined`.
+        fingerprint: hash of the code that decides episodes, see `lerobot_adamanip.util.fingerprint.combined`.
         version: of this package.
         mechanism_preset: whose rules the mechanisms follow, see `lerobot_adamanip.mechanisms`.
         run_id: one for all environments of an evaluation; None outside one.
@@ -54,7 +54,7 @@ class Provenance:
 class EpisodeRecord:
     """One episode, as the environment's monitor saw it. Privileged: it tells the hidden state.
 
-    A *try* is what `lerobot_adamanip.keyframes.KeyFrameLabels` calls one.
+    A *try* is what `lerobot_adamanip.contract.keyframes.KeyFrameLabels` calls one.
 
     Attributes:
         seed: decided object, poses and hidden state.

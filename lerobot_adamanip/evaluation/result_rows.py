@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.failed_tries import IN_VAIN, count_in_vain
 from lerobot_adamanip.evaluation.failures import CAUSES, count_failures
 from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
-from lerobot_adamanip.evaluation.in_vain import IN_VAIN, count_in_vain
 from lerobot_adamanip.evaluation.metrics import group_result, without_repeats
-from lerobot_adamanip.evaluation.origin import LINE
+from lerobot_adamanip.evaluation.provenance import LINE
 from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.recovery import recovery
+from lerobot_adamanip.util import json_fields as checked_json
 
 OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
 
@@ -38,7 +38,7 @@ class ResultRow:
         repeated: failed tries that were repeated unchanged, and all that another try followed; None if not counted.
         train_minutes: that a policy was trained; None if not measured.
         failures: cause -> episodes, see `lerobot_adamanip.evaluation.failures`; None if not counted.
-        in_vain: kind -> failed tries of the successes, see `lerobot_adamanip.evaluation.in_vain`; None if not counted.
+        in_vain: kind -> failed tries of the successes, see `evaluation.failed_tries`; None if not counted.
     """
 
     subject: str

@@ -12,12 +12,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.evaluation.origin import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
+from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.result_rows import ROW, ResultRow, parse_row
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.files import write_atomically
 
 KINDS = ("expert", "policy", "seeds")
 """Experts; policies; trainings of one policy that differ in their seed alone."""

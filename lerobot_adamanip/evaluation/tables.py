@@ -5,14 +5,14 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.failed_tries import IN_VAIN
 from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
-from lerobot_adamanip.evaluation.in_vain import IN_VAIN
-from lerobot_adamanip.evaluation.origin import machine_text
+from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
 from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.evaluation.texts import duration_text, interval_text, markdown_table, words
+from lerobot_adamanip.evaluation.text_format import duration_text, interval_text, markdown_table, words
 
 START, END = "<!-- results -->", "<!-- /results -->"
 INTRODUCTION = """# Results

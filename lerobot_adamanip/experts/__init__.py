@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
 from lerobot_adamanip.experts import lamp, microwave, safe, turn_to_open
 from lerobot_adamanip.experts.belief import Belief
-from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import Hand, Parts
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
-from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, fixed_direction
 from lerobot_adamanip.objects import PartAnnotation
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 EXPERT_KINDS = ("adaptive", "static")
 EXPERT_PRESETS = ("paper", "upstream", "to_stop")

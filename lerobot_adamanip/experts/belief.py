@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_adamanip.keyframes import KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 
 Positions = Mapping[str, float]
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Generator
 
 import numpy as np
 
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames
 from lerobot_adamanip.experts.primitives import Frames, Hand, Opening
-from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
 from lerobot_adamanip.objects import PartAnnotation
 
 PULL_ANGLES = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.contract.keyframes import FOLLOWED, KeyFrames, Phase
+from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import MAX_GRIPS, Attempt, Hand, Parts
-from lerobot_adamanip.keyframes import FOLLOWED, KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.018

@@ -10,10 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lerobot_adamanip.contract.keyframes import (
+    EMPTY_HAND,
+    FOLLOWED,
+    OPEN_HAND,
+    PRE_GRASP,
+    Feedback,
+    Goal,
+    Outcome,
+    Phase,
+)
+from lerobot_adamanip.contract.rotations import angle_between, transform
 from lerobot_adamanip.experts.belief import Belief
-from lerobot_adamanip.keyframes import EMPTY_HAND, FOLLOWED, OPEN_HAND, PRE_GRASP, Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.rotations import angle_between, transform
 
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
 """Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; what

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lerobot_adamanip.experts.knowledge import Hidden, Knowledge
+from lerobot_adamanip.contract.keyframes import FOLLOWED, KeyFrames, Phase
+from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening, Parts
-from lerobot_adamanip.keyframes import FOLLOWED, KeyFrames, Phase
 from lerobot_adamanip.objects import PartAnnotation
 
 MAX_MOTIONS = 30

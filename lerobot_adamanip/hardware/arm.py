@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.contract.keyframes import Outcome
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.hardware.frames import CameraCalibration
-from lerobot_adamanip.observation import workspace_cloud
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, Cloud, Workspace, depth_size
+from lerobot_adamanip.contract.observation import workspace_cloud
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Cloud, Workspace, depth_size
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.util.errors import ConfigurationError
 
 NOTHING_SEEN = 15.0
 """Depth up to this is none [mm]: LeRobot's default depth video turns 0 into 10."""

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lerobot_adamanip.schema import ACTION, EFFORT_NAMES, OUTCOME, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
+from lerobot_adamanip.contract.schema import ACTION, EFFORT_NAMES, OUTCOME, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
 
 SENT_NAMES = tuple(f"sent.{name.removesuffix('.pos')}" for name in POSE_NAMES)
 """The last target that the arm accepted: LeRobot stores the teleoperator's action, which may have been clipped."""
 OUTCOME_NAME = "arm.outcome"
-"""`lerobot_adamanip.keyframes.Outcome` of the latest key frame; -1 for none, and while the arm is streamed to."""
+"""`keyframes.Outcome` of the latest key frame; -1 for none, and while the arm is streamed to."""
 STAMP_NAME = "arm.stamp"
 """When the state was measured [s since the robot connected]: rows of LeRobot carry the loop's nominal time only."""
 LABEL_NAME = "label.success"

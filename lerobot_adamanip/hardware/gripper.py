@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.util.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
 """Opening that is wanted [0 closed, 1 open]: between the two nothing changes."""

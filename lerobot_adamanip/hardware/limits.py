@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip.util.errors import require_choice
 
 Seven = tuple[float, float, float, float, float, float, float]
 

@@ -12,7 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.rotations import Array
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import (
     Placed,
@@ -27,8 +28,7 @@ from lerobot_adamanip.hardware.target_geometry import (
     turn_vector,
     turned_by,
 )
-from lerobot_adamanip.rotations import Array
-from lerobot_adamanip.schema import GRIPPER_DIM
+from lerobot_adamanip.util.errors import RobotError
 
 MAX_REFUSED = 10
 """Malformed targets in a row that end in an error: a device that sends nothing else is broken."""

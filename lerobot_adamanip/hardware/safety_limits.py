@@ -9,9 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.rotations import Array, angle_between, straight_path, transform
+from lerobot_adamanip.contract.rotations import Array, angle_between, straight_path, transform
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import ConfigurationError
 
 Corner = tuple[float, float, float]
 

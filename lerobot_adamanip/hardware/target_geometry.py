@@ -1,6 +1,6 @@
 """Targets as the safety filter sees them: float32 for what is sent, doubles for what is computed. Fast, one at a time.
 
-`lerobot_adamanip.rotations` is for many poses and for rows that are nearly parallel; here rows are nearly orthonormal.
+`contract.rotations` is for many poses and for rows that are nearly parallel; here rows are nearly orthonormal.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.rotations import (
+from lerobot_adamanip.contract.rotations import (
     Array,
     matrix_from_rotation_vector,
     pose_vector,
     rotation_vector_from_matrix,
     transform,
 )
-from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 
 Target = NDArray[np.float32]
 

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.util.errors import AdaManipError
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

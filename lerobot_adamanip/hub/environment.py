@@ -6,15 +6,16 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from lerobot_adamanip import __version__, schema
-from lerobot_adamanip.categories import ALL, CATEGORIES
-from lerobot_adamanip.demos.card import COLUMNS
-from lerobot_adamanip.errors import require_choice
+from lerobot_adamanip import __version__
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.datasets.cards.collected import COLUMNS
+from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.fingerprint import combined
-from lerobot_adamanip.hub.cards import LICENSE, TAGS, card_template, citation, front_matter
 from lerobot_adamanip.hub.model_index import results_table
 from lerobot_adamanip.mechanisms.table import RULES
+from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.util.fingerprint import combined
 
 _OBSERVED = {
     schema.POINT_CLOUD: "point_cloud", schema.STATE: "agent_pos", schema.EFFORT: "effort",

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.demos.card import COLUMNS
+from lerobot_adamanip.datasets.cards.collected import COLUMNS
+from lerobot_adamanip.datasets.cards.templates import LICENSE, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.hub.cards import LICENSE, card_template, citation, front_matter
 from lerobot_adamanip.hub.model_index import eval_results, results_table
 
 _HIDDEN = "articulated objects whose mechanism cannot be seen"

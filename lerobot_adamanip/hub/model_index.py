@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.datasets.cards.templates import table
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.rates import rate, success_summary
 from lerobot_adamanip.evaluation.result_rows import ResultRow, rows_of_records
 from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result
-from lerobot_adamanip.hub.cards import table
+from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from huggingface_hub import EvalResult

@@ -13,10 +13,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.datasets.cards.templates import template_texts
 from lerobot_adamanip.evaluation.results import MACHINE_PATH
-from lerobot_adamanip.hub.addresses import find_addresses
-from lerobot_adamanip.hub.cards import template_texts
+from lerobot_adamanip.hub.private_addresses import find_addresses
+from lerobot_adamanip.util.errors import DatasetError
 
 _TEXT = (".json", ".jsonl", ".md", ".py", ".txt", ".yaml", ".yml", ".toml", ".csv")
 _SHORTEST, _SHORTEST_IN_BYTES = 4, 7

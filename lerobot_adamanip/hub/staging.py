@@ -11,19 +11,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.categories import ALL
-from lerobot_adamanip.demos.card import read_dataset_card
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.recorded_card import has_recorded_episodes, recorded_card
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.datasets.cards.collected import read_dataset_card
+from lerobot_adamanip.datasets.cards.recorded import has_recorded_episodes, recorded_card
+from lerobot_adamanip.datasets.cards.templates import check_card
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.hub.cards import check_card
-from lerobot_adamanip.hub.check.dataset import check
 from lerobot_adamanip.hub.environment import write_environment
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card, tensor_shapes
+from lerobot_adamanip.hub.portable_config import shareable
 from lerobot_adamanip.hub.scan import Names, require_clean
-from lerobot_adamanip.hub.sharing import shareable
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
 
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 _DATASET = ("meta/", "data/", "videos/")

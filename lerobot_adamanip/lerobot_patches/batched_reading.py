@@ -24,8 +24,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from lerobot_adamanip.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.lerobot_patches.support import are_off
+from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 
 LOSS = "Training reads row by row: the same batches, 0.6 ms a row, and videos are decoded that no policy looks at."
 MARK = "_adamanip_read_in_batches"

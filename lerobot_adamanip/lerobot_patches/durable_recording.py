@@ -4,7 +4,7 @@ Changes:
     `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
     ``LeRobotDataset.resume``, which first mends such a recording. An episode gets files of its own, complete when it is
     saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A kill
-    in between leaves files that nothing counts. `lerobot_adamanip.hub.check.repair` moves them away, or counts them if
+    in between leaves files that nothing counts. `datasets.check.repair` moves them away, or counts them if
     they are whole. The writer also keeps calibrations and safety limits of the connected robot beside its recording.
 Why:
     LeRobot completes its Parquet files when a session ends.
@@ -39,14 +39,14 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 
-from lerobot_adamanip import files
-from lerobot_adamanip.demos.output_folder import lock_output, resolve_output
+from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE
+from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
+from lerobot_adamanip.hardware.robot_registry import BOARD
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
-from lerobot_adamanip.hardware.session import BOARD
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, replace
-from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE
+from lerobot_adamanip.util import files
 
 INFO = "info.json"
 _log = logging.getLogger(__name__)
@@ -187,8 +187,8 @@ def _rows(folder: Path) -> int:
 
 def mend(root: Path) -> None:
     """Mends a recording of our robots that a kill has left; does nothing to any other dataset, or to none."""
-    from lerobot_adamanip.demos.loading import read_info
-    from lerobot_adamanip.hub.check.repair import repair
+    from lerobot_adamanip.datasets.check.repair import repair
+    from lerobot_adamanip.datasets.reading import read_info
 
     try:
         if not is_dense(read_info(root)["features"]):

@@ -24,7 +24,7 @@ from collections.abc import Callable, MutableMapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from lerobot_adamanip.hardware.session import BOARD
+from lerobot_adamanip.hardware.robot_registry import BOARD
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
 
 RECORDER = "lerobot.scripts.lerobot_record"

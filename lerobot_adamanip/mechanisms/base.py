@@ -10,8 +10,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.arrays import doubles, filled, is_tensor
+from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
     import torch

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.objects.base import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError
 
 MARGIN = 1.1
 """A joint has to go this many times as far as its goal: success is being beyond it."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.base import JointLimits, Overrides, check_positive, opening, overridden, uniform
+from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
     import torch

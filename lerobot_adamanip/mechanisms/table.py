@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.errors import require_choice
 from lerobot_adamanip.mechanisms.base import Mechanism
 from lerobot_adamanip.mechanisms.lamp import LampMechanism
 from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism
 from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig
 from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
+from lerobot_adamanip.util.errors import require_choice
 
 if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the presets' names
     from lerobot_adamanip.objects.base import ArticulatedObject

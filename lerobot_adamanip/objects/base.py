@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lerobot_adamanip.rotations import rotated_about_line, rotation_about, transform
+from lerobot_adamanip.contract.rotations import rotated_about_line, rotation_about, transform
 
 Pose = NDArray[np.float64]
 ShapeKind = Literal["box", "cylinder", "capsule", "mesh"]

@@ -1,8 +1,8 @@
 """The policies. Importing this registers configurations and processor steps; the models come later."""
 
 # LeRobot loads a checkpoint's processors by registered name before it imports the policy's processor file.
-from lerobot_policy_adamanip import depth_step
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
+from lerobot_policy_adamanip.common import depth_to_cloud_step as depth_step
 from lerobot_policy_adamanip.dp3_adaptive import processor_dp3_adaptive
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig

@@ -14,11 +14,11 @@ from asset_folders import adamanip_safe, full_size_door, partnet_safe, safe_anno
 
 from lerobot_adamanip.assets import load_object
 from lerobot_adamanip.catalog import make_object
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.rollout import rollout
+from lerobot_env_adamanip.sim.nominal_pose import ExternalStand, external_stand, generated_stand
 from lerobot_env_adamanip.sim.placement import ReachRequirement
-from lerobot_env_adamanip.sim.stand import ExternalStand, external_stand, generated_stand
 
 PULL = (ReachRequirement("lever", ({"lever": 1.0}, {"lever": 1.0, "leaf": 0.77})),)
 RULE = ExternalStand(wide_farthest={"leaf": 0.5})
@@ -113,7 +113,7 @@ def test_one_asset_out_of_reach_is_left_out_by_name_and_costs_no_other(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     from lerobot_adamanip.cli.external import checked_source, select_placeable
-    from lerobot_adamanip.errors import ConfigurationError, UnreachableError
+    from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
     adamanip_safe(tmp_path / "safe" / "near")

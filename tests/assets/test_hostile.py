@@ -16,7 +16,7 @@ from asset_folders import adamanip_bottle, adamanip_safe, joint, link, partnet_s
 
 from lerobot_adamanip.assets import asset_objects, load_object
 from lerobot_adamanip.assets.annotation.file import save_annotation
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 LAUGHS = """<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><robot>&b;</robot>"""
 EXTERNAL = """<?xml version="1.0"?><!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>"""

@@ -19,8 +19,8 @@ from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import read_urdf
 from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.cli.annotate.view import triangles
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.objects import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError
 
 INCH = 0.0254
 DECOMPOSED = "tu\u0308r"

@@ -44,8 +44,8 @@ def test_proposals_are_near_the_poses_we_know(tmp_path: Path, name: str) -> None
 @pytest.mark.sim
 @pytest.mark.parametrize("name", ["safe_013", "microwave_004"])
 def test_an_expert_opens_an_object_of_others_as_it_was_proposed(tmp_path: Path, name: str) -> None:
+    from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
     from lerobot_adamanip.experts import make_expert
-    from lerobot_adamanip.schema import MAX_KEY_FRAMES
     from lerobot_env_adamanip.keyframe_env import make_task
 
     obj = make_object(name)

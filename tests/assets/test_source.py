@@ -17,9 +17,9 @@ from lerobot_adamanip.assets.annotation.session import Draft
 from lerobot_adamanip.assets.meshes import Surface, cache_folder, convex_parts
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms.feasibility import infeasible
 from lerobot_adamanip.objects import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @pytest.fixture(autouse=True)
@@ -264,7 +264,7 @@ def test_what_is_saved_is_what_is_read(tmp_path: Path) -> None:
 
 
 def test_every_category_has_roles() -> None:
-    from lerobot_adamanip.categories import CATEGORIES
+    from lerobot_adamanip.contract.categories import CATEGORIES
 
     assert set(ROLES) == set(CATEGORIES)
 
@@ -276,7 +276,7 @@ def test_a_loaded_object_moves_in_the_simulator(tmp_path: Path, make: object) ->
     from mani_skill.envs.scene import ManiSkillScene
     from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
 
-    from lerobot_env_adamanip.sim.building import build_object
+    from lerobot_env_adamanip.sim.articulation import build_object
 
     assert callable(make)
     safe = load_object(make(tmp_path / "x"), "safe")

@@ -19,7 +19,7 @@ from lerobot_adamanip.benchmark.declaration import Declaration, parse_declaratio
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import Code
 from lerobot_adamanip.benchmark.run import BenchmarkRun, CellState
-from lerobot_adamanip.evaluation.origin import Origin
+from lerobot_adamanip.evaluation.provenance import Origin
 
 FAKE = Path(__file__).with_name("fake_command.py")
 SCALE = "tiny"

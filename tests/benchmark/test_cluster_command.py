@@ -20,7 +20,7 @@ from two_nodes import TwoNodes
 
 from lerobot_adamanip.benchmark.cluster_command import LOST, ClusterCommands, cluster_commands
 from lerobot_adamanip.benchmark.command import Running
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
 LASTING = "import os, sys, time; open(sys.argv[1], 'w').write(str(os.getpid())); time.sleep(600)"

@@ -11,10 +11,10 @@ import pytest
 from benchmark_helpers import SCALE, content, declared
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
-from lerobot_adamanip.benchmark.paper import SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
+from lerobot_adamanip.benchmark.paper_rates import SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 def test_the_papers_declaration_has_every_method_of_the_paper() -> None:

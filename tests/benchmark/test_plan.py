@@ -13,10 +13,10 @@ from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_
 from lerobot_adamanip.benchmark.declaration import Declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, TRAIN, Code, Step, option, options_key, plan
 from lerobot_adamanip.benchmark.policies import policy_hash
-from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import parse
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.errors import ConfigurationError
 
 CURVE = {
     "method": "ours", "numbers": [0, 1, 3], "none": "static", "categories": ["safe"], "splits": ["seen"],

@@ -14,15 +14,15 @@ from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, content, decla
 from PIL import Image
 from records import record
 
+from lerobot_adamanip.benchmark.counts import Numbers, pooled
 from lerobot_adamanip.benchmark.declaration import Declaration
-from lerobot_adamanip.benchmark.numbers import Numbers, pooled
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.evaluation.origin import machine_text
+from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, difference, rate
+from lerobot_adamanip.util.errors import DatasetError
 
 TRIALS = {
     "method": "ours", "numbers": [0, 1, 2], "none": "static", "categories": ["bottle"], "splits": ["seen"],

@@ -29,12 +29,12 @@ from benchmark_helpers import (
     with_scale,
 )
 
-from lerobot_adamanip import files
 from lerobot_adamanip.benchmark import run
 from lerobot_adamanip.benchmark.command import Running, run_command
 from lerobot_adamanip.benchmark.plan import Code, plan
 from lerobot_adamanip.benchmark.result import read_cell
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 # What is forked here runs nothing of the threads that other tests' libraries have left.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")

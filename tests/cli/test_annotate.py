@@ -16,8 +16,8 @@ from lerobot_adamanip.assets.annotation.session import DRAFT_NAME, Draft
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.util.errors import ConfigurationError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "objects"))
 from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe

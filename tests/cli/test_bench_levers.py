@@ -6,7 +6,7 @@ import pytest
 
 from lerobot_adamanip.cli.bench.levers import busy_cores, plain_gradients
 from lerobot_adamanip.cli.bench.timing import compare_ms
-from lerobot_policy_adamanip.encoders import PointNetEncoder
+from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 
 
 def test_two_ways_take_turns_and_the_warm_up_does_not_count() -> None:

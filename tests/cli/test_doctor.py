@@ -11,11 +11,11 @@ from importlib import metadata
 
 import pytest
 
-from lerobot_adamanip import mixed_precision
-from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.cli.doctor import checks
 from lerobot_adamanip.cli.doctor.checks import Check
 from lerobot_adamanip.cli.doctor.command import Doctor
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util import mixed_precision
 from lerobot_env_adamanip.sim import render_device
 
 NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}

@@ -10,7 +10,7 @@ import pytest
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.util.errors import DatasetError
 
 
 @dataclass

@@ -12,7 +12,7 @@ from PIL import Image
 
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.cli import pictures
+from lerobot_adamanip.cli import picture_choice as pictures
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from demos_helpers import fakes, make_spec, patiently
 
-from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.collection.collect import collect
 
 
 @pytest.fixture(scope="session")

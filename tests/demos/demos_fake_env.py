@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip import files, schema
-from lerobot_adamanip.errors import UnreachableError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
+from lerobot_adamanip.contract.rotations import transform
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import Belief
-from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import UnreachableError
 
 UNREACHABLE_SHARE = 0.2
 EXPERT_FAILS_SHARE = 0.3

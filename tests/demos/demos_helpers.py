@@ -13,12 +13,12 @@ import demos_fake_env
 import numpy as np
 import pyarrow.parquet as pq
 
-from lerobot_adamanip.demos.collect import CollectOptions
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.prepare import preparing_session
-from lerobot_adamanip.demos.record import Factories
-from lerobot_adamanip.jobs import JobResult, Session, WorkerPool
-from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.collection.collect import CollectOptions
+from lerobot_adamanip.collection.record import Factories
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.datasets.encoding import preparing_session
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.jobs import JobResult, Session, WorkerPool
 
 HERE = str(Path(__file__).parent)
 ATTEMPTS = 25

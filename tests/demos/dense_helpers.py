@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.demos.dense.choose import DenseEpisode
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE, STATE_NAMES
 from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES, names_of
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
-from lerobot_adamanip.schema import ACTION, POSE_NAMES, STATE, STATE_NAMES
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 
 FPS = 30
 SPEED, FOLLOWS, FINGERS, LEAD = 0.3, 0.4, 0.2, 0.04

@@ -1,4 +1,4 @@
-"""Work for `lerobot_adamanip.jobs`, importable by spawned workers."""
+"""Work for `lerobot_adamanip.util.jobs`, importable by spawned workers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.jobs import Beat, Work
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.jobs import Beat, Work
 
 IMPORTED_BY = os.getpid()
 """The process that has imported this."""

@@ -17,9 +17,9 @@ from lerobot.robots import Robot, RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 from lerobot_adamanip import lerobot_patches
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
-from lerobot_adamanip.schema import POSE_NAMES
 
 __path__: list[str] = []  # LeRobot imports plugins as packages
 SAVED = "RECORDED_ROBOT_SAVED"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from lerobot_adamanip.demos.attempts import AttemptRecord, attempts_jsonl, by_hidden_value, count
+from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, by_hidden_value, count
 
 
 def attempt(kept: bool, hidden: dict[str, Any] | None, slot: int = 0) -> AttemptRecord:

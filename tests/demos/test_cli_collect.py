@@ -13,16 +13,16 @@ import pytest
 from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
-from lerobot_adamanip.cli import pictures
+from lerobot_adamanip.cli import picture_choice as pictures
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import main, parse
-from lerobot_adamanip.cli.pictures import resolve_images
+from lerobot_adamanip.cli.picture_choice import resolve_images
 from lerobot_adamanip.cli.push import Push
-from lerobot_adamanip.demos.collect import CollectOptions
-from lerobot_adamanip.demos.collection import CollectionPaths, CollectionSpec
-from lerobot_adamanip.demos.loading import episode_table
-from lerobot_adamanip.demos.manifest import read_manifest
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.collection.collect import CollectOptions
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec
+from lerobot_adamanip.datasets.manifest import read_manifest
+from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--image-size", "64", "--late-starts",
          "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
@@ -35,7 +35,7 @@ from demos_helpers import fakes
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.cli.pictures import resolve_images
+from lerobot_adamanip.cli.picture_choice import resolve_images
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     command.factories = lambda: fakes(delay=0.1)

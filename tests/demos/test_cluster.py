@@ -9,11 +9,17 @@ from pathlib import Path
 import pytest
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.cluster import connected, is_loopback, require_address, require_closed, require_token
-from lerobot_adamanip.demos.collect import CollectOptions
-from lerobot_adamanip.demos.node import EQUAL, NodeFacts, node_facts, require_equal_versions
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.item_queue import ItemQueue
+from lerobot_adamanip.collection.collect import CollectOptions
+from lerobot_adamanip.collection.item_queue import ItemQueue
+from lerobot_adamanip.collection.ray_cluster import (
+    connected,
+    is_loopback,
+    require_address,
+    require_closed,
+    require_token,
+)
+from lerobot_adamanip.collection.ray_nodes import EQUAL, NodeFacts, node_facts, require_equal_versions
+from lerobot_adamanip.util.errors import ConfigurationError
 
 # Stands for a machine on which the extra is not installed.
 WITHOUT_RAY = """
@@ -39,7 +45,7 @@ def test_without_ray_the_error_names_the_extra(tmp_path: Path) -> None:
 
 
 def test_collecting_on_one_machine_imports_no_ray() -> None:
-    code = "import lerobot_adamanip.cli.collect, lerobot_adamanip.demos.collect, sys; print('ray' in sys.modules)"
+    code = "import lerobot_adamanip.cli.collect, lerobot_adamanip.collection.collect, sys; print('ray' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
@@ -76,8 +82,8 @@ def test_the_token_is_asked_for_before_anything_is_sent(tmp_path: Path, monkeypa
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("lerobot_adamanip.demos.cluster._answer", lambda *_: pytest.fail("asked"))
-    monkeypatch.setattr("lerobot_adamanip.demos.cluster.require_ray", lambda: None)
+    monkeypatch.setattr("lerobot_adamanip.collection.ray_cluster._answer", lambda *_: pytest.fail("asked"))
+    monkeypatch.setattr("lerobot_adamanip.collection.ray_cluster.require_ray", lambda: None)
     for address in ("192.0.2.1:6379", "auto"):
         with pytest.raises(ConfigurationError, match="no token"), connected(address, workers=1, insecure=False):
             pass
@@ -92,7 +98,7 @@ def test_an_open_cluster_is_refused_whatever_token_we_have(monkeypatch: pytest.M
         asked.append({name: value for name, value in environment.items() if name.startswith("RAY_AUTH")})
         return "open"
 
-    monkeypatch.setattr("lerobot_adamanip.demos.cluster._answer", answer)
+    monkeypatch.setattr("lerobot_adamanip.collection.ray_cluster._answer", answer)
     with pytest.raises(ConfigurationError, match="open"):
         require_closed("192.0.2.1:6379")
     assert asked[-1] == {"RAY_AUTH_MODE": "disabled"}

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes, same_content
 
-from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.collection import CollectionPaths
-from lerobot_adamanip.demos.loading import episode_table, load_check
-from lerobot_adamanip.demos.replay import replay
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.reading import episode_table, load_check
+from lerobot_adamanip.util.errors import DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 
@@ -27,7 +27,7 @@ import json, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from demos_helpers import fakes, make_spec, patiently
-from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.collection.collect import collect
 if __name__ == "__main__":
     asked = json.loads(sys.argv[3])
     collect(Path(sys.argv[2]), make_spec(**asked["spec"]), fakes(**asked["fakes"]), patiently(**asked["options"]))

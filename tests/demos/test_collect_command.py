@@ -7,15 +7,15 @@ from typing import Any
 
 import pytest
 
-from lerobot_adamanip import trained_policy
 from lerobot_adamanip.catalog import select_objects
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.cli import pictures
+from lerobot_adamanip.cli import picture_choice as pictures
 from lerobot_adamanip.cli.main import parse
-from lerobot_adamanip.demos.collect_command import PYTHON_ONLY, collect_command
-from lerobot_adamanip.demos.collection import DECIDING, CollectionSpec
-from lerobot_adamanip.demos.manifest import Manifest
-from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.collection import trained_policy
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.datasets.collect_command import PYTHON_ONLY, collect_command
+from lerobot_adamanip.datasets.collection_spec import DECIDING, CollectionSpec
+from lerobot_adamanip.datasets.manifest import Manifest
+from lerobot_adamanip.episode.options import EnvironmentOptions
 
 _CHANGED: dict[str, Any] = {
     "expert": "static", "expert_preset": "to_stop", "episodes_per_object": 7, "trials": 2, "seed": 5,

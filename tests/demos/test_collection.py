@@ -9,16 +9,16 @@ from demos_helpers import make_spec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lerobot_adamanip.demos.collection import (
+from lerobot_adamanip.contract.seeds import SPLITS, split_of
+from lerobot_adamanip.datasets.collection_spec import (
     DECIDING,
     DEMO_SEED_END,
     DEMO_SEED_START,
     NOT_DECIDING,
     episode_seed,
 )
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.seeds import SPLITS, split_of
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import ConfigurationError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 

@@ -13,15 +13,15 @@ import pytest
 import torch
 from demos_helpers import corrected, make_spec, patiently, same_bytes
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.corrections import Correcting, corrected_rollout
-from lerobot_adamanip.demos.loading import episode_table, open_dataset
-from lerobot_adamanip.demos.replay import replay
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.rollout import KeyFrame
-from lerobot_policy_adamanip.demonstrations import read_recorded_rows
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.corrections import Correcting, corrected_rollout
+from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.datasets.reading import episode_table, open_dataset
+from lerobot_adamanip.episode.rollout import KeyFrame
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.demonstrations import read_recorded_rows
 
 POLICY = "0123456789abcdef" * 2
 Refuses = Callable[[type, Callable[[], Any]], str]

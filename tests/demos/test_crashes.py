@@ -16,13 +16,13 @@ import pytest
 from demos_fake_env import make_env, make_expert
 from demos_helpers import InThisProcess, make_spec, same_bytes
 
-from lerobot_adamanip import files
-from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos.collect import CollectOptions, collect
-from lerobot_adamanip.demos.collection import CollectionPaths
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.record import Factories
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection.collect import CollectOptions, collect
+from lerobot_adamanip.collection.record import Factories
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
 
 SPEC = make_spec(episodes_per_object=2, image_size=16, keep_failed=True, seed=1)
 OPTIONS = CollectOptions(max_attempts=25)

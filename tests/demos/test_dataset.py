@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 from demos_helpers import LATE, fakes, make_spec, patiently
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset, read_back
-from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
-from lerobot_adamanip.demos.shards import RecordedEpisode, write_shard
-from lerobot_adamanip.demos.start_column import RESET
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.fingerprint import combined
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset, read_back
+from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.datasets.start_column import RESET
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.fingerprint import combined
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 

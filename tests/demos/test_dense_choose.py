@@ -10,9 +10,9 @@ from dense_helpers import STOPS, WALL, Stop, dense_episode, jumped
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from lerobot_adamanip.demos.dense.choose import DenseEpisode, choose_key_frames
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode, choose_key_frames
+from lerobot_adamanip.util.errors import DatasetError
 
 FPS = 30
 

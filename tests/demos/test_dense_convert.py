@@ -14,23 +14,23 @@ import pyarrow.parquet as pq
 import pytest
 from dense_helpers import FPS, SIZE, STOPS, Stop, calibration, dense_episode, depth_at, write_recording
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.dense.choose import choose_key_frames
-from lerobot_adamanip.demos.dense.convert import ConvertOptions, convert
-from lerobot_adamanip.demos.dense.recording import DenseRecording
-from lerobot_adamanip.demos.dense.rows import Camera, RowOptions, demonstration_columns
-from lerobot_adamanip.demos.loading import episode_table, open_dataset, read_info
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.reading import episode_table, open_dataset, read_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
+from lerobot_adamanip.hardware.robot_registry import BOARD
 from lerobot_adamanip.hardware.safety import accepted
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_json
-from lerobot_adamanip.hardware.session import BOARD
-from lerobot_adamanip.hub.check.dataset import check
-from lerobot_adamanip.hub.check.repair import repair
 from lerobot_adamanip.lerobot_patches.durable_recording import _keep_safety
-from lerobot_adamanip.pointcloud import as_points
-from lerobot_adamanip.rotations import pose_from_vector
+from lerobot_adamanip.recordings.convert import ConvertOptions, convert
+from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames
+from lerobot_adamanip.recordings.recording import DenseRecording
+from lerobot_adamanip.recordings.rows import Camera, RowOptions, demonstration_columns
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 POINTS = 64
 OPTIONS = ConvertOptions(rows=RowOptions(num_points=POINTS))

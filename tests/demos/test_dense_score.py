@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from dense_helpers import FPS, STOPS, dense_episode, jumped
 
-from lerobot_adamanip.demos.dense.choose import choose_key_frames
-from lerobot_adamanip.demos.dense.score import Score, score
+from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames
+from lerobot_adamanip.recordings.keyframe_score import Score, score
 
 TICKS = 30
 

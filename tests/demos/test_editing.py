@@ -15,20 +15,21 @@ from demos_helpers import fakes, make_spec, patiently, same_content
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.editing import choose, cutting
-from lerobot_adamanip.demos.editing.choose import assign, filter_episodes, split_episodes
-from lerobot_adamanip.demos.editing.conditions import Facts, parse_condition
-from lerobot_adamanip.demos.editing.facts import episode_facts, recoveries
-from lerobot_adamanip.demos.editing.selection import read_selection, selection_path
-from lerobot_adamanip.demos.editing.source import Source
-from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
-from lerobot_adamanip.demos.merge import merge
-from lerobot_adamanip.demos.replay import replay
-from lerobot_adamanip.demos.video import write_video
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.editing import cutting
+from lerobot_adamanip.datasets.editing import filter_split as choose
+from lerobot_adamanip.datasets.editing.conditions import Facts, parse_condition
+from lerobot_adamanip.datasets.editing.episode_facts import episode_facts, recoveries
+from lerobot_adamanip.datasets.editing.filter_split import assign, filter_episodes, split_episodes
+from lerobot_adamanip.datasets.editing.selection import read_selection, selection_path
+from lerobot_adamanip.datasets.editing.source import Source
+from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.util.video import write_video
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 HALVES = {"one": 0.5, "other": 0.5}

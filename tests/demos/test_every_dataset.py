@@ -14,10 +14,10 @@ from every_maker import DENSE, RECORDING, ROLLOUT, TICKS_ALONE, make_every_datas
 from sound_demos import POINTS, make_sound_env
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.loading import read_info
-from lerobot_adamanip.errors import AdaManipError
-from lerobot_adamanip.hub.check.dataset import check
-from lerobot_env_adamanip import factory
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.reading import read_info
+from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_env_adamanip import make_env as factory
 
 COLLECTED = (
     "collect", "collect, other seed", "collect --no-images", "collect of several categories", "collect --policy",

@@ -17,11 +17,13 @@ import numpy as np
 import pytest
 from recorded_robot import SAVED
 
-from lerobot_adamanip import files, lerobot_patches, schema
-from lerobot_adamanip.demos.loading import read_info
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip import lerobot_patches
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.reading import read_info
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
-from lerobot_adamanip.hub.check.repair import repair
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
 
 HERE = Path(__file__).parent
 ENCODINGS = (False, True)

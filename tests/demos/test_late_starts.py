@@ -10,17 +10,17 @@ import pytest
 from demos_fake_env import FakeEnv
 from demos_helpers import fakes, make_spec
 
-from lerobot_adamanip.demos.late_starts import (
+from lerobot_adamanip.collection.late_starts import (
     KEY_FRAMES,
     draw_start,
     start_late,
 )
-from lerobot_adamanip.demos.loading import episode_table
-from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
-from lerobot_adamanip.demos.start_column import RESET, read_start, start_column
-from lerobot_adamanip.errors import UnreachableError
-from lerobot_adamanip.rotations import angle_between
-from lerobot_adamanip.schema import GRIPPER_DIM
+from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
+from lerobot_adamanip.contract.rotations import angle_between
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
+from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.datasets.start_column import RESET, read_start, start_column
+from lerobot_adamanip.util.errors import UnreachableError
 
 
 def late_seed(share: float = 0.5, start: int = 0) -> int:

@@ -14,11 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 from demos_helpers import fakes, make_spec
 
-from lerobot_adamanip.demos.collection import manifest_path
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.manifest import Manifest, read_manifest, require_same, write_manifest
-from lerobot_adamanip.demos.replay import replay
-from lerobot_adamanip.errors import AdaManipError, DatasetError
+from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same, write_manifest
+from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 FINGERPRINT = {"mechanisms": "0" * 16, "renderer": "llvmpipe (LLVM 19.1.7, 256 bits)"}
@@ -181,7 +181,11 @@ def test_a_damaged_manifest_is_one_clear_error(copy: Path, canary: Path, refuses
 
 
 def test_a_dataset_of_version_0_1_0_says_so(copy: Path, canary: Path, refuses: Refuses) -> None:
-    old = {"category": "safe", "objects": ["safe_000"], "env_factory": "lerobot_env_adamanip.factory:make_keyframe_env"}
+    old = {
+        "category": "safe",
+        "objects": ["safe_000"],
+        "env_factory": "lerobot_env_adamanip.factory:make_keyframe_env",
+    }
     manifest_path(copy).write_text(json.dumps(old))
     assert "0.1.0" in refused(copy, canary, refuses)
 

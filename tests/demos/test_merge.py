@@ -11,12 +11,12 @@ import pytest
 from demos_helpers import another
 from lerobot.datasets.dataset_writer import DatasetWriter
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.editing.choose import filter_episodes
-from lerobot_adamanip.demos.loading import episode_table, load_check, open_dataset
-from lerobot_adamanip.demos.merge import merge
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset
+from lerobot_adamanip.util.errors import AdaManipError
 
 
 @pytest.fixture(scope="module")

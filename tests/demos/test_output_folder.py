@@ -17,20 +17,20 @@ import pytest
 from demos_helpers import InThisProcess, another, fakes, make_spec, patiently, same_bytes
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos import output_folder
-from lerobot_adamanip.demos.collect import CollectOptions, collect
-from lerobot_adamanip.demos.collection import CollectionPaths
-from lerobot_adamanip.demos.dense.convert import ConvertOptions, convert
-from lerobot_adamanip.demos.editing.choose import filter_episodes, split_episodes
-from lerobot_adamanip.demos.editing.selection import selection_path
-from lerobot_adamanip.demos.loading import episode_table, load_check
-from lerobot_adamanip.demos.merge import merge
-from lerobot_adamanip.demos.output_folder import COLLECTING, WORK_FOLDERS, lock_output, lock_path, owned_output
-from lerobot_adamanip.demos.parts import Part
-from lerobot_adamanip.demos.pictures import add_pictures
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.hub.check.repair import repair
+from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection.collect import CollectOptions, collect
+from lerobot_adamanip.collection.parts import Part
+from lerobot_adamanip.collection.render import add_pictures
+from lerobot_adamanip.datasets import output_folder
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.editing.filter_split import filter_episodes, split_episodes
+from lerobot_adamanip.datasets.editing.selection import selection_path
+from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.output_folder import COLLECTING, WORK_FOLDERS, lock_output, lock_path, owned_output
+from lerobot_adamanip.datasets.reading import episode_table, load_check
+from lerobot_adamanip.recordings.convert import ConvertOptions, convert
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 BARE = make_spec(observe_images=False)
@@ -65,7 +65,7 @@ def record_part(root: Path) -> dict[str, bytes]:
 HOLDS = """
 import os, sys, time
 from pathlib import Path
-from lerobot_adamanip.demos.output_folder import lock_output
+from lerobot_adamanip.datasets.output_folder import lock_output
 with lock_output(Path(sys.argv[1])):
     if not os.fork():
         print(os.getpid(), flush=True)

@@ -11,11 +11,11 @@ from demos_helpers import ATTEMPTS, InThisProcess, fakes, make_spec, patiently, 
 
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.collection import CollectionPaths
-from lerobot_adamanip.demos.parts import Part
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.parts import Part
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 

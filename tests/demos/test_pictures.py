@@ -13,12 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 from demos_helpers import fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.loading import load_check, open_dataset
-from lerobot_adamanip.demos.pictures import add_pictures
-from lerobot_adamanip.demos.replay import replay
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.render import add_pictures
+from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.reading import load_check, open_dataset
+from lerobot_adamanip.util.errors import DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 

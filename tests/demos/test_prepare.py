@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 from demos_helpers import InThisProcess, Preparing, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos import assemble as assembling
-from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos.append import can_append, in_order
-from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.collection import assemble as assembling
+from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.appending import can_append, in_order
 
 SPEC: dict[str, Any] = {"episodes_per_object": 4, "num_points": 64}
 

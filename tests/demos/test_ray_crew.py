@@ -21,11 +21,11 @@ from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes
 from jobs_helpers import session
 from two_nodes import TOKEN, TwoNodes
 
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.collection import CollectionPaths
-from lerobot_adamanip.demos.record import RecordingJob, recording_session
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.jobs import JobResult, WorkerError
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.record import RecordingJob, recording_session
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.jobs import JobResult, WorkerError
 
 DEATHS = 20
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
@@ -33,7 +33,7 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from demos_helpers import fakes, make_spec, patiently
-from lerobot_adamanip.demos.collect import collect
+from lerobot_adamanip.collection.collect import collect
 if __name__ == "__main__":
     root, address = sys.argv[1:]
     collect(Path(root), make_spec(), fakes(delay=0.2), patiently(workers=2, cluster=address))
@@ -54,8 +54,8 @@ def two(nodes: TwoNodes) -> TwoNodes:
 
 
 def run(two: TwoNodes, folder: Path, items: list[Any], **options: Any) -> list[JobResult[Any]]:
-    from lerobot_adamanip.demos.cluster import connected
-    from lerobot_adamanip.demos.ray_crew import RayCrew
+    from lerobot_adamanip.collection.ray_cluster import connected
+    from lerobot_adamanip.collection.ray_executor import RayCrew
 
     with connected(two.address, workers=2, insecure=False) as cpus:
         assert cpus == 2
@@ -134,7 +134,9 @@ def start(folder: Path, root: Path, two: TwoNodes) -> subprocess.Popen[bytes]:
 def test_other_versions_and_another_token_are_refused(
     tmp_path: Path, two: TwoNodes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lerobot_adamanip.demos import cluster, node, ray_crew
+    from lerobot_adamanip.collection import ray_cluster as cluster
+    from lerobot_adamanip.collection import ray_executor as ray_crew
+    from lerobot_adamanip.collection import ray_nodes as node
 
     own = node.node_facts("driver")
     other = node.NodeFacts("driver", own.host, {**own.versions, "numpy": "1.0"})
@@ -214,7 +216,7 @@ def test_what_a_dataset_says_of_a_crash_names_no_machine() -> None:
     """Attempts are published with the dataset; what Ray tells beside it is for the screen."""
     from ray.exceptions import NodeDiedError, RayError
 
-    from lerobot_adamanip.demos.ray_crew import crash, reason
+    from lerobot_adamanip.collection.ray_executor import crash, reason
 
     told = "The actor died. pid: 4242 namespace: ns-abc ip: 10.20.30.40 Worker exit type: SYSTEM_ERROR"
     assert crash(RayError(told)) == "RayError, SYSTEM_ERROR"

@@ -7,13 +7,13 @@ import pytest
 from demos_fake_env import FakeEnv
 from demos_helpers import fakes, make_spec
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.recorder import EpisodeRecorder
-from lerobot_adamanip.errors import UnreachableError
-from lerobot_adamanip.keyframes import Feedback, Goal, Outcome, Phase
-from lerobot_adamanip.observation import observation_columns
-from lerobot_adamanip.rollout import KeyFrame, rollout
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.collection.recorder import EpisodeRecorder
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.contract.observation import observation_columns
+from lerobot_adamanip.contract.rotations import transform
+from lerobot_adamanip.episode.rollout import KeyFrame, rollout
+from lerobot_adamanip.util.errors import UnreachableError
 
 PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY)
 FARTHER = Goal(transform((0.7, 0.0, 0.2)), 0.0, Phase.OPEN)

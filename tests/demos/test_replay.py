@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from demos_helpers import fakes
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.replay import Replay
-from lerobot_adamanip.demos.loading import episode_table
-from lerobot_adamanip.demos.replay import replay
-from lerobot_adamanip.demos.video import write_video
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
-from lerobot_env_adamanip import factory
+from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.video import write_video
+from lerobot_env_adamanip import make_env as factory
 
 ENV = fakes().environment
 Refuses = Callable[[type, Callable[[], Any]], str]

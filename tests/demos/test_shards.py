@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lerobot_adamanip import files, schema
-from lerobot_adamanip.demos.shards import RecordedEpisode, read_record, read_shard, write_shard
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, read_shard, write_shard
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
 
 
 @pytest.fixture

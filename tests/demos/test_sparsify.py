@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.sparsify import DenseTrajectory, distance, sparsify
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.recordings.sparsify import DenseTrajectory, distance, sparsify
+from lerobot_adamanip.util.errors import ConfigurationError
 
 RATE = 20.0
 UP = np.eye(3)

@@ -13,15 +13,15 @@ import demos_fake_env
 import pytest
 from demos_helpers import InThisProcess, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip import files
-from lerobot_adamanip.demos import crew as crews
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.editing.choose import filter_episodes
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.output_folder import COLLECTING, RENDERING, lock_path
-from lerobot_adamanip.demos.pictures import add_pictures
-from lerobot_adamanip.errors import AdaManipError
-from lerobot_adamanip.hub.check.repair import repair
+from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.render import add_pictures
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.output_folder import COLLECTING, RENDERING, lock_path
+from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import AdaManipError
 
 SPEC = make_spec(episodes_per_object=1, image_size=16, observe_images=False, late_starts=0.0)
 COMMANDS = ("render", "collect", "filter", "repair")

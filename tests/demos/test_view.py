@@ -18,14 +18,14 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.editing.facts import recoveries
-from lerobot_adamanip.demos.view import viewer
-from lerobot_adamanip.demos.view.episode import ViewedEpisode, read_episode
-from lerobot_adamanip.demos.view.still import draw, drawn, write_still
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.keyframes import Outcome, Phase
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Outcome, Phase
+from lerobot_adamanip.datasets.editing.episode_facts import recoveries
+from lerobot_adamanip.datasets.view import viewer
+from lerobot_adamanip.datasets.view.episode import ViewedEpisode, read_episode
+from lerobot_adamanip.datasets.view.still import draw, drawn, write_still
+from lerobot_adamanip.util.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[2]
 SAFE = Path(__file__).with_name("safe_episode")

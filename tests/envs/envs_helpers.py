@@ -80,7 +80,7 @@ def grasp_handle(env: Any) -> None:
 
 def stay(env: Any) -> NDArray[np.float32]:
     """An action that asks the arm to be where it is, hand open."""
-    from lerobot_adamanip.rotations import pose_vector
+    from lerobot_adamanip.contract.rotations import pose_vector
 
     return pose_vector(env.feedback.tcp_in_base, 1.0)
 

@@ -134,7 +134,7 @@ def test_what_does_not_move_is_seen_as_if_it_were_cast_anew() -> None:
 TRY = """
 import json, sys
 import numpy as np
-from lerobot_adamanip.errors import SimulatorError
+from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 env = KeyframeEnv("safe", num_points=64, image_size=64, observe_images=False)
 cloud = env.reset(seed=4)[0]["point_cloud"]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from envs_helpers import OneSimulator
 
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.observation import RepeatedPointsWarning, workspace_cloud
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.observation import RepeatedPointsWarning, workspace_cloud
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
 from lerobot_env_adamanip.keyframe_env import make_task
 
 pytestmark = pytest.mark.sim

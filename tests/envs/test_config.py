@@ -16,11 +16,11 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env, make_env_config
 
 import lerobot_env_adamanip  # noqa: F401  (registers the types)
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.seeds import scene_seed
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.contract.seeds import scene_seed
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig

@@ -14,8 +14,8 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 
 import lerobot_env_adamanip  # noqa: F401  (registers the environments)
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.observation import RepeatedPointsWarning
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.observation import RepeatedPointsWarning
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 pytestmark = pytest.mark.sim

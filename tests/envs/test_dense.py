@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.demos.dense.choose import choose_key_frames
-from lerobot_adamanip.demos.dense.score import score
-from lerobot_adamanip.demos.record import EpisodeRequest, attempt_episode
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.features import KEY_FRAMES
-from lerobot_adamanip.hub.check.dataset import check
-from lerobot_adamanip.options import EnvironmentOptions
+from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames
+from lerobot_adamanip.recordings.keyframe_score import score
+from lerobot_adamanip.util.errors import DatasetError
 from lerobot_env_adamanip.dense import FPS, TickWatch, collect_dense, dense_episode
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

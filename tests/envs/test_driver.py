@@ -11,9 +11,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.keyframes import MotionLimits, Outcome
-from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_6d, pose_vector, rotation_about, transform
+from lerobot_adamanip.contract.keyframes import MotionLimits, Outcome
+from lerobot_adamanip.contract.rotations import (
+    angle_between,
+    matrix_from_rotation_6d,
+    pose_vector,
+    rotation_about,
+    transform,
+)
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.sim.keyframe_driver import FINGER_OPEN, ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics, IKResult, pose_error
 

@@ -17,10 +17,10 @@ import pytest
 import yaml
 from documents import blocks
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.environment_server import create_adamanip_envs
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from envs_helpers import ROOT, OneSimulator
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.experts import Phase, make_expert
-from lerobot_adamanip.keyframes import PRE_GRASP, Goal
-from lerobot_adamanip.rotations import transform
 from lerobot_env_adamanip.keyframe_env import make_task
 
 pytestmark = pytest.mark.sim

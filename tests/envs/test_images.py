@@ -13,8 +13,8 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env, make_env_config
 
 import lerobot_env_adamanip as plugin
-from lerobot_adamanip.errors import SimulatorError
-from lerobot_env_adamanip import images
+from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_env_adamanip import image_options as images
 
 FRONT = "pixels/front"
 

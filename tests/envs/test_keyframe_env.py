@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
 
-from lerobot_adamanip.errors import ConfigurationError, UnreachableError
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.contract.seeds import split_of
+from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, rollout
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.experts import Outcome, Phase, make_expert
-from lerobot_adamanip.keyframes import KeyFrameLabels
-from lerobot_adamanip.rollout import KeyFrame, KeyframeEnvironment, rollout
-from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_adamanip.seeds import split_of
+from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
 from lerobot_env_adamanip.episode_log import EpisodeLog
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lerobot_adamanip.keyframes import MotionLimits, Outcome
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract.keyframes import MotionLimits, Outcome
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import LEVEL_REST, ArmKinematics, joint_path
 

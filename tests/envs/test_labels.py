@@ -7,10 +7,10 @@ import pytest
 from envs_helpers import SMALL, OneSimulator
 
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels, Outcome, Phase
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.keyframes import KeyFrameLabels, Outcome, Phase
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

@@ -7,7 +7,7 @@ from envs_helpers import in_fresh_process
 
 TRY = """
 import json
-from lerobot_adamanip.errors import SimulatorError
+from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 env, said = KeyframeEnv("safe", num_points=64, image_size=64), []
 for _ in range(2):
@@ -20,7 +20,7 @@ print(json.dumps(said))
 """
 PLAIN = """
 import json
-from lerobot_adamanip.errors import SimulatorError
+from lerobot_adamanip.util.errors import SimulatorError
 said = []
 for module in ("lerobot_env_adamanip.tasks", "lerobot_env_adamanip.sim.tasks"):
     try:
@@ -33,7 +33,7 @@ MANISKILL = """
 import json
 import gymnasium as gym
 import lerobot_env_adamanip.sim.tasks
-from lerobot_adamanip.errors import SimulatorError
+from lerobot_adamanip.util.errors import SimulatorError
 said = []
 for options in ({"obs_mode": "state"}, {"obs_mode": "rgb"}, {"obs_mode": "state", "render_mode": "rgb_array"}):
     try:

@@ -31,14 +31,14 @@ def told(code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[
     return done
 
 
-@pytest.mark.parametrize("name", ["lerobot_env_adamanip.preload", "lerobot_env_adamanip.tasks"])
+@pytest.mark.parametrize("name", ["lerobot_env_adamanip.fork_server_preload", "lerobot_env_adamanip.tasks"])
 def test_sapien_keeps_its_own(installed: dict[str, str], name: str) -> None:
     done = told(f"import {name}; {MODULE}; import pinocchio; print(pinocchio.IS_OTHER)", installed)
     assert done.stdout.split() == [OWN, "True"], "and who wants the other one gets it"
 
 
 def test_who_came_first_is_told(installed: dict[str, str]) -> None:
-    begin = "import sapien; from lerobot_env_adamanip.own_kinematics import import_sapien; import_sapien(); "
+    begin = "import sapien; from lerobot_env_adamanip.sapien_import import import_sapien; import_sapien(); "
     done = told(begin + MODULE, installed)
     assert done.stdout.split() != [OWN], "without the guard it is replaced"
     assert "pip uninstall pin" in done.stderr

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from envs_helpers import OneSimulator
 
-from lerobot_adamanip.keyframes import PRE_GRASP, Goal, Phase
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal, Phase
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_env_adamanip.keyframe_env import make_task
 from lerobot_env_adamanip.sim.keyframe_driver import FINGER_CLOSED, FINGER_OPEN
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.objects import Material, Shape
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.pointcloud import Workspace
-from lerobot_adamanip.rotations import rotation_about, transform
 from lerobot_env_adamanip import cloud_source
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import raycast

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.sim import render_device
 from lerobot_env_adamanip.sim.render_device import (
     cache_file,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from envs_helpers import ROOT
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 
 pytestmark = pytest.mark.sim
 

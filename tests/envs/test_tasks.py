@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.keyframes import Goal
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.experts import Outcome, Phase, make_expert
-from lerobot_adamanip.keyframes import Goal
 from lerobot_adamanip.objects.safe import DOOR_UPPER
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.util.errors import ConfigurationError
 
 pytestmark = pytest.mark.sim
 SAFE = "AdaManip-Safe-v1"

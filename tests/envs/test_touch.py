@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip.rotations import rotation_about, transform
-from lerobot_env_adamanip.sim.touch import PUSH_LAG, PUSH_TURN_LAG, HandTouch
+from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_env_adamanip.sim.contacts import PUSH_LAG, PUSH_TURN_LAG, HandTouch
 
 STEP = 0.005
 AWAY = transform((0.0, 0.0, 0.0))

@@ -6,8 +6,8 @@ import dataclasses
 from typing import Any
 
 from lerobot_adamanip.catalog import category_of, object_split
+from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.seeds import split_of
 
 MADE = Provenance("0123456789abcdef", "0.2.0", "paper", "run", None, 0)
 HIDDEN: dict[str, dict[str, Any]] = {

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.evaluation.draws import CHOICES, MOTIONS, choices_page, motions_page, read_reports
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 NOW, BEFORE = "a" * 16, "b" * 16
 

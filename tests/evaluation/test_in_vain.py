@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from records import record
 
-from lerobot_adamanip.evaluation.in_vain import KEY_HELD, NO_FURTHER, PART_HELD, count_in_vain, failed_at
+from lerobot_adamanip.evaluation.failed_tries import KEY_HELD, NO_FURTHER, PART_HELD, count_in_vain, failed_at
 from lerobot_adamanip.evaluation.record import TryMade
 from lerobot_adamanip.evaluation.result_rows import rows_of_records
 from lerobot_adamanip.evaluation.results import policy_result

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import KinematicWorld, Move, adaptive, object_names, static
 
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.evaluation.labels import GAVE, JointRange, Try, TryLabeler, meant, part_at, present_motions
-from lerobot_adamanip.keyframes import FOLLOWED, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import FOLLOWED, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
+from lerobot_adamanip.contract.rotations import transform
+from lerobot_adamanip.episode.contact_labels import GAVE, JointRange, Try, TryLabeler, meant, part_at, present_motions
 
 seeds = st.integers(0, 2**31 - 1)
 every_category = pytest.mark.parametrize("category", CATEGORIES)

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import make_object, object_id
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.rotations import angle_between, rotation_about, transform
 from lerobot_adamanip.experts import Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, Motion, PartAnnotation
-from lerobot_adamanip.rotations import angle_between, rotation_about, transform
 
 PLAY = {"revolute": 0.045, "prismatic": 0.004}
 """What hand and drives give way before a stall is felt [rad, m]."""

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, placed_parts, run
 
 from lerobot_adamanip.catalog import make_object, object_id
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.experts import Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.experts.doors import PULL_ANGLES
-from lerobot_adamanip.rotations import rotation_about, transform
 
 fast = settings(max_examples=25, deadline=None)
 seeds = st.integers(0, 2**31)

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, cached_object, object_names, placed_parts, run, static
 
 from lerobot_adamanip.catalog import seen_objects
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.experts import EXPERT_PRESETS, EXPERTS, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
-from lerobot_adamanip.rotations import rotation_about, transform
-from lerobot_adamanip.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.util.errors import ConfigurationError
 
 fast = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 2**31 - 1)

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, object_names, run, static
 
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.experts import Outcome, Phase
 from lerobot_adamanip.experts.doors import PULL_ANGLES
-from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
 fast = settings(max_examples=20, deadline=None)
 seeds = st.integers(0, 2**31 - 1)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from kinematic import Episode, KinematicWorld, adaptive, object_names, run, static
 
 from lerobot_adamanip.catalog import seen_objects
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.experts import Feedback, Phase
-from lerobot_adamanip.rotations import transform
 
 fast = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 2**31 - 1)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, placed_parts, run, static
 
 from lerobot_adamanip.catalog import make_object, object_id
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.rotations import pose_from_vector, rotation_about, transform
 from lerobot_adamanip.experts import Feedback, Goal, Outcome, Phase, make_expert
 from lerobot_adamanip.experts.doors import PULL_ANGLES
-from lerobot_adamanip.rotations import pose_from_vector, rotation_about, transform
+from lerobot_adamanip.util.errors import ConfigurationError
 
 fast = settings(max_examples=25, deadline=None)
 seeds = st.integers(0, 2**31)

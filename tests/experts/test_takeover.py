@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, object_names, run
 
 from lerobot_adamanip.catalog import seen_objects
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.experts import Belief, Feedback, Goal, Phase
 from lerobot_adamanip.experts.belief import FeltTry
-from lerobot_adamanip.keyframes import KeyFrameLabels
-from lerobot_adamanip.rotations import transform
 
 seeds = st.integers(0, 2**31 - 1)
 fast = settings(max_examples=10, deadline=None)

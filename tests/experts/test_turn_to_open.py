@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from kinematic import TURNED_TO_OPEN, Episode, KinematicWorld, Move, adaptive, cached_object, object_names, run, static
 
 from lerobot_adamanip.catalog import seen_objects
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.experts import EXPERTS, Phase
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
-from lerobot_adamanip.schema import MAX_KEY_FRAMES
 
 fast = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 2**31 - 1)

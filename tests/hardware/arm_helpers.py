@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
-from lerobot_adamanip.rotations import pose_vector
 
 PATIENT = ServerOptions(state_age=5.0, command_age=0.5)
 LOCKSTEP = ServerOptions(lockstep_fps=30.0)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras.recording import Recording, write_recording
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
 
 HEIGHT, WIDTH = 24, 32
 INTRINSICS = Intrinsics(np.array([[30.0, 0, 16], [0, 30.0, 12], [0, 0, 1]]), np.zeros(5), WIDTH, HEIGHT)

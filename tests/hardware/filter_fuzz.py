@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
-from lerobot_adamanip.hardware.target_geometry import Target
-from lerobot_adamanip.rotations import (
+from lerobot_adamanip.contract.rotations import (
     Array,
     matrix_from_rotation_6d,
     matrix_from_rotation_vector,
@@ -15,6 +12,9 @@ from lerobot_adamanip.rotations import (
     pose_vector,
     transform,
 )
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
+from lerobot_adamanip.hardware.target_geometry import Target
 
 LIMITS = SafetyLimits((0.2, -0.5, 0.0), (0.8, 0.5, 0.7))
 START = transform((0.5, 0.0, 0.35), np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))))

@@ -17,18 +17,18 @@ from lerobot.cameras.configs import CameraConfig
 from lerobot.robots import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
 
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError, RobotError
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.frames import Frame
-from lerobot_adamanip.hardware.session import BOARD
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.schema import POSE_NAMES, STATE_NAMES
+from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
 
 BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
 

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from arm_helpers import LOCKSTEP, PATIENT, eventually, fake_arm, pose_ahead
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.hardware.arm import ArmMode, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
-from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.util.errors import RobotError
 
 
 @pytest.fixture

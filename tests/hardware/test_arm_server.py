@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
@@ -19,7 +20,6 @@ from lerobot_adamanip.hardware.arm_process.served import Served
 from lerobot_adamanip.hardware.arm_process.server import ArmServer
 from lerobot_adamanip.hardware.arm_process.watch import malformed
 from lerobot_adamanip.hardware.backends.fake import START_ROTATION, FakeBackend, FakeOptions
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
 
 OPTIONS = ServerOptions(box_lower=(0.2, -0.4, 0.0), box_upper=(0.8, 0.4, 0.7), jump=0.08, angular_jump=0.3)
 HERE = transform((0.5, 0.0, 0.4), START_ROTATION)

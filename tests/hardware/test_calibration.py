@@ -14,17 +14,17 @@ from calibration_helpers import BOARD, CAMERA, INTRINSICS, Truth, rendered, trut
 from numpy.typing import NDArray
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotation_vector, pose_vector, transform
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.calibration.board import Board
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.calibration.hand_eye import FEWEST_VIEWS, Mounting, View, rotation_spread, solve
 from lerobot_adamanip.hardware.calibration.live import begin, camera_of, take_views
 from lerobot_adamanip.hardware.calibration.projection import project
 from lerobot_adamanip.hardware.calibration.views import ViewFolder
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras.base import FrameReader
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
-from lerobot_adamanip.rotations import angle_between, matrix_from_rotation_vector, pose_vector, transform
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from lerobot.cameras.utils import make_cameras_from_configs
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
 from lerobot_adamanip.hardware.calibration.projection import project
 from lerobot_adamanip.hardware.cameras import k4a_native as native
 from lerobot_adamanip.hardware.cameras.adamanip_k4a import AdamanipK4a
 from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import AdamanipK4aConfig
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 H, W = 6, 8
 DEPTH_LENS = (

@@ -13,9 +13,9 @@ import pytest
 from lerobot.cameras.realsense import camera_realsense as stock
 from lerobot.cameras.utils import make_cameras_from_configs
 
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.cameras.adamanip_realsense import AdamanipRealsense
 from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
+from lerobot_adamanip.util.errors import RobotError
 
 H, W = 12, 16
 Domain = Enum("Domain", ["hardware_clock", "system_time", "global_time"])

@@ -12,14 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lerobot.cameras.utils import make_cameras_from_configs
 
-from lerobot_adamanip.errors import ConfigurationError, DatasetError, RobotError
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.adamanip_replay import AdamanipReplay
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
 from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
 from lerobot_adamanip.hardware.cameras.latest import DeviceClock, LatestFrame
 from lerobot_adamanip.hardware.cameras.recording import FILE, Recording
 from lerobot_adamanip.hardware.cameras.skew import MAX_SKEW, SkewWatch
-from lerobot_adamanip.hardware.frames import Frame
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError, RobotError
 
 
 class ScriptedCamera(ThreadedCamera):

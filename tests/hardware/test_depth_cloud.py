@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.observation import RepeatedPointsWarning
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.hardware.depth_cloud import JUMP, NOTHING_SEEN, depth_cloud, points_in_base
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
-from lerobot_adamanip.observation import RepeatedPointsWarning
-from lerobot_adamanip.pointcloud import Workspace
-from lerobot_adamanip.rotations import matrix_from_rotation_vector, transform
+from lerobot_adamanip.util.errors import ConfigurationError
 
 WIDTH, HEIGHT, FOCAL = 80, 60, 70.0
 EVERYWHERE = Workspace((-9, -9, -9), (9, 9, 9))

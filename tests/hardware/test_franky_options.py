@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode
 from lerobot_adamanip.hardware.backends import franky
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
@@ -21,8 +22,7 @@ from lerobot_adamanip.hardware.backends.franky_sdk import (
     wanted_limits,
 )
 from lerobot_adamanip.hardware.limits import FR3, PANDA
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_adamanip.util.errors import RobotError
 
 VALUES = {"address": "172.16.0.2", "model": "fr3"}
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.gripper import GripperThread
+from lerobot_adamanip.util.errors import RobotError
 
 
 class SlowHand:

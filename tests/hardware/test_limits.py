@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.hardware.limits import FR3, MODELS, PANDA, Bounds, limits_of, planned_velocity
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 def test_the_two_models_are_not_mixed_up() -> None:

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, SharedMailboxes
+from lerobot_adamanip.util.errors import RobotError
 
 
 @pytest.fixture

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from filter_fuzz import LIMITS, START
 
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import Array, pose_from_vector, pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.adamanip_franka import motion
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.session import LOCKSTEP_DT, RobotSession
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.rotations import Array, pose_from_vector, pose_vector, rotation_about, transform
 
 
 class Clock:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lerobot_adamanip.hardware.outcome import OutcomeWatch, StallRule, pose_error
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.rotations import rotation_about, transform
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, StallRule, pose_error
 
 RULE = StallRule()
 GOAL = transform((0.5, 0.0, 0.4))

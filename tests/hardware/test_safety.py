@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, straight_path, transform
 from lerobot_adamanip.hardware.safety import MAX_REFUSED, SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import canonical
-from lerobot_adamanip.rotations import pose_from_vector, pose_vector, rotation_about, straight_path, transform
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 DT = 1 / 30
 STEP = LIMITS.speed * DT

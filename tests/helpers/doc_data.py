@@ -10,7 +10,7 @@ def collect_fake_demos(root: Path, **changes: Any) -> None:
     """A dataset of the same columns as a real one; ``changes`` are those of `demos_helpers.make_spec`."""
     from demos_helpers import fakes, make_spec, patiently
 
-    from lerobot_adamanip.demos.collect import collect
+    from lerobot_adamanip.collection.collect import collect
 
     root.parent.mkdir()
     collect(root, make_spec(**changes), fakes(), patiently())

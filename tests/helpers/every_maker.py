@@ -13,13 +13,13 @@ from dense_helpers import STOPS, dense_episode, dense_features, scalars, write_r
 from sound_demos import PIXELS, POINTS, collect_sound, make_sound_env
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.dense.choose import DenseEpisode
-from lerobot_adamanip.demos.dense.convert import ConvertOptions, convert
-from lerobot_adamanip.demos.dense.rows import RowOptions
-from lerobot_adamanip.demos.pictures import add_pictures
-from lerobot_adamanip.demos.record import Factories
-from lerobot_adamanip.schema import ACTION, STATE
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.record import Factories
+from lerobot_adamanip.collection.render import add_pictures
+from lerobot_adamanip.contract.schema import ACTION, STATE
+from lerobot_adamanip.recordings.convert import ConvertOptions, convert
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
+from lerobot_adamanip.recordings.rows import RowOptions
 
 POLICY = "0123456789abcdef" * 2
 TICKS_ALONE, RECORDING, ROLLOUT = "collect --dense", "lerobot-record", "lerobot-rollout"

@@ -10,14 +10,14 @@ import demos_fake_env
 import numpy as np
 from demos_helpers import make_spec, patiently
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.record import Factories
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.collection.record import Factories
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.contract.seeds import split_of
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.rotations import pose_vector
-from lerobot_adamanip.seeds import split_of
 
 POINTS, PIXELS = 16, 64
 

@@ -14,9 +14,9 @@ import torch
 from kinematic import KinematicWorld, adaptive, static
 from numpy.typing import NDArray
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.keyframes import Goal, Phase
-from lerobot_adamanip.rotations import pose_from_vector, pose_vector, rotation_about, transform
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Goal, Phase
+from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
 
 REPO_ID = "local/toy"
 NUM_POINTS = 160

@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.demos.video import write_video
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.video import write_video
 
 DATA = "data/chunk-000/file-000.parquet"
 META = "meta/episodes/chunk-000/file-000.parquet"

@@ -18,23 +18,23 @@ import yaml
 from huggingface_hub import ModelCard
 from records import record
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.cli import pictures
+from lerobot_adamanip.cli import picture_choice as pictures
 from lerobot_adamanip.cli.main import parse
-from lerobot_adamanip.demos.card import COLUMNS, read_dataset_card
-from lerobot_adamanip.demos.collection import manifest_path
-from lerobot_adamanip.demos.editing.choose import filter_episodes
-from lerobot_adamanip.demos.loading import load_check
-from lerobot_adamanip.demos.manifest import Manifest, read_manifest
-from lerobot_adamanip.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.cards import templates as cards
+from lerobot_adamanip.datasets.cards.collected import COLUMNS, read_dataset_card
+from lerobot_adamanip.datasets.cards.templates import check_card
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.contents import contents
+from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
+from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.evaluation.log import append_record
-from lerobot_adamanip.fingerprint import combined
-from lerobot_adamanip.hub import cards
-from lerobot_adamanip.hub.cards import check_card
-from lerobot_adamanip.hub.contents import contents
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.scan import Names, scan
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.fingerprint import combined
 
 
 @pytest.fixture

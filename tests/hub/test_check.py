@@ -18,19 +18,19 @@ from check_damages import ATTEMPTS, CAMERAS, COLLECTION, DATA, INFO, META, STATS
 from demos_helpers import another
 from sound_demos import collect_sound, make_sound_env
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.loading import open_dataset
-from lerobot_adamanip.demos.merge import merge
-from lerobot_adamanip.demos.replay import check_replays
-from lerobot_adamanip.demos.statistics import cloud_statistics
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.hub.check import reading
-from lerobot_adamanip.hub.check.dataset import check
-from lerobot_adamanip.hub.check.findings import KINDS, MOST_OF_A_KIND, Report
-from lerobot_adamanip.hub.check.repair import repair
-from lerobot_adamanip.hub.check.statistics import check_episode_statistics
-from lerobot_adamanip.pose_statistics import leave_poses_unscaled
+from lerobot_adamanip.collection.replay import check_replays
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.check import reading
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Report
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
+from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
+from lerobot_adamanip.datasets.reading import open_dataset
+from lerobot_adamanip.datasets.statistics import cloud_statistics
+from lerobot_adamanip.util.errors import DatasetError
 
 NAN = float("nan")
 FAR = [9.0, 9.0, 9.0]

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from loopback_hub import LoopbackHub
 
-from lerobot_adamanip.categories import CATEGORIES
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.contract.categories import CATEGORIES
 
 COMMAND = ("-m", "lerobot_adamanip.cli.main", "push")
 

@@ -14,13 +14,13 @@ from demos_helpers import another
 from PIL import Image
 from sound_demos import collect_sound
 
-from lerobot_adamanip import schema
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.demos.loading import episode_table
-from lerobot_adamanip.demos.merge import merge
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.contents import contents
+from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.evaluation.groups import Group
-from lerobot_adamanip.hub.contents import contents
+from lerobot_adamanip.util.errors import DatasetError
 
 
 @pytest.fixture(scope="module")

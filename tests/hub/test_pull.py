@@ -13,9 +13,9 @@ from huggingface_hub import HfApi
 from loopback_hub import LoopbackHub
 from sound_demos import collect_sound
 
-from lerobot_adamanip.fingerprint import core_fingerprint
 from lerobot_adamanip.hub.push import push
 from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
+from lerobot_adamanip.util.fingerprint import core_fingerprint
 
 pytestmark = pytest.mark.timeout(900)  # seven processes, each of which imports LeRobot
 

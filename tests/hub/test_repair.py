@@ -14,15 +14,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lerobot_adamanip import files, schema
-from lerobot_adamanip.demos.loading import load_check, open_dataset
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.hub.check.dataset import check
-from lerobot_adamanip.hub.check.repair import repair
-from lerobot_adamanip.hub.check.salvage import salvage
-from lerobot_adamanip.hub.check.thrift import Reader, Writer
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.check.salvage import salvage
+from lerobot_adamanip.datasets.check.thrift import Reader, Writer
+from lerobot_adamanip.datasets.reading import load_check, open_dataset
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
 
 POINTS, PIXELS, REPO = 24, 64, "local/killed"
 LENGTHS = (5, 7, 4, 6)

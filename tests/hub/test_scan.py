@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from lerobot_adamanip.errors import DatasetError
+from lerobot_adamanip.hub.portable_config import shareable
 from lerobot_adamanip.hub.scan import Names, require_clean, scan
-from lerobot_adamanip.hub.sharing import shareable
 from lerobot_adamanip.hub.staging import stage_dataset, stage_model
+from lerobot_adamanip.util.errors import DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 ME = Names(user=("wanda",), host=("quokka-ws4",), folders=("/srv/fast/wanda7",))

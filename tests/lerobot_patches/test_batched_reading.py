@@ -15,9 +15,9 @@ import torch
 from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.arrow import numeric_array
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.lerobot_patches import NO_PATCHES, batched_reading
+from lerobot_adamanip.util.arrow import numeric_array
 
 LENGTHS = (5, 8, 2)
 CAMERA = schema.FRONT_IMAGE

@@ -19,7 +19,8 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.video_utils import StreamingVideoEncoder
 from lerobot.scripts import lerobot_record
 
-from lerobot_adamanip import lerobot_patches, schema
+from lerobot_adamanip import lerobot_patches
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.lerobot_patches import NO_PATCHES, PATCHES, support
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ideal_joints import DOOR_UPPER, LAMP, MICROWAVE, generator, limits_after, play, reading
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms import LampMechanism, MicrowaveMechanism, MicrowaveMechanismConfig
+from lerobot_adamanip.util.errors import ConfigurationError
 
 some = settings(max_examples=40, deadline=None)
 TRAVEL = 0.013

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from ideal_joints import MECHANISMS, generator, leaves, random_reading, reading, rest, same, take
 
 from lerobot_adamanip.catalog import make_object, seen_objects
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.mechanisms import (
     DEFAULT_MECHANISM_PRESET,
     MECHANISM_PRESETS,
@@ -27,6 +26,7 @@ from lerobot_adamanip.mechanisms import (
     replace_rows,
 )
 from lerobot_adamanip.mechanisms.arrays import as_arrays
+from lerobot_adamanip.util.errors import ConfigurationError
 
 every_mechanism = pytest.mark.parametrize("mechanism", MECHANISMS.values(), ids=MECHANISMS)
 some = settings(max_examples=20, deadline=None)

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms import (
     Lock,
     PushOrRotate,
@@ -20,6 +19,7 @@ from lerobot_adamanip.mechanisms import (
     SwitchContact,
     replace_rows,
 )
+from lerobot_adamanip.util.errors import ConfigurationError
 
 SLIDE = 0.05
 

@@ -10,8 +10,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms import SafeMechanism, SafeMechanismConfig
+from lerobot_adamanip.util.errors import ConfigurationError
 
 DOOR_UPPER, NOMINAL = 1.578, 1.5
 SAFE = SafeMechanism(DOOR_UPPER, NOMINAL)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ideal_joints import CAP, LEVER, generator, limits_after, play, reading
 
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.mechanisms import TurnToOpenMechanism, TurnToOpenMechanismConfig
+from lerobot_adamanip.util.errors import ConfigurationError
 
 both = pytest.mark.parametrize("mechanism", [CAP, LEVER], ids=["cap", "lever"])
 some = settings(max_examples=40, deadline=None)

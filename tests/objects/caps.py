@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from solids import box_points, contains, face_planes, link_origin, solid
 
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_adamanip.rotations import rotation_about, transform
 
 HALF_OPENING, FINGER_DEPTH, FINGER_HALF_WIDTH = 0.04, 0.014, 0.0105
 """Of open fingers: opening (8 cm in all), thickness and half width [m]."""

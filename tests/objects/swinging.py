@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from solids import box_points, contains, face_planes, link_origin, solid
 
+from lerobot_adamanip.contract.rotations import rotated_about_line
 from lerobot_adamanip.objects import ArticulatedObject, Link, PartAnnotation
-from lerobot_adamanip.rotations import rotated_about_line
 
 FINGER_LENGTH, HALF_OPENING, FINGER_DEPTH, FINGER_HALF_WIDTH = 0.045, 0.04, 0.014, 0.0105
 """Free length of a finger behind the tool point, opening (8 cm in all), thickness and half width [m]."""

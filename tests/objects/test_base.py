@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lerobot_adamanip.contract.rotations import angle_between, rotation_about, rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import (
     ON_AXIS,
     Joint,
@@ -23,7 +24,6 @@ from lerobot_adamanip.objects.base import (
     facing,
     from_above,
 )
-from lerobot_adamanip.rotations import angle_between, rotation_about, rotation_with_x_along, transform
 
 many = settings(max_examples=60, deadline=None)
 seeds = st.integers(0, 2**31)

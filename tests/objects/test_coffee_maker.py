@@ -8,9 +8,9 @@ from solids import box_points, contains, face_planes, fingerprint, link_origin, 
 from test_pressure_cooker import HALF_OPENING, fingers, palm
 
 from lerobot_adamanip.catalog import make_object, novel_objects, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.contract.rotations import rotation_about
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.coffee_maker import DROP_UPPER, PORTAFILTER_RANGE, make_coffee_maker
-from lerobot_adamanip.rotations import rotation_about
 
 SEEN, UNSEEN = seen_objects("coffee_maker"), unseen_objects("coffee_maker", 4)
 NOVEL = novel_objects("coffee_maker", 8)

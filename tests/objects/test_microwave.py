@@ -9,6 +9,7 @@ import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
 from lerobot_adamanip.catalog import make_object, novel_objects, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.contract.rotations import rotation_about
 from lerobot_adamanip.objects import ArticulatedObject, Link
 from lerobot_adamanip.objects.microwave import (
     DOOR_UPPER,
@@ -18,7 +19,6 @@ from lerobot_adamanip.objects.microwave import (
     draw_design,
     make_microwave,
 )
-from lerobot_adamanip.rotations import rotation_about
 
 SEEN, UNSEEN = seen_objects("microwave"), unseen_objects("microwave", 11)
 NOVEL = novel_objects("microwave", 8)

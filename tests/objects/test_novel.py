@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.catalog import make_object, novel_objects, object_split, seen_objects, unseen_objects
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.mechanisms.feasibility import infeasible
 from lerobot_adamanip.objects import ArticulatedObject
 

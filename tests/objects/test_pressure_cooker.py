@@ -7,9 +7,9 @@ import pytest
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
 from lerobot_adamanip.catalog import make_object, novel_objects, parse_object_id, seen_objects, unseen_objects
+from lerobot_adamanip.contract.rotations import rotation_about
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.objects.pressure_cooker import LID_RANGE, LIFT_UPPER, make_pressure_cooker
-from lerobot_adamanip.rotations import rotation_about
 
 SEEN, UNSEEN = seen_objects("pressure_cooker"), unseen_objects("pressure_cooker", 4)
 NOVEL = novel_objects("pressure_cooker", 8)

@@ -21,10 +21,10 @@ from lerobot_adamanip.catalog import (
     seen_objects,
     unseen_objects,
 )
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.mechanisms import SafeMechanism
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.objects.safe import DOOR_UPPER, GRASP_REACH, build_safe, draw_design, make_safe
-from lerobot_adamanip.rotations import rotation_about, transform
 
 SEEN, UNSEEN = seen_objects("safe"), unseen_objects("safe", 12)
 NOVEL = novel_objects("safe", 8)

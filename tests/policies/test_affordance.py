@@ -7,10 +7,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.keyframes import PRE_GRASP
-from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_adamanip.contract.keyframes import PRE_GRASP
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip import VatMartConfig
-from lerobot_policy_adamanip.affordance import (
+from lerobot_policy_adamanip.affordance.networks import (
     ConditionalVAE,
     PlaceFeatures,
     Score,
@@ -19,9 +19,7 @@ from lerobot_policy_adamanip.affordance import (
     points_away,
     scores_of_points,
 )
-from lerobot_policy_adamanip.demonstrations import find_contacts
-from lerobot_policy_adamanip.losses import counting_rows, weighted_mean
-from lerobot_policy_adamanip.plans import (
+from lerobot_policy_adamanip.affordance.plans import (
     PlanQueue,
     approach,
     backed_off,
@@ -33,7 +31,9 @@ from lerobot_policy_adamanip.plans import (
     taking_hold,
     with_gripper,
 )
-from lerobot_policy_adamanip.rotations import angle_between
+from lerobot_policy_adamanip.common.demonstrations import find_contacts
+from lerobot_policy_adamanip.common.losses import counting_rows, weighted_mean
+from lerobot_policy_adamanip.common.torch_rotations import angle_between
 
 
 def some_poses(count: int, gripper: float = 1.0) -> torch.Tensor:

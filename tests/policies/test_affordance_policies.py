@@ -17,10 +17,10 @@ from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from toy_demos import TINY, observed, toy_world
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_policy_adamanip import AdaAffordConfig, SamplingConfig, VatMartConfig
-from lerobot_policy_adamanip.affordance_config import AffordanceConfig
+from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 Refuses = Callable[[type[AdaManipError], Callable[[], Any]], str]

@@ -16,8 +16,8 @@ import pytest
 import torch
 from toy_demos import REPO_ID, TINY, observed, toy_world
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
 
 DP3_ADAPTIVE: dict[str, Any] = {
     "preset": "fast", "num_anchors": 6, "num_points": 48, "training_points": 24, "coarse_points": 32,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from lerobot.configs.types import FeatureType, PolicyFeature
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
 
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.demonstrations import (
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.demonstrations import (
     ContactTracker,
     find_contacts,
     read_columns,

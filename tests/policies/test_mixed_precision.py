@@ -12,8 +12,9 @@ import pytest
 import torch
 from lerobot.configs.types import FeatureType, PolicyFeature
 
-from lerobot_adamanip import mixed_precision, schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util import mixed_precision
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from lerobot.policies.pretrained import PreTrainedPolicy
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 HOOK = "generate_model_card"
 

@@ -12,10 +12,10 @@ import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset, LeRobotDatasetMetadata
 from toy_demos import REPO_ID
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.demonstrations import read_recorded_rows
-from lerobot_policy_adamanip.recorded_rows import EPISODE, INDEX, RecordedRows
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.demonstrations import read_recorded_rows
+from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, RecordedRows
 
 SHAPES: list[dict[str, Any]] = [
     {"preset": "fast", "n_action_history_steps": 16},

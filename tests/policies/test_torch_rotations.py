@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.rotations import rotation_6d_from_matrix
-from lerobot_policy_adamanip.rotations import matrix_from_6d, matrix_from_rotation_vector, rotation_vector
+from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
+from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d, matrix_from_rotation_vector, rotation_vector
 
 HALF_TURNS = np.pi * np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0.0, -0.6, 0.8]])
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from doc_data import collect_fake_demos
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.contract import LoadsStrictly
-from lerobot_policy_adamanip.trained_on import log_training_objects
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.contract import LoadsStrictly
+from lerobot_policy_adamanip.common.trained_on import log_training_objects
 
 
 def logged(checkpoint: Path, caplog: pytest.LogCaptureFixture) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from check_choices import Tally, flips, play
 
-from lerobot_adamanip.keyframes import KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 
 PULL, LEFT, RIGHT = ("door", 1), ("knob", 1), ("knob", -1)
 

@@ -13,7 +13,7 @@ import pytest
 from check_experts import below, main, summarise
 from expert_episodes import BATCH, BlindEnvironment, Episode, batches
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.results import read_result
 
 Keep = Callable[[list[Episode]], None]

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from check_motions import compare
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.keyframes import Phase
-from lerobot_adamanip.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Phase
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 
 ROWS, PUSH = 6, 0.0178
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from check_robustness import main
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 
 
 def fake(wrong: Sequence[str] = ()) -> Any:

@@ -14,7 +14,7 @@ import pytest
 from policy_runs import Run, numbers, summary
 from records import record
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.evaluation.results import read_result
 

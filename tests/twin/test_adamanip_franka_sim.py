@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import pose_from_vector, transform
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
-from lerobot_adamanip.hardware.session import BOARD, OPERATOR_SUCCESS, RESET_WANTED
-from lerobot_adamanip.keyframes import Outcome
+from lerobot_adamanip.hardware.robot_registry import BOARD, OPERATOR_SUCCESS, RESET_WANTED
 from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
-from lerobot_adamanip.rotations import pose_from_vector, transform
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_env_adamanip.twin.adamanip_franka_sim import AdamanipFrankaSim
 from lerobot_env_adamanip.twin.annotations import annotations_from_json, annotations_json
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.rotations import pose_vector
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend, TwinOptions
-from lerobot_env_adamanip.sim.twin.pictures import Pair, TwinEye
+from lerobot_env_adamanip.sim.twin.camera import Pair, TwinEye
 from lerobot_env_adamanip.twin.annotations import annotations_from_json
 from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity, unpack_frame
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lerobot_adamanip.hardware.session import BOARD, RobotSession
+from lerobot_adamanip.hardware.robot_registry import BOARD, RobotSession
 from lerobot_adamanip.lerobot_patches import episode_signals
 
 

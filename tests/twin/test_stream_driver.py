@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_driver import STIFFNESS, Gantry, goal
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.keyframes import MotionLimits, Outcome
+from lerobot_adamanip.contract.keyframes import MotionLimits, Outcome
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
 from lerobot_env_adamanip.sim.twin.stepped import MotionAbortedError, SteppedMotion
 from lerobot_env_adamanip.sim.twin.stream_driver import StreamDriver

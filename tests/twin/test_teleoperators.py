@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.errors import AdaManipError, RobotError
+from lerobot_adamanip.contract.rotations import pose_from_vector, transform
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
+from lerobot_adamanip.hardware.robot_registry import BOARD, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
-from lerobot_adamanip.hardware.session import BOARD, RobotSession
 from lerobot_adamanip.hardware.teleoperators.adamanip_gamepad import AdamanipGamepad
 from lerobot_adamanip.hardware.teleoperators.adamanip_keyboard import (
     GRIPPER,
@@ -43,8 +44,7 @@ from lerobot_adamanip.hardware.teleoperators.tcp_teleop import (
     RESET_WANTED,
     JogTeleop,
 )
-from lerobot_adamanip.rotations import pose_from_vector, transform
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 DT = 1 / 30
 LIMITS = SafetyLimits((-0.5, -1.0, -0.3), (1.3, 1.0, 1.5), speed=0.2, angular_speed=0.8)

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import twin_learning
 
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.features import LABEL_NAME, SCALAR_NAMES, SENT_NAMES, STAMP_NAME
-from lerobot_adamanip.schema import POSE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED, FPS = 1000, 30

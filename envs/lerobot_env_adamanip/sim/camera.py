@@ -10,7 +10,7 @@ from mani_skill.sensors.camera import Camera, CameraConfig
 from numpy.typing import NDArray
 from PIL import Image
 
-from lerobot_adamanip.pointcloud import Cloud
+from lerobot_adamanip.contract.pointcloud import Cloud
 from lerobot_env_adamanip.sim.observation import CameraParameters
 from lerobot_env_adamanip.sim.raycast import PinholeCamera
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, MotionLimits, Outcome
-from lerobot_adamanip.rotations import angle_between, pose_from_vector, straight_path
-from lerobot_adamanip.schema import ACTION_DIM
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Feedback, MotionLimits, Outcome
+from lerobot_adamanip.contract.rotations import angle_between, pose_from_vector, straight_path
+from lerobot_adamanip.contract.schema import ACTION_DIM
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, joint_path
 
 Array = NDArray[np.float64]
@@ -125,7 +125,7 @@ class KeyframeDriver:
             got = f"shape {array.shape}" if array.shape != (ACTION_DIM,) else f"non-finite values {array.tolist()}"
             allowed = f"({ACTION_DIM},) finite numbers: position [m], rotation 6D, gripper"
             raise ConfigurationError(
-                "Malformed action.", got=got, allowed=allowed, hint="lerobot_adamanip.rotations.pose_vector"
+                "Malformed action.", got=got, allowed=allowed, hint="lerobot_adamanip.contract.rotations.pose_vector"
             )
         goal, gripper = pose_from_vector(array)
         goal[:3, 3] = np.clip(goal[:3, 3], self.limits.reach_lower, self.limits.reach_upper)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from lerobot_adamanip.rotations import rotation_vector_from_matrix
+from lerobot_adamanip.contract.rotations import rotation_vector_from_matrix
 
 if TYPE_CHECKING:  # so that the driver and the layout's presets load, and are tested, without a simulator
     import sapien

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.objects import Shape
+from lerobot_adamanip.util.files import write_atomically
 
 MAX_CACHE_BYTES = 512 * 1024**2
 """A process that starts on a larger cache removes what was not used for longest, down to half of this."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.keyframes import Feedback
-from lerobot_adamanip.pointcloud import Cloud
+from lerobot_adamanip.contract.keyframes import Feedback
+from lerobot_adamanip.contract.pointcloud import Cloud
 
 
 @dataclass(frozen=True)

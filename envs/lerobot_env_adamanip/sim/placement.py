@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import UnreachableError, require_choice
-from lerobot_adamanip.keyframes import PRE_GRASP
+from lerobot_adamanip.contract.keyframes import PRE_GRASP
+from lerobot_adamanip.contract.rotations import rotation_about, straight_path, transform
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
-from lerobot_adamanip.rotations import rotation_about, straight_path, transform
+from lerobot_adamanip.util.errors import UnreachableError, require_choice
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics, Pull
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.pointcloud import Workspace
+from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_env_adamanip.sim.triangles import Triangles
 
 Pose = NDArray[np.float64]

@@ -22,8 +22,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, cast
 
-from lerobot_adamanip.errors import require_choice
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.util.files import write_atomically
 
 RenderBackend = Literal["cuda", "cpu"]
 RENDER_BACKENDS = ("auto", "cuda", "cpu")

@@ -9,7 +9,7 @@ from mani_skill.agents.registration import register_agent
 from mani_skill.agents.robots.panda.panda import Panda
 from numpy.typing import NDArray
 
-from lerobot_adamanip.schema import JOINT_NAMES
+from lerobot_adamanip.contract.schema import JOINT_NAMES
 
 
 @register_agent()
@@ -30,7 +30,7 @@ class AdaManipPanda(Panda):
 
 
 def joint_snapshot(arm: Any, target: Any) -> NDArray[np.float32]:
-    """Returns the joint positions of two articulations of SAPIEN, (13,), see `lerobot_adamanip.schema.JOINT_NAMES`."""
+    """Returns the joint positions of two SAPIEN articulations, (13,), in the order of `schema.JOINT_NAMES`."""
     found: NDArray[np.float32] = np.zeros(len(JOINT_NAMES), np.float32)
     positions = np.concatenate([arm.get_qpos(), target.get_qpos()])
     found[: len(positions)] = positions

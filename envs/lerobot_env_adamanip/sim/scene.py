@@ -16,7 +16,7 @@ from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject, Material, Shape
-from lerobot_env_adamanip.sim.building import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
+from lerobot_env_adamanip.sim.articulation import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
 
 CAMERA, IMAGE_CAMERA = "front", "front_image"
 """What observes, and what takes its image where that is larger than what is rendered for the cloud."""

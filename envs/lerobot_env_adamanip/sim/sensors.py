@@ -12,7 +12,7 @@ import numpy as np
 from mani_skill.sensors.camera import CameraConfig
 from numpy.typing import NDArray
 
-from lerobot_adamanip.pointcloud import Cloud, Workspace
+from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
 from lerobot_env_adamanip.sim.camera import capture, pinhole, points_in_world, resized, take_image
 from lerobot_env_adamanip.sim.raycast import Hits, LinkMesh, RayScene, link_mesh
 from lerobot_env_adamanip.sim.scene import Visible

@@ -14,9 +14,9 @@ from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
 from mani_skill.utils import sapien_utils
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import no_vulkan_device
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_env_adamanip.sim.building import build_object
+from lerobot_adamanip.util.errors import no_vulkan_device
+from lerobot_env_adamanip.sim.articulation import build_object
 from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
 
 FIELD_OF_VIEW = np.deg2rad(26)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from lerobot_adamanip.assets.urdf import Geometry, read_urdf
-from lerobot_adamanip.errors import SimulatorError
 from lerobot_adamanip.objects import Shape
+from lerobot_adamanip.util.errors import SimulatorError
 
 Triangles = NDArray[np.float32]
 """(N, 3, 3) corners [m]."""

@@ -8,15 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip import files
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.served import RESET
 from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
+from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
-from lerobot_adamanip.hardware.session import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util import files
 from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity

@@ -7,15 +7,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.session import RobotSession
+from lerobot_adamanip.hardware.robot_registry import RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
-from lerobot_adamanip.keyframes import Feedback, Goal, KeyFrames
 from lerobot_adamanip.lerobot_patches.episode_signals import end_episode
-from lerobot_adamanip.schema import GRIPPER_DIM
+from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.twin.annotations import annotations_from_json
 from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
 from lerobot_env_adamanip.twin.played_motion import PlayedMotion

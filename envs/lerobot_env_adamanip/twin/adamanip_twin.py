@@ -8,10 +8,10 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
-from lerobot_adamanip.hardware.frames import Frame
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
 from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, unpack_frame
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import checked_json
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
+from lerobot_adamanip.util import json_fields as checked_json
 
 _NUMBER = checked_json.number(-1e6, 1e6)
 _NAME = checked_json.text(r"\w{1,40}", "a name")

@@ -7,10 +7,10 @@ from typing import Any
 
 from lerobot.robots.config import RobotConfig
 
-from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
+from lerobot_adamanip.contract.schema import IMAGE_SIZE, MAX_KEY_FRAMES
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.schema import IMAGE_SIZE, MAX_KEY_FRAMES
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
 from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
 
 CLOCKS = ("realtime", "lockstep")

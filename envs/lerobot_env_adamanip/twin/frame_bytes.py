@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.frames import Frame
+from lerobot_adamanip.hardware.camera_frames import Frame
 
 HEADER = struct.Struct("<dQII")
 """When it was taken (`time.perf_counter()` [s]), its number, height and width [px]."""
@@ -22,7 +22,7 @@ SUCCESS_BOX = "success"
 
 @dataclass(frozen=True)
 class TwinFrame:
-    """What the twin's process saw: see `lerobot_adamanip.hardware.frames.Frame`."""
+    """What the twin's process saw: see `lerobot_adamanip.hardware.camera_frames.Frame`."""
 
     stamp: float
     number: int

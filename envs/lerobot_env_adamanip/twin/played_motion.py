@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Feedback, Outcome
+from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, straight_path
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.outcome import pose_error
+from lerobot_adamanip.hardware.motion_outcome import pose_error
 from lerobot_adamanip.hardware.target_geometry import Target
-from lerobot_adamanip.keyframes import DEFAULT_MOTION, Feedback, Outcome
-from lerobot_adamanip.rotations import pose_from_vector, pose_vector, straight_path
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from lerobot_adamanip.assets.checked_xml import HUGE, broken
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.errors import require_choice
-from lerobot_adamanip.files import write_atomically
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
-from lerobot_adamanip.rotations import transform
+from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.util.files import write_atomically
 
 ANNOTATION_NAME = "adamanip.json"
 """What `adamanip annotate` saves beside a URDF."""

@@ -21,8 +21,8 @@ from lerobot_adamanip.assets.kinematics import Posed, object_frame, posed
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import default_choice, upstream_annotation
 from lerobot_adamanip.assets.urdf import Urdf, read_urdf
-from lerobot_adamanip.errors import ConfigurationError
 from lerobot_adamanip.objects.base import TWO_FINGERS, ArticulatedObject, Pose, any_roll
+from lerobot_adamanip.util.errors import ConfigurationError
 
 DRAFT_NAME = "adamanip.draft.json"
 """Changes that have not been saved yet; removed by saving."""

@@ -13,9 +13,9 @@ import numpy as np
 from lerobot_adamanip.assets.annotation.session import Draft
 from lerobot_adamanip.assets.roles import ROLES, JointRole
 from lerobot_adamanip.cli.annotate.view import ObjectView, add_gripper, place
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.contract.rotations import matrix_from_quaternion, transform
 from lerobot_adamanip.objects.base import ArticulatedObject, Pose
-from lerobot_adamanip.rotations import matrix_from_quaternion, transform
+from lerobot_adamanip.util.errors import AdaManipError
 
 HELP = """**The grey gripper shows where the part is held.** Drag its arrows and rings. It approaches along its blue
 arrow and closes along its green one. Move the joints to see whether it stays with the part. Front: towards +x (red

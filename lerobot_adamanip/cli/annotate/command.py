@@ -11,8 +11,8 @@ import tyro
 
 from lerobot_adamanip.assets.source import URDF_NAME, AssetSource
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError, require_choice
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 AUTOSAVE_PERIOD = 1.0
 """Seconds at most between a change and a file that holds it."""

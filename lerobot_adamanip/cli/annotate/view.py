@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_about, transform
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Pose, Shape
-from lerobot_adamanip.rotations import quaternion_from_matrix, rotation_about, transform
 
 HAND = (
     # Where (tool frame: z approach, y closing), full extents, grey; a Panda's hand with its fingers open.

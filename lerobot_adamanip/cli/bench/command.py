@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.cli.bench.timing import Limit, judge
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.evaluation.origin import present_origin
+from lerobot_adamanip.evaluation.provenance import present_origin
+from lerobot_adamanip.util.errors import ConfigurationError
 
 LIMITS: dict[str, Limit] = {
     "episodes_per_minute": (8.0, "least"),

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 
 from lerobot_adamanip.cli.bench.timing import Stopwatch, compare_ms, repeat_ms
-from lerobot_adamanip.demos.loading import open_dataset
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.schema import POINT_CLOUD
+from lerobot_adamanip.datasets.reading import open_dataset
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
-from lerobot_adamanip.pointcloud import as_points
-from lerobot_adamanip.schema import POINT_CLOUD
 
 Batch = dict[str, Any]
 

@@ -14,7 +14,7 @@ from lerobot.optim.optimizers import AdamWConfig
 
 from lerobot_adamanip.cli.bench.learning import enough_points, make_policy, synchronise
 from lerobot_adamanip.cli.bench.timing import compare_ms
-from lerobot_adamanip.schema import POINT_CLOUD
+from lerobot_adamanip.contract.schema import POINT_CLOUD
 
 LEAST_REPEATS = 5
 
@@ -22,7 +22,7 @@ LEAST_REPEATS = 5
 @contextmanager
 def plain_gradients() -> Iterator[None]:
     """Inside, encoders send gradients through all points."""
-    from lerobot_policy_adamanip.encoders import PointNetEncoder
+    from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 
     PointNetEncoder.winners_only = False
     try:

@@ -12,13 +12,13 @@ from lerobot_adamanip.catalog import object_id
 from lerobot_adamanip.cli.bench.timing import Stopwatch, per_second, ratio, repeat_ms
 from lerobot_adamanip.cli.collect import factories
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.demos.collect import CollectOptions, collect
-from lerobot_adamanip.demos.collection import CollectionSpec
-from lerobot_adamanip.observation import workspace_cloud
-from lerobot_adamanip.options import CLOUD_SOURCES, EnvironmentOptions
-from lerobot_adamanip.pointcloud import Workspace
-from lerobot_adamanip.rollout import next_goal, rollout
-from lerobot_adamanip.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
+from lerobot_adamanip.collection.collect import CollectOptions, collect
+from lerobot_adamanip.contract.observation import workspace_cloud
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
+from lerobot_adamanip.episode.rollout import next_goal, rollout
 
 STEPS_PER_REPEAT = 20
 SEED = 20_25

@@ -17,7 +17,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-from lerobot_adamanip.categories import CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 
 DISTRIBUTION = "lerobot_env_adamanip"
 ENV_TYPES = ("adamanip", *(f"adamanip_{name}" for name in CATEGORIES))
@@ -209,7 +209,7 @@ def check_mixed_precision() -> Check:
     """Can what trains here train in half precision? Found out by doing it."""
     import torch
 
-    from lerobot_adamanip.mixed_precision import mixed_precision_problem
+    from lerobot_adamanip.util.mixed_precision import mixed_precision_problem
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     problem = mixed_precision_problem(device)

@@ -11,13 +11,13 @@ from typing import Any
 
 from lerobot_adamanip.assets import AssetReport, AssetSource
 from lerobot_adamanip.catalog import make_object, object_split, parse_object_selection
-from lerobot_adamanip.categories import ALL, CATEGORIES
 from lerobot_adamanip.cli.external import checked_source
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet, sheet_suffix
-from lerobot_adamanip.cli.pictures import require_renderer
+from lerobot_adamanip.cli.picture_choice import require_renderer
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.objects import ArticulatedObject
+from lerobot_adamanip.util.errors import ConfigurationError
 
 OPEN_FRACTION = 0.3
 """How far every second object stands open on a sheet."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 _GAP = 6

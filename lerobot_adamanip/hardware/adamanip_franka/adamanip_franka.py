@@ -12,7 +12,7 @@ from typing import Any
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.loop_warnings import SlowLoopFilter
@@ -24,10 +24,10 @@ from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.hardware.robot_registry import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, SUCCESS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import Corner, SafetyLimits
-from lerobot_adamanip.hardware.session import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, SUCCESS, RobotSession
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 MAX_LEADS = 2.0
 """The arm's process bounds what leads the arm at this multiple of the filter's lead: its reading is a newer one."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
-from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
 
 EXECUTIONS = ("auto", "keyframe", "stream")
 MODELS = ("fr3", "panda")

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.session import LOCKSTEP_DT, RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target, angle, canonical, distance, placed
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 FAR_STEPS = 1.5
 """Under execution=auto an action that is farther than a stream gets in this many ticks is a key frame."""

@@ -8,11 +8,11 @@ import numpy as np
 from lerobot.cameras.camera import Camera
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
-from lerobot_adamanip.rotations import pose_vector
 
 NO_OUTCOME = -1.0
 

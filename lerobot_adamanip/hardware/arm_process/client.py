@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import NO_PLUGIN
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, SharedMailboxes
 from lerobot_adamanip.hardware.arm_process.messages import (
@@ -31,6 +30,7 @@ from lerobot_adamanip.hardware.arm_process.messages import (
     unpack_status,
 )
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions, Start, mailbox_capacities
+from lerobot_adamanip.util.errors import RobotError
 
 ARM_PROCESS = "lerobot_adamanip.hardware.arm_process"
 """Program of the real arm and the fake."""

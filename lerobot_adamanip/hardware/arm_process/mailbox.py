@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.util.errors import RobotError
 
 HEADER_WORDS = 3
 """Of a slot: number, length, checksum."""

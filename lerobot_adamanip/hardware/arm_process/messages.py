@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import checked_json
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.schema import ACTION_DIM
+from lerobot_adamanip.util import json_fields as checked_json
 
 COMMAND, STATUS = "command", "status"
 """Names of the two mailboxes that there always are; others hold frames."""

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from lerobot_adamanip import checked_json
 from lerobot_adamanip.hardware.arm_process.messages import COMMAND, COMMAND_BYTES, STATUS, STATUS_BYTES
+from lerobot_adamanip.util import json_fields as checked_json
 
 MAX_FRAME_BYTES = 64_000_000
 """Of one frame buffer: a 4K picture with depth takes 41 MB."""

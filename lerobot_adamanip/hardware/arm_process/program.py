@@ -7,13 +7,13 @@ import sys
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 
-from lerobot_adamanip.errors import AdaManipError
 from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
 from lerobot_adamanip.hardware.arm_process.messages import Reply, pack_reply
 from lerobot_adamanip.hardware.arm_process.options import parse_start
 from lerobot_adamanip.hardware.arm_process.parent import ended_with, killed_with_parent
 from lerobot_adamanip.hardware.arm_process.served import BackendFactory
 from lerobot_adamanip.hardware.arm_process.server import ArmServer
+from lerobot_adamanip.util.errors import AdaManipError
 
 
 def run_server(backends: Mapping[str, BackendFactory], argument: str) -> int:

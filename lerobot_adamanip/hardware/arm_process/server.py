@@ -26,7 +26,6 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
-from lerobot_adamanip.errors import AdaManipError, RobotError
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
 from lerobot_adamanip.hardware.arm_process.messages import (
@@ -43,6 +42,7 @@ from lerobot_adamanip.hardware.arm_process.messages import (
 from lerobot_adamanip.hardware.arm_process.options import Start
 from lerobot_adamanip.hardware.arm_process.served import RESET, Handler, Served
 from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
+from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 REST_SPEED = 0.005
 """Fastest joint of an arm that rests [rad/s]."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, ROTATION_DIMS
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array, Execution
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
-from lerobot_adamanip.hardware.outcome import pose_error
+from lerobot_adamanip.hardware.motion_outcome import pose_error
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
-from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, ROTATION_DIMS
 
 ROTATION_ERROR = 1e-3
 """Rows of a target's rotation are orthonormal within this: the safety filter makes them so."""

@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.errors import RobotError
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
-from lerobot_adamanip.hardware.arm_process.served import RESET, Served
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.rotations import (
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import (
     matrix_from_rotation_vector,
     pose_from_vector,
     rotation_vector_from_matrix,
     transform,
 )
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
+from lerobot_adamanip.hardware.arm_process.served import RESET, Served
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import RobotError
 
 START_ROTATION = np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)))
 """Hand level, approach along +x."""

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array
 from lerobot_adamanip.hardware.arm_process.served import Served
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
@@ -27,10 +29,8 @@ from lerobot_adamanip.hardware.backends.franky_sdk import (
     set_limits,
 )
 from lerobot_adamanip.hardware.gripper import GripperThread
-from lerobot_adamanip.hardware.outcome import OutcomeWatch, pose_error
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_adamanip.schema import GRIPPER_DIM
+from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, pose_error
+from lerobot_adamanip.util.errors import RobotError
 
 GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
 """After a recovery: dynamics relative to the usual, for this long [s of the arm's clock]."""

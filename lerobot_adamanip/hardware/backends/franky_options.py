@@ -6,9 +6,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from lerobot_adamanip import checked_json
 from lerobot_adamanip.hardware.limits import MODELS, FrankaLimits, limits_of
-from lerobot_adamanip.hardware.outcome import StallRule
+from lerobot_adamanip.hardware.motion_outcome import StallRule
+from lerobot_adamanip.util import json_fields as checked_json
 
 
 @dataclass(frozen=True)

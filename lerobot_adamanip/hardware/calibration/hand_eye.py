@@ -15,15 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.hardware.calibration.projection import project
-from lerobot_adamanip.hardware.frames import Intrinsics
-from lerobot_adamanip.rotations import (
+from lerobot_adamanip.contract.rotations import (
     angle_between,
     matrix_from_rotation_vector,
     rotation_vector_from_matrix,
     transform,
 )
+from lerobot_adamanip.hardware.calibration.projection import project
+from lerobot_adamanip.hardware.camera_frames import Intrinsics
+from lerobot_adamanip.util.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 FEWEST_VIEWS = 12

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.hardware.frames import Intrinsics
+from lerobot_adamanip.hardware.camera_frames import Intrinsics
+from lerobot_adamanip.util import json_fields as checked_json
 
 _NUMBER = checked_json.number(-1e6, 1e6)
 _TABLE = checked_json.table(

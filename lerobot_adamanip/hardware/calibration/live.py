@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError, RobotError
+from lerobot_adamanip.contract.rotations import angle_between, pose_from_vector
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.calibration.board import Board
 from lerobot_adamanip.hardware.calibration.hand_eye import Mounting
 from lerobot_adamanip.hardware.calibration.views import FILE, ViewFolder
 from lerobot_adamanip.hardware.cameras.base import FrameReader
-from lerobot_adamanip.rotations import angle_between, pose_from_vector
-from lerobot_adamanip.schema import POSE_NAMES
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 MOVED, TURNED = 0.0005, 0.002
 """An arm that moved by more [m, rad] while the picture was taken was not at rest."""
@@ -34,7 +34,7 @@ def robot_from_file(path: Path) -> Any:
     from lerobot.robots import make_robot_from_config
     from lerobot.robots.config import RobotConfig
 
-    from lerobot_adamanip import checked_json
+    from lerobot_adamanip.util import json_fields as checked_json
 
     try:
         return make_robot_from_config(draccus.decode(RobotConfig, checked_json.read(path)))

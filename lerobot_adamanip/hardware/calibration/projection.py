@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.frames import Intrinsics
+from lerobot_adamanip.hardware.camera_frames import Intrinsics
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
 
 
 def simulated_calibration(camera: Mapping[str, Any], name: str = "simulated") -> CameraCalibration:

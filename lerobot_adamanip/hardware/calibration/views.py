@@ -11,9 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.hardware.calibration.board import DICTIONARY, Board, pattern_hint
 from lerobot_adamanip.hardware.calibration.file import check_pose
 from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, View
@@ -22,7 +19,10 @@ from lerobot_adamanip.hardware.calibration.intrinsics_json import (
     intrinsics_from_json,
     intrinsics_to_json,
 )
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.files import write_atomically
 
 FILE, VERSION = "views.json", 1
 _SIDE = checked_json.number(1e-3, 1)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import RobotError, require_choice
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras import k4a_native as native
 from lerobot_adamanip.hardware.cameras.base import ThreadedCamera
 from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import (
@@ -21,7 +21,7 @@ from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import (
     AdamanipK4aConfig,
 )
 from lerobot_adamanip.hardware.cameras.latest import DeviceClock
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+from lerobot_adamanip.util.errors import RobotError, require_choice
 
 WAIT_MS = 200
 

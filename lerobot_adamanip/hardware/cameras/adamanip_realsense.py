@@ -15,11 +15,11 @@ from lerobot.cameras.realsense import camera_realsense as stock
 from lerobot.cameras.realsense.configuration_realsense import RealSenseCameraConfig
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import AdaManipError, RobotError
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
 from lerobot_adamanip.hardware.cameras.latest import DeviceClock, LatestFrame
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 WAIT_MS = 200
 """The thread looks this often whether it should end."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras.base import ThreadedCamera
 from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
 from lerobot_adamanip.hardware.cameras.recording import Recording
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+from lerobot_adamanip.util.errors import ConfigurationError
 
 LONGEST_WAIT = 0.2
 """The thread looks this often whether it should end [s]."""

@@ -12,9 +12,9 @@ from lerobot.cameras.camera import Camera
 from lerobot.cameras.configs import CameraConfig
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras.latest import LatestFrame
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+from lerobot_adamanip.util.errors import RobotError
 
 MAX_AGE = 0.5
 """A camera whose latest frame is older than this is frozen [s]: no camera here is slower than 4 Hz."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.util.errors import RobotError
 
 WHEEL = "pyk4a-bundle"
 BGRA32, DEPTH, COLOR = 3, 0, 1

@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 
-from lerobot_adamanip.hardware.frames import Frame
+from lerobot_adamanip.hardware.camera_frames import Frame
 
 
 class LatestFrame:

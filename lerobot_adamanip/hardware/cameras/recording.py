@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip import checked_json
-from lerobot_adamanip.errors import DatasetError
-from lerobot_adamanip.files import write_atomically
 from lerobot_adamanip.hardware.calibration.intrinsics_json import (
     check_intrinsics,
     intrinsics_from_json,
     intrinsics_to_json,
 )
-from lerobot_adamanip.hardware.frames import Frame, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.files import write_atomically
 
 FILE, VERSION = "recording.json", 1
 MAX_FRAMES = 200_000

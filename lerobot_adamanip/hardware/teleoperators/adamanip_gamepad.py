@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
 from lerobot_adamanip.hardware.teleoperators.jog import Jog, dead_zone
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
+from lerobot_adamanip.util.errors import RobotError
 
 
 class GamepadDevice:

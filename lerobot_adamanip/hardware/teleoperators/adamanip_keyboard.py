@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
 from lerobot_adamanip.hardware.teleoperators.jog import Array, Jog
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
+from lerobot_adamanip.util.errors import RobotError
 
 SHIFTS = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "u": (2, 1.0), "j": (2, -1.0)}
 """Key -> axis of the base frame (x forward, y left, z up) and direction."""

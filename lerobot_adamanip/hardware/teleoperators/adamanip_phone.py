@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import RobotError, require_choice
-from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.session import RobotSession
-from lerobot_adamanip.hardware.target_geometry import Target
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
-from lerobot_adamanip.hardware.teleoperators.silence import SilenceWatch
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
-from lerobot_adamanip.rotations import (
+from lerobot_adamanip.contract.rotations import (
     matrix_from_rotation_vector,
     pose_from_vector,
     pose_vector,
     rotation_vector_from_matrix,
 )
+from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.robot_registry import RobotSession
+from lerobot_adamanip.hardware.target_geometry import Target
+from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
+from lerobot_adamanip.hardware.teleoperators.stale_input import SilenceWatch
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
+from lerobot_adamanip.util.errors import RobotError, require_choice
 
 
 def lerobot_phone(config: AdamanipPhoneConfig) -> Any:

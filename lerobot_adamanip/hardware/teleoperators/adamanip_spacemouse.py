@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
 from lerobot_adamanip.hardware.teleoperators.config_adamanip_spacemouse import AdamanipSpacemouseConfig
 from lerobot_adamanip.hardware.teleoperators.jog import Jog, dead_zone
-from lerobot_adamanip.hardware.teleoperators.silence import SilenceWatch
+from lerobot_adamanip.hardware.teleoperators.stale_input import SilenceWatch
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
+from lerobot_adamanip.util.errors import RobotError
 
 MOST_REPORTS = 64
 """Taken at once at most: a report tells a part of the state, and they queue up between two calls."""

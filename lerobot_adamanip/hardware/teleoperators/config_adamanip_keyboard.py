@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from lerobot.teleoperators.config import TeleoperatorConfig
 
-from lerobot_adamanip.errors import require_choice, shown_by_parsers
 from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
+from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
 CLUTCH_KEYS = ("shift_r", "shift", "menu", "insert")
 """Names of pynput. Control and Alt would send shortcuts to the window that has the focus."""

@@ -9,16 +9,16 @@ from typing import Any
 
 from lerobot.teleoperators.teleoperator import Teleoperator
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, pose_from_vector, pose_vector
+from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.robot_registry import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
-from lerobot_adamanip.hardware.session import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, RobotSession
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
 from lerobot_adamanip.hardware.teleoperators.jog import JogDevice
-from lerobot_adamanip.rotations import matrix_from_rotation_vector, pose_from_vector, pose_vector
-from lerobot_adamanip.schema import GRIPPER_DIM, POSE_NAMES
+from lerobot_adamanip.util.errors import RobotError
 
 FORGOTTEN = 1.0
 """A teleoperator that was not asked for so long anchors anew [s]: the arm may be elsewhere by now."""

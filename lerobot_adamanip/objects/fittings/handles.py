@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, prism, rod
-from lerobot_adamanip.rotations import rotation_about, transform
 
 LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever", "paddle lever", "ball lever")
 KNOBS = ("ball knob", "drum knob", "tulip knob", "octagon knob")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.fittings.framing import GAP
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box
-from lerobot_adamanip.rotations import rotation_about, transform
 
 GLASS = Material((0.50, 0.66, 0.74), 0.06)
 GLINT = Material((0.74, 0.85, 0.90), 0.06)

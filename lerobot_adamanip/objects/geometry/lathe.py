@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh
-from lerobot_adamanip.rotations import rotation_about, transform
 
 Array = NDArray[np.float64]
 Curves = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]

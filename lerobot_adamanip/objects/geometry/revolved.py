@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh
-from lerobot_adamanip.rotations import rotation_about, transform
 
 SIDES, SMOOTH = 32, 48
 """Of a small body: two rings of them are the 64 corners that SAPIEN leaves a convex solid. Of a large one."""

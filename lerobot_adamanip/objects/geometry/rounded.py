@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lerobot_adamanip.contract.rotations import rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh
-from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 _QUARTER = np.linspace(0, np.pi / 2, 9)
 _FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
+from lerobot_adamanip.contract.rotations import rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 _NO_AREA = 2e-14
 """Twice the area of a facet that is none, but rounding [m^2]."""

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lerobot_adamanip.contract.rotations import rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.revolved import revolved, shell
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh, rod
-from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 HAND_CLEARANCE = 0.135
 """Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""

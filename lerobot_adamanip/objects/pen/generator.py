@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import (
     TWO_FINGERS,
     ArticulatedObject,
@@ -26,7 +27,6 @@ from lerobot_adamanip.objects.geometry.lathe import swivelled
 from lerobot_adamanip.objects.pen.parts import Pen, barrel_shapes, cap_shapes, tip_shapes
 from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS, Recipe
 from lerobot_adamanip.objects.pen.stands import Stand, draw_stand, stand_shapes
-from lerobot_adamanip.rotations import rotation_with_x_along, transform
 
 LIFT_UPPER = 0.05
 """How far a loose cap comes off [m] (paper code: 0.05)."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.lathe import SIDES, Ring, decal, fluted, grip_solid, patch, turned
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh
-from lerobot_adamanip.rotations import transform
 
 END = {"dome": 0.0055, "flat": 0.0015, "cone": 0.0035, "finial": 0.0065}
 """Length of a cap's upper end, beyond what fingers can hold [m]."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.revolved import SMOOTH, revolved
 from lerobot_adamanip.objects.geometry.rounded import bar, upright
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
 from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign
-from lerobot_adamanip.rotations import transform
 
 GAP = 0.0015
 """Between the pot's rim and what turns on it [m]."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.schema import GRIPPER_DIM
-from lerobot_policy_adamanip.demonstrations import Demonstrations
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.demonstrations import Demonstrations
 
 Array = NDArray[np.float32]
 

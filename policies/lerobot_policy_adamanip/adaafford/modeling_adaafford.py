@@ -12,18 +12,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lerobot_adamanip.schema import POINT_CLOUD, POSITION_DIMS, STATE
-from lerobot_policy_adamanip.adaafford.asked import Astray, Interactions, trimmed
+from lerobot_adamanip.contract.schema import POINT_CLOUD, POSITION_DIMS, STATE
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
+from lerobot_policy_adamanip.adaafford.episode_memory import Memory
 from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
-from lerobot_policy_adamanip.adaafford.memory import Memory
 from lerobot_policy_adamanip.adaafford.network import AdaAffordNetwork, action_numbers, encode_proposal, sent_from
-from lerobot_policy_adamanip.affordance import mean_of_best, point_near, points_away
-from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
-from lerobot_policy_adamanip.chunk_guard import ChunkGuard
-from lerobot_policy_adamanip.demonstrations import Demonstrations
-from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
-from lerobot_policy_adamanip.plans import (
+from lerobot_policy_adamanip.adaafford.queries import Astray, Interactions, trimmed
+from lerobot_policy_adamanip.affordance.networks import mean_of_best, point_near, points_away
+from lerobot_policy_adamanip.affordance.plans import (
     GRASP_DIM,
     GRASP_GROUPS,
     ON_PART,
@@ -32,6 +28,10 @@ from lerobot_policy_adamanip.plans import (
     taking_hold,
     with_gripper,
 )
+from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
+from lerobot_policy_adamanip.common.chunk_guard import ChunkGuard
+from lerobot_policy_adamanip.common.demonstrations import Demonstrations
+from lerobot_policy_adamanip.common.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
 
 OFFSET = slice(GRASP_GROUPS[0], GRASP_GROUPS[0] + GRASP_GROUPS[1])
 """Of a proposal's numbers: from a place in the cloud to where the tool takes hold."""

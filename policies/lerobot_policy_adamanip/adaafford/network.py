@@ -5,12 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from lerobot_adamanip.schema import POSITION_DIMS, ROTATION_DIMS
+from lerobot_adamanip.contract.schema import POSITION_DIMS, ROTATION_DIMS
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
-from lerobot_policy_adamanip.affordance import ConditionalVAE, PlaceFeatures, Score
-from lerobot_policy_adamanip.events import EVENT_DIM, events
-from lerobot_policy_adamanip.plans import GRASP_DIM, decode_grasp, encode_grasp, with_gripper
-from lerobot_policy_adamanip.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between, pose_after
+from lerobot_policy_adamanip.affordance.networks import ConditionalVAE, PlaceFeatures, Score
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, decode_grasp, encode_grasp, with_gripper
+from lerobot_policy_adamanip.common.events import EVENT_DIM, events
+from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between, pose_after
 
 ACTION_NUMBERS = 6 + MOTION_DIM - 1
 """An action in contact: the tool's rotation 6D, and where it is sent as it sees it."""

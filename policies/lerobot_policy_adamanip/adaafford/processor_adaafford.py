@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
-from lerobot_policy_adamanip.contract import Pipelines
-from lerobot_policy_adamanip.depth_step import make_pipelines_with_depth
+from lerobot_policy_adamanip.common.contract import Pipelines
+from lerobot_policy_adamanip.common.depth_to_cloud_step import make_pipelines_with_depth
 
 
 def make_adaafford_pre_post_processors(

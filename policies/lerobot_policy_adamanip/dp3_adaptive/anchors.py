@@ -11,18 +11,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, ROTATION_DIMS, STATE
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.memory import EventMemory
-from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
-from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_DIM
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.encoders import make_encoder
-from lerobot_policy_adamanip.events import events
-from lerobot_policy_adamanip.losses import counting_rows
-from lerobot_policy_adamanip.rotations import angle_between
-from lerobot_policy_adamanip.tool_frame import (
+from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, ROTATION_DIMS, STATE
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.events import events
+from lerobot_policy_adamanip.common.losses import counting_rows
+from lerobot_policy_adamanip.common.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
     constant,
@@ -33,6 +27,12 @@ from lerobot_policy_adamanip.tool_frame import (
     pose_after,
     upwards,
 )
+from lerobot_policy_adamanip.common.torch_rotations import angle_between
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.event_memory import EventMemory
+from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, INSTRUCTION_DIM
+from lerobot_policy_adamanip.dp3_adaptive.window import Window
 
 POINT_UNIT, POINT_NEAR = 0.15, 0.03
 """A point is told by where it is in this unit, and by its direction, which is sharp within this distance [m]."""

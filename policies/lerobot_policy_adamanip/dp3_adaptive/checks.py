@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from lerobot.configs.types import NormalizationMode
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.contract import require_action
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.contract import require_action
 
 if TYPE_CHECKING:
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig

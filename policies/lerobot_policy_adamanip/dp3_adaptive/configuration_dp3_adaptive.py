@@ -9,9 +9,10 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import NormalizationMode, PolicyFeature
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
-from lerobot_adamanip.errors import ConfigurationError, require_choice, shown_by_parsers
-from lerobot_adamanip.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
-from lerobot_policy_adamanip.contract import has_pose_layout, keep_inputs, names_are_poses
+from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
+from lerobot_policy_adamanip.common.contract import has_pose_layout, keep_inputs, names_are_poses
+from lerobot_policy_adamanip.common.optimizer import FusedAdamWConfig
 from lerobot_policy_adamanip.dp3_adaptive.checks import (
     check_augmentation,
     check_horizon,
@@ -19,7 +20,6 @@ from lerobot_policy_adamanip.dp3_adaptive.checks import (
     check_sizes,
 )
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
-from lerobot_policy_adamanip.optimizer import FusedAdamWConfig
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")

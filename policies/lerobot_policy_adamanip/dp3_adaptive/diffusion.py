@@ -9,12 +9,12 @@ from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d
 from torch import Tensor, nn
 
-from lerobot_adamanip.schema import EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE
+from lerobot_policy_adamanip.common.encoders import make_encoder
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
-from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, INSTRUCTION_DIM
+from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.encoders import make_encoder
 
 BODY_RANGE = 3.0
 """Bound of normalised proprioception; the demonstrations are within 1."""

@@ -17,10 +17,7 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
-from lerobot_adamanip.mixed_precision import require_mixed_precision
-from lerobot_adamanip.schema import (
+from lerobot_adamanip.contract.schema import (
     GRIPPER_DIM,
     POINT_CLOUD,
     POSITION_DIMS,
@@ -28,20 +25,23 @@ from lerobot_adamanip.schema import (
     STATE,
     fix_pose_statistics,
 )
-from lerobot_policy_adamanip.chunk_guard import ChunkGuard
-from lerobot_policy_adamanip.contract import LoadsStrictly, picked_inputs
+from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.mixed_precision import require_mixed_precision
+from lerobot_policy_adamanip.common.chunk_guard import ChunkGuard
+from lerobot_policy_adamanip.common.contract import LoadsStrictly, picked_inputs
+from lerobot_policy_adamanip.common.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
+from lerobot_policy_adamanip.common.publishing import PublishesOurCard
+from lerobot_policy_adamanip.common.tool_frame import mirrored_motions
+from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
 from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
-from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, balanced_weights
+from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
-from lerobot_policy_adamanip.publishing import PublishesOurCard
-from lerobot_policy_adamanip.rotations import orthonormal_6d
-from lerobot_policy_adamanip.tool_frame import mirrored_motions
 
 TASK_INDEX = "task_index"
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from lerobot_adamanip.pointcloud import as_points
-from lerobot_adamanip.schema import ACTION, POINT_CLOUD, STATE, Statistics
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.schema import ACTION, POINT_CLOUD, STATE, Statistics
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 RELATIVE_SCALE = 0.15

@@ -16,9 +16,8 @@ from lerobot.processor import (
 )
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.pointcloud import as_points
-from lerobot_adamanip.schema import (
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.schema import (
     ACTION_DIM,
     GRIPPER_DIM,
     POINT_CLOUD,
@@ -27,12 +26,13 @@ from lerobot_adamanip.schema import (
     STATE,
     fix_pose_statistics,
 )
-from lerobot_policy_adamanip.contract import Pipelines
-from lerobot_policy_adamanip.depth_step import DepthToCloudStep
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.contract import Pipelines
+from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep
+from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION, SceneMotion
-from lerobot_policy_adamanip.dp3_adaptive.tasks import INSTRUCTION, instruction_vector
-from lerobot_policy_adamanip.rotations import orthonormal_6d
+from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, instruction_vector
 
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 

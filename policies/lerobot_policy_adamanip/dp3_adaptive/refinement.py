@@ -11,15 +11,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_policy_adamanip.encoders import make_encoder
-from lerobot_policy_adamanip.rotations import SMALL, matrix_from_rotation_vector
-from lerobot_policy_adamanip.tool_frame import (
+from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.tool_frame import (
     constant,
     motion_between,
     point_features,
     points_seen,
     pose_after,
 )
+from lerobot_policy_adamanip.common.torch_rotations import SMALL, matrix_from_rotation_vector
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
 """What counts as one in a correction [m, m, m, rad, rad, -, -], see `_correction`."""

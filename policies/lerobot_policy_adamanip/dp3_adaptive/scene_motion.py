@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
-from lerobot_policy_adamanip.tool_frame import mirrored_poses
+from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_policy_adamanip.common.tool_frame import mirrored_poses
 
 SCENE_MOTION = "scene_motion"
 """Key of a batch: the `SceneMotion` of an augmented batch, by which its history and labels are moved too."""

@@ -9,13 +9,13 @@ from lerobot.lerobot_types import TransitionKey
 from lerobot.processor import NormalizerProcessorStep, create_transition
 from torch import Tensor
 
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.schema import ACTION, EXECUTED, STATE
-from lerobot_policy_adamanip.demonstrations import IS_LABEL, read_recorded_rows
+from lerobot_adamanip.contract.schema import ACTION, EXECUTED, STATE
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.demonstrations import IS_LABEL, read_recorded_rows
+from lerobot_policy_adamanip.common.recorded_rows import INDEX
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.recorded_rows import INDEX
 
 
 class TrainingWindows:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from lerobot.configs.policies import PreTrainedConfig
 
-from lerobot_policy_adamanip.affordance_config import AffordanceConfig
+from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 
 
 @PreTrainedConfig.register_subclass("sampling")

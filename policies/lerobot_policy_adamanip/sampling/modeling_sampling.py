@@ -10,8 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from lerobot_adamanip.schema import POSITION_DIMS
-from lerobot_policy_adamanip.affordance import (
+from lerobot_adamanip.contract.schema import POSITION_DIMS
+from lerobot_policy_adamanip.affordance.contact_labels import ContactLabels, drawn_contact, label_contacts
+from lerobot_policy_adamanip.affordance.networks import (
     ConditionalVAE,
     PlaceFeatures,
     Score,
@@ -19,12 +20,7 @@ from lerobot_policy_adamanip.affordance import (
     points_away,
     scores_of_points,
 )
-from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
-from lerobot_policy_adamanip.contact_labels import ContactLabels, drawn_contact, label_contacts
-from lerobot_policy_adamanip.demonstrations import Demonstrations
-from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
-from lerobot_policy_adamanip.motion_clusters import cluster_motions
-from lerobot_policy_adamanip.plans import (
+from lerobot_policy_adamanip.affordance.plans import (
     GRASP_DIM,
     GRASP_GROUPS,
     ON_PART,
@@ -35,8 +31,12 @@ from lerobot_policy_adamanip.plans import (
     stacked,
     taking_hold,
 )
+from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
+from lerobot_policy_adamanip.common.demonstrations import Demonstrations
+from lerobot_policy_adamanip.common.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
+from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
+from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, motion_between, pose_after, reverse
 from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
-from lerobot_policy_adamanip.tool_frame import MOTION_DIM, motion_between, pose_after, reverse
 
 
 class SamplingNetwork(nn.Module):

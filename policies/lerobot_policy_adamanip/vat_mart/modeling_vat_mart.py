@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.schema import POSITION_DIMS
-from lerobot_policy_adamanip.affordance import (
+from lerobot_adamanip.contract.schema import POSITION_DIMS
+from lerobot_policy_adamanip.affordance.networks import (
     ConditionalVAE,
     PlaceFeatures,
     Score,
@@ -22,13 +22,13 @@ from lerobot_policy_adamanip.affordance import (
     points_away,
     scores_of_points,
 )
-from lerobot_policy_adamanip.affordance_policy import AffordancePolicy
-from lerobot_policy_adamanip.demonstrations import Demonstrations
-from lerobot_policy_adamanip.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
-from lerobot_policy_adamanip.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, ON_PART
-from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, ON_PART
+from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
+from lerobot_policy_adamanip.common.demonstrations import Demonstrations
+from lerobot_policy_adamanip.common.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
+from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
-from lerobot_policy_adamanip.vat_mart.labels import PlanLabels, label_plans
+from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans
 from lerobot_policy_adamanip.vat_mart.trajectory import WAYPOINT_GROUPS, encode_trajectory, key_frames, trajectory_dim
 
 TURNED, SHIFTED = (0.2, 3.1), (0.01, 0.06)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from lerobot_policy_adamanip.contract import Pipelines
-from lerobot_policy_adamanip.depth_step import make_pipelines_with_depth
+from lerobot_policy_adamanip.common.contract import Pipelines
+from lerobot_policy_adamanip.common.depth_to_cloud_step import make_pipelines_with_depth
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.schema import POSITION_DIMS, ROTATION_DIMS
-from lerobot_policy_adamanip.plans import GRASP_DIM, approach, decode_grasp, encode_grasp
-from lerobot_policy_adamanip.rotations import matrix_from_6d
+from lerobot_adamanip.contract.schema import POSITION_DIMS, ROTATION_DIMS
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, approach, decode_grasp, encode_grasp
+from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
 WAYPOINT_GROUPS = (3, 6)
 """Numbers of a key frame's position and of its rotation."""

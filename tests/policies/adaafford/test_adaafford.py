@@ -11,14 +11,14 @@ import pytest
 import torch
 from toy_demos import observed, toy_world, trained
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.keyframes import Goal, Phase
-from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_policy_adamanip.adaafford.asked import trimmed
-from lerobot_policy_adamanip.adaafford.memory import Memory
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Goal, Phase
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_policy_adamanip.adaafford.episode_memory import Memory
 from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal
-from lerobot_policy_adamanip.plans import GRASP_DIM, ON_PART, approach, let_go
-from lerobot_policy_adamanip.tool_frame import motion_between
+from lerobot_policy_adamanip.adaafford.queries import trimmed
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, ON_PART, approach, let_go
+from lerobot_policy_adamanip.common.tool_frame import motion_between
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 SMALL: dict[str, Any] = {

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
-from lerobot_policy_adamanip.demonstrations import Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.common.demonstrations import Demonstrations, read_demonstrations
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.rotations import rotation_6d_from_matrix, rotation_about
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix, rotation_about
 
 REPO_ID = "local/tiny"
 EPISODE_LENGTHS = (9, 12, 8)

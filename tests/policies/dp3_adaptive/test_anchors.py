@@ -12,15 +12,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import AdaManipError, ConfigurationError
-from lerobot_adamanip.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_policy_adamanip.common.motion_clusters import LEAST_SPREAD, cluster_motions, demonstrated_motions
+from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
 from lerobot_policy_adamanip.dp3_adaptive import anchors
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.window import Window
-from lerobot_policy_adamanip.motion_clusters import LEAST_SPREAD, cluster_motions, demonstrated_motions
-from lerobot_policy_adamanip.tool_frame import motion_between, pose_after
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 ANCHORS: dict[str, Any] = {

@@ -13,8 +13,8 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.factory import make_policy, make_pre_post_processors
 from lerobot.policies.pretrained import PreTrainedPolicy
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 
 MakeTiny = Callable[..., tuple[Any, ...]]

@@ -10,8 +10,8 @@ from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_he
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import AdaManipError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
 

@@ -16,17 +16,17 @@ from lerobot.processor import ProcessorStepRegistry
 from lerobot.rollout.inference.sync import SyncInferenceEngine
 from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_features
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.observation import RepeatedPointsWarning
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
 from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.frames import CameraCalibration, Intrinsics
-from lerobot_adamanip.hardware.session import BOARD
-from lerobot_adamanip.observation import RepeatedPointsWarning
-from lerobot_adamanip.pointcloud import Workspace
-from lerobot_adamanip.rotations import matrix_from_rotation_vector, transform
-from lerobot_policy_adamanip.depth_step import DepthToCloudStep
+from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep
 
 HEIGHT, WIDTH, POINTS = 60, 80, 96
 KEY, COLOR = "observation.images.front_depth", "observation.images.front"

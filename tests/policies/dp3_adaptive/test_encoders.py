@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from lerobot_policy_adamanip import encoders
-from lerobot_policy_adamanip.encoders import (
+from lerobot_policy_adamanip.common import encoders
+from lerobot_policy_adamanip.common.encoders import (
     PointNet2Encoder,
     PointNetEncoder,
     SetAbstraction,

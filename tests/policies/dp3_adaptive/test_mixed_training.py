@@ -12,8 +12,8 @@ import pytest
 from demos_helpers import fakes, make_spec, patiently
 from dense_helpers import dense_episode, write_recording
 
-from lerobot_adamanip.demos.collect import collect
-from lerobot_adamanip.demos.dense.convert import convert
+from lerobot_adamanip.collection.collect import collect
+from lerobot_adamanip.recordings.convert import convert
 
 STEPS = 300
 OPTIONS = (

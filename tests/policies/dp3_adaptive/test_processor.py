@@ -21,9 +21,9 @@ from lerobot.processor.converters import (
     transition_to_policy_action,
 )
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.pointcloud import as_points
-from lerobot_adamanip.rotations import matrix_from_rotation_6d
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
 
 MakeTiny = Callable[..., tuple[Any, ...]]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from lerobot_adamanip import schema
+from lerobot_adamanip.contract import schema
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 SAMPLERS = [(kind, target) for kind in ("DDPM", "DDIM") for target in ("epsilon", "sample")]

@@ -11,17 +11,17 @@ import pytest
 import torch
 from lerobot.processor.converters import batch_to_transition, transition_to_batch
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.errors import ConfigurationError
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.events import events
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import InstructionStep
-from lerobot_policy_adamanip.dp3_adaptive.tasks import (
+from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import (
     INSTRUCTION,
     INSTRUCTION_DIM,
     balanced_weights,
     instruction_vector,
 )
-from lerobot_policy_adamanip.events import events
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 HEADS: tuple[dict[str, Any], ...] = (

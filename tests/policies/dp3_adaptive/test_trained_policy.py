@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.trained_policy import TrainedPolicy, policy_hash
+from lerobot_adamanip.collection.trained_policy import TrainedPolicy, policy_hash
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 import torch
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_adamanip.pointcloud import as_points
-from lerobot_policy_adamanip.encoders import PointNetEncoder
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 VARIANTS: list[dict[str, Any]] = [

@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from lerobot_adamanip import schema
-from lerobot_policy_adamanip import demonstrations, motion_clusters
-from lerobot_policy_adamanip.demonstrations import unfinished_ends
+from lerobot_adamanip.contract import schema
+from lerobot_policy_adamanip.common import demonstrations, motion_clusters
+from lerobot_policy_adamanip.common.demonstrations import unfinished_ends
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 END = 8

@@ -12,11 +12,11 @@ import pytest
 import torch
 from toy_demos import observed, play, record_toy, toy_world, trained
 
-from lerobot_adamanip import schema
-from lerobot_policy_adamanip.demonstrations import read_demonstrations
-from lerobot_policy_adamanip.plans import approach, let_go
+from lerobot_adamanip.contract import schema
+from lerobot_policy_adamanip.affordance.plans import approach, let_go
+from lerobot_policy_adamanip.common.demonstrations import read_demonstrations
+from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after, reverse
 from lerobot_policy_adamanip.sampling.modeling_sampling import motions_in_contact
-from lerobot_policy_adamanip.tool_frame import motion_between, pose_after, reverse
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 Observation = dict[str, torch.Tensor]

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.errors import ConfigurationError
-from lerobot_policy_adamanip.demonstrations import AWAY, Demonstrations, read_demonstrations
-from lerobot_policy_adamanip.vat_mart.labels import PlanLabels, label_plans, opened_share
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.demonstrations import AWAY, Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans, opened_share
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ import pytest
 import torch
 from toy_demos import observed, toy_world, trained, turned_and_shifted
 
-from lerobot_adamanip import schema
-from lerobot_adamanip.keyframes import Goal, Phase
-from lerobot_adamanip.rotations import pose_from_vector
-from lerobot_policy_adamanip.rotations import angle_between, matrix_from_6d, rotation_vector
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Goal, Phase
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, rotation_vector
 from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import spoil
 from lerobot_policy_adamanip.vat_mart.trajectory import (
     decode_trajectory,

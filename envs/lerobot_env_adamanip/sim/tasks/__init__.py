@@ -3,8 +3,8 @@
 The classes, `SafeTask` and so on, are made from the table in `categories` and can be imported from here.
 """
 
-from lerobot_adamanip.errors import no_simulator
-from lerobot_env_adamanip.own_kinematics import import_sapien
+from lerobot_adamanip.util.errors import no_simulator
+from lerobot_env_adamanip.sapien_import import import_sapien
 
 import_sapien()  # before ManiSkill does
 

@@ -14,28 +14,28 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import get_object, select_objects
-from lerobot_adamanip.errors import require_choice
-from lerobot_adamanip.keyframes import Feedback
+from lerobot_adamanip.contract.keyframes import Feedback
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
 from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_adamanip.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
+from lerobot_adamanip.util.errors import require_choice
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
-from lerobot_env_adamanip.sim.backends import device_for, require_one_on_cpu, told_without_a_device
+from lerobot_env_adamanip.sim.contacts import HandTouch
 from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
-from lerobot_env_adamanip.sim.garbage import leave_out_what_is_loaded
+from lerobot_env_adamanip.sim.episode_views import Views
+from lerobot_env_adamanip.sim.freeze_gc import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
 from lerobot_env_adamanip.sim.observation import SimObservation
+from lerobot_env_adamanip.sim.physics_backend import device_for, require_one_on_cpu, told_without_a_device
 from lerobot_env_adamanip.sim.placement import Placement, randomization
-from lerobot_env_adamanip.sim.reach import placement_check
+from lerobot_env_adamanip.sim.reachability import placement_check
 from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
 from lerobot_env_adamanip.sim.sensors import RenderedSensor
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
-from lerobot_env_adamanip.sim.touch import HandTouch
-from lerobot_env_adamanip.sim.views import Views
 
 _PLACEMENT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 

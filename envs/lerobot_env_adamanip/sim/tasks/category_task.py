@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import is_asset_id
-from lerobot_adamanip.categories import CATEGORIES
-from lerobot_adamanip.keyframes import DEFAULT_MOTION, MotionLimits
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, MotionLimits
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.kinematics import LEVEL_REST
+from lerobot_env_adamanip.sim.nominal_pose import ExternalStand, Stand, external_stand, generated_stand
 from lerobot_env_adamanip.sim.placement import ReachRequirement
-from lerobot_env_adamanip.sim.stand import ExternalStand, Stand, external_stand, generated_stand
 
 Reaches = Callable[[ArticulatedObject], tuple[ReachRequirement, ...]]
 SWING_REACH = float(np.deg2rad(44))

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from lerobot_adamanip import checked_json
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.arm_process.program import run_server
 from lerobot_adamanip.hardware.arm_process.served import RESET, BackendFactory, Served
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_adamanip.pointcloud import Workspace
+from lerobot_adamanip.util import json_fields as checked_json
 
 _OPTIONS = checked_json.table(
     {

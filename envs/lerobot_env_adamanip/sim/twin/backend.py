@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.errors import RobotError
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.keyframes import Outcome
-from lerobot_adamanip.options import EnvironmentOptions
-from lerobot_env_adamanip.sim.twin.pictures import TwinEye
+from lerobot_adamanip.util.errors import RobotError
+from lerobot_env_adamanip.sim.twin.camera import TwinEye
 from lerobot_env_adamanip.sim.twin.scene import TwinScene
 from lerobot_env_adamanip.sim.twin.stepped import SteppedMotion
 from lerobot_env_adamanip.twin.annotations import annotations_json

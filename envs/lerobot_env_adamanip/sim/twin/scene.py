@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.keyframes import Feedback
+from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.tasks import AdaManipTask
-from lerobot_env_adamanip.sim.twin.pictures import TwinEye
+from lerobot_env_adamanip.sim.twin.camera import TwinEye
 from lerobot_env_adamanip.sim.twin.stream_driver import StreamDriver
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.keyframes import Feedback, Outcome
-from lerobot_adamanip.rotations import matrix_from_rotation_vector
+from lerobot_adamanip.contract.keyframes import Feedback, Outcome
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector
 from lerobot_env_adamanip.sim.keyframe_driver import (
     FINGER_HALF,
     LEANING_SPEED,

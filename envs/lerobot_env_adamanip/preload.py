@@ -1,7 +1,0 @@
-"""Imported for its effects, by a process that others start as copies of: simulator and fingerprint are there then."""
-
-from lerobot_env_adamanip.fingerprint import code_fingerprint
-from lerobot_env_adamanip.starting import require_simulator
-
-require_simulator()
-code_fingerprint()

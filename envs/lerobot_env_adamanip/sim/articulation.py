@@ -1,0 +1,128 @@
+"""From an object's data to a SAPIEN articulation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import sapien
+from mani_skill.utils.structs import Articulation
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_with_x_along
+from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
+from lerobot_env_adamanip.sim.mesh_files import mesh_file
+
+FRICTION = 1.2
+"""Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
+NO_SELF_COLLISION = 1 << 27
+"""Shapes that share a bit of SAPIEN's third collision group pass through each other: an object's links, and the plinth.
+
+Those of a generated object never meet, only near each other, which costs contacts that carry nothing; an external
+asset's meshes often overlap a little, and must not jam."""
+
+
+def sapien_pose(matrix: NDArray[Any]) -> sapien.Pose:
+    """(4, 4) -> sapien.Pose."""
+    return sapien.Pose(p=matrix[:3, 3], q=quaternion_from_matrix(matrix[:3, :3]))
+
+
+def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Articulation:
+    """Builds ``obj`` as a fixed-base articulation with its root at ``pose`` (4, 4), world frame."""
+    builder = scene.create_articulation_builder()
+    builder.initial_pose = sapien_pose(pose)
+    links: dict[str, Any] = {}
+    material = sapien.physx.PhysxMaterial(FRICTION, FRICTION, 0.0)
+    for link in obj.links:
+        made = builder.create_link_builder(links.get(link.parent) if link.parent else None)
+        made.set_name(link.name)
+        made.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
+        for shape in link.shapes:
+            if shape.visible and scene.can_render():
+                add_visual(made, shape)
+            if shape.collides:
+                _add_collision(made, shape, material)
+        made.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))
+        if link.joint is not None:
+            _set_joint(made, link.joint)
+        links[link.name] = made
+    articulation = builder.build(name=obj.object_id, fix_root_link=True)
+    _set_springs(articulation, obj)
+    for made in articulation._objs[0].links if obj.weightless else ():
+        made.disable_gravity = True
+    return articulation
+
+
+def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
+    """A spring is a drive towards its rest position; it keeps the joint's damping."""
+    for active in articulation._objs[0].active_joints:
+        joint = obj.joint(active.name.rsplit("_", 1)[-1])
+        if joint.kind == "revolute" and joint.stiffness:
+            # SAPIEN's builder leaves every joint at 0.05, under which a return spring comes to rest askew.
+            active.set_friction(0.0)
+        if joint.stiffness:
+            active.set_drive_properties(joint.stiffness, joint.damping)
+            active.set_drive_target(joint.rest)
+
+
+def _set_joint(link: Any, joint: Joint) -> None:
+    """SAPIEN turns (and slides) about the x axis of its joint frames, so both frames get x along the joint's axis."""
+    link.set_joint_name(joint.name)
+    align = rotation_with_x_along(joint.axis)
+    in_parent = np.eye(4)
+    in_parent[:3, :3], in_parent[:3, 3] = align, joint.origin
+    in_child = np.eye(4)
+    in_child[:3, :3] = align
+    link.set_joint_properties(
+        joint.kind, [list(joint.limits)], sapien_pose(in_parent), sapien_pose(in_child), 0.0, joint.damping
+    )
+
+
+def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[float]]:
+    """Centre of mass and principal inertia of the box around a link's shapes: good enough, and never singular."""
+    solid = [shape.pose_in_link[:3, 3] for shape in shapes if shape.collides]
+    centers = np.stack(solid or [np.zeros(3)])
+    lower, upper = centers.min(0) - 0.02, centers.max(0) + 0.02
+    for shape in shapes:
+        if shape.collides and shape.vertices is not None:
+            corners = shape.vertices @ shape.pose_in_link[:3, :3].T + shape.pose_in_link[:3, 3]
+            lower, upper = np.minimum(lower, corners.min(0)), np.maximum(upper, corners.max(0))
+    a, b, c = upper - lower
+    return sapien.Pose((lower + upper) / 2), [
+        mass / 12 * (b * b + c * c),
+        mass / 12 * (a * a + c * c),
+        mass / 12 * (a * a + b * b),
+    ]
+
+
+def _render_material(material: Material) -> sapien.render.RenderMaterial:
+    made = sapien.render.RenderMaterial()
+    made.set_base_color([*material.color, 1.0])
+    made.set_roughness(material.roughness)
+    made.set_metallic(material.metallic)
+    return made
+
+
+def add_visual(link: Any, shape: Shape) -> None:
+    """Lets a builder's link or actor look like ``shape``; fails where nothing can render."""
+    pose, material = sapien_pose(shape.pose_in_link), _render_material(shape.material)
+    if shape.kind == "box":
+        link.add_box_visual(pose, list(shape.size), material)
+    elif shape.kind == "cylinder":
+        link.add_cylinder_visual(pose, shape.size[0], shape.size[1], material)
+    elif shape.kind == "capsule":
+        link.add_capsule_visual(pose, shape.size[0], shape.size[1], material)
+    else:
+        link.add_visual_from_file(str(mesh_file(shape)), pose, material=material)
+
+
+def _add_collision(link: Any, shape: Shape, material: Any) -> None:
+    pose = sapien_pose(shape.pose_in_link)
+    if shape.kind == "box":
+        link.add_box_collision(pose, list(shape.size), material)
+    elif shape.kind == "capsule":
+        link.add_capsule_collision(pose, shape.size[0], shape.size[1], material)
+    elif shape.kind == "cylinder":
+        link.add_cylinder_collision(pose, shape.size[0], shape.size[1], material)
+    else:
+        link.add_convex_collision_from_file(str(mesh_file(shape)), pose=pose, material=material)

@@ -1,0 +1,100 @@
+"""The twin's camera: colour and depth of one moment, rendered together, or by rays where nothing renders."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
+from lerobot_env_adamanip.sim.episode_views import Views
+from lerobot_env_adamanip.sim.raycast_shading import shaded_picture
+from lerobot_env_adamanip.sim.render_on_demand import PictureScene
+from lerobot_env_adamanip.sim.sensors import RaycastSensor
+
+Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+"""(H, W, 3) RGB and (H, W) depth [mm], 0 where nothing was seen."""
+FARTHEST = 4000
+"""Beyond this a depth camera sees nothing [mm]."""
+_ROUND = Workspace((-0.8, -1.2, -1.2), (1.8, 1.2, 1.8))
+"""What rays meet, robot base frame [m]."""
+_logger = logging.getLogger(__name__)
+
+
+class _DepthScene(PictureScene):
+    """One render gives both: the depth belongs to the picture that was just taken."""
+
+    def take_pair(self) -> Pair:
+        """Returns picture and depth of this moment."""
+        image = self.take()
+        told = self._camera.get_obs(rgb=False, depth=True, position=False, segmentation=False)
+        depth = told["depth"][0].cpu().numpy()[..., 0]
+        return image, np.where((depth > 0) & (depth < FARTHEST), depth, 0).astype(np.uint16)
+
+
+class TwinEye:
+    """The front camera of one episode.
+
+    Args:
+        views: of the episode.
+        robot: SAPIEN's articulation of the arm.
+        urdf: its description.
+        size: of the pictures [px].
+        source: ``render``, or ``raycast``, where pictures show shapes without colours. It becomes the latter where
+            nothing renders.
+        render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
+    """
+
+    def __init__(
+        self, views: Views, robot: Any, urdf: Path, *, size: int, source: str = "render", render_backend: str = "auto"
+    ) -> None:
+        self._views, self._robot, self._urdf = views, robot, urdf
+        self._size, self.source, self._render_backend = size, source, render_backend
+        self._config = views.camera(size)
+        self._scene: _DepthScene | None = None
+        self._rays: RaycastSensor | None = None
+        self._ready = False
+
+    def get_ready(self) -> None:
+        """Takes the first picture, which takes ten times as long as any after it; does nothing from then on."""
+        if not self._ready:
+            self.take()
+            self._ready = True
+
+    def take(self) -> Pair:
+        """Returns colour and depth of this moment."""
+        if self.source == "render" and (rendered := self._rendered()) is not None:
+            return rendered.take_pair()
+        if self._rays is None:
+            self._rays = RaycastSensor(self._config, self._views.bodies(), _ROUND)
+        pixels, millimetres = self._rays.pixels()
+        depth = np.zeros(self._size * self._size, np.uint16)
+        depth[pixels] = -millimetres[:, 2]
+        return shaded_picture(self._config, self._views.bodies()), depth.reshape(self._size, self._size)
+
+    def parameters(self) -> dict[str, Any]:
+        """Returns intrinsics and pose in the base frame, see `CameraParameters.to_json`; nothing is rendered."""
+        return camera_parameters(pinhole(self._config), self._size).to_json()
+
+    def _rendered(self) -> _DepthScene | None:
+        """The scene to render, made when the first picture is asked for; None from then on where nothing renders."""
+        if self._scene is None:
+            visible, ground_z = self._views.objects.visible, self._views.objects.ground_z
+            try:
+                self._scene = _DepthScene(
+                    visible,
+                    self._robot,
+                    self._urdf,
+                    ground_z=ground_z,
+                    camera=self._config,
+                    render_backend=self._render_backend,
+                )
+            except SimulatorError as error:
+                self.source = "raycast"
+                _logger.warning("The twin's camera sees by rays, without colours: %s", str(error).split("\n")[0])
+        return self._scene

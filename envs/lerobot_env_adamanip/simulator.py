@@ -1,0 +1,66 @@
+"""Starting the simulator, and saying what will make observations without starting it."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import importlib.util
+from typing import TYPE_CHECKING, Any, cast
+
+import gymnasium as gym
+
+from lerobot_adamanip.assets import PlacementCheck
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
+from lerobot_env_adamanip.sapien_import import import_sapien
+
+if TYPE_CHECKING:
+    from lerobot_env_adamanip.sim.tasks import AdaManipTask
+
+
+def sensors_name(options: EnvironmentOptions) -> str:
+    """Returns what makes observations: embreex and its version, the renderer's devices, or both."""
+    if importlib.util.find_spec("sapien") is None or importlib.util.find_spec("mani_skill") is None:
+        require_simulator()
+    source = resolve_cloud_source(options.cloud_source)
+    cast = f"embreex {importlib.metadata.version('embreex')}" if source == "raycast" else ""
+    if cast and not options.observe_images:
+        return cast
+    import_sapien()
+    from lerobot_env_adamanip.sim.rendering import renderer_name
+
+    return "; ".join(filter(None, (cast, renderer_name())))
+
+
+def require_simulator() -> None:
+    """Imports the simulator; raises `SimulatorError` if it is not installed."""
+    import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
+
+
+@functools.cache
+def placement_check(poses: str = "randomized") -> PlacementCheck:
+    """Returns the function that says why an object cannot be placed before the arm, an empty text if it can.
+
+    Args:
+        poses: preset of their randomization.
+
+    Raises:
+        SimulatorError: the simulator is not installed.
+    """
+    require_simulator()
+    from lerobot_env_adamanip.sim import reachability as reach
+    from lerobot_env_adamanip.sim.tasks import TASKS
+
+    return lambda obj: reach.placement_check(TASKS[obj.category].definition, poses)(obj)
+
+
+def make_task(category: str, **options: Any) -> AdaManipTask:
+    """Builds the ManiSkill task of a category, without observations of its own.
+
+    Raises:
+        SimulatorError: the simulator is not installed, or finds nothing to render with.
+    """
+    require_simulator()
+    made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
+    return cast("AdaManipTask", made)

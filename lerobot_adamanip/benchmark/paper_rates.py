@@ -1,0 +1,57 @@
+"""Success rates that the paper reports: Wang et al., AdaManip, ICLR 2025. Pure data."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from lerobot_adamanip.contract.categories import CATEGORIES
+
+SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
+    "VAT-Mart": (
+        (41.43, 17.44), (45.00, 12.04), (38.33, 18.33), (71.43, 14.29), (1.25, 0.88), (6.00, 5.10), (13.75, 6.73),
+        (15.00, 12.24), (34.29, 19.38),
+    ),
+    "AdaAfford": (
+        (42.86, 14.29), (70.00, 11.83), (55.00, 15.00), (61.43, 22.18), (21.25, 16.31), (77.00, 17.35), (45.00, 17.85),
+        (21.25, 11.25), (52.86, 18.13),
+    ),
+    "Sampling": (
+        (17.37, 9.72), (24.00, 11.14), (26.67, 16.99), (38.57, 16.96), (15.71, 11.87), (25.00, 10.25), (18.57, 12.86),
+        (11.25, 8.75), (28.75, 13.75),
+    ),
+    "ACT": (
+        (75.79, 8.55), (74.00, 16.85), (81.11, 5.49), (90.48, 6.73), (28.57, 15.43), (59.00, 14.46), (66.67, 5.39),
+        (52.50, 14.58), (51.19, 13.62),
+    ),
+    "DP3": (
+        (83.16, 12.19), (83.00, 11.87), (86.67, 4.08), (85.71, 10.10), (35.71, 21.02), (62.00, 13.27), (70.95, 3.37),
+        (58.75, 14.84), (53.57, 13.20),
+    ),
+    "Ours w/o adaptive": (
+        (87.14, 14.91), (80.00, 10.00), (85.00, 8.90), (91.42, 11.42), (38.75, 20.50), (58.00, 38.16), (74.77, 2.81),
+        (56.25, 13.98), (54.29, 20.00),
+    ),
+    "Ours": (
+        (95.07, 9.70), (99.05, 0.81), (98.33, 4.99), (97.14, 5.71), (61.25, 33.28), (100.00, 0.00), (94.33, 2.38),
+        (88.75, 10.38), (82.53, 14.72),
+    ),
+}  # fmt: skip
+"""Method -> (success, deviation) [%] of each category in the order of `CATEGORIES`, from the table "Success Rates of
+Different Methods". Of what the deviations are, and in which scenes, the paper does not say."""
+PAPER_OBJECTS = "seen"
+"""Split of objects beside which they stand: the released code is tested on the objects it is trained on."""
+TRIALS_CATEGORY = "bottle"
+SUCCESS_BY_TRIALS = (87.14, 93.64, 75.71, 65.71, 57.14, 41.43, 44.28)
+"""Success [%] after 0, 1, ... 6 repeated trials in the demonstrations, from the table "Effects of Repeated Adaptive
+Trials in Adaptive Demonstration for Bottle". Its value at 1 is not the bottle's in the other table."""
+
+
+def reported(method: str | None, category: str) -> tuple[float, float] | None:
+    """Returns success and deviation [%] of a method as the paper calls it; None where it has no such row."""
+    return SUCCESS[method][tuple(CATEGORIES).index(category)] if method in SUCCESS else None
+
+
+def reported_mean(method: str | None, categories: Collection[str]) -> float | None:
+    """Returns a method's mean success over some categories [%]; None where the paper has no such row."""
+    found = [value for category in categories if (value := reported(method, category)) is not None]
+    return sum(success for success, _ in found) / len(found) if found else None

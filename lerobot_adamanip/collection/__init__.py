@@ -1,0 +1,1 @@
+"""Make demonstrations: run experts, record episodes, survive crashes, assemble a dataset."""

@@ -1,0 +1,168 @@
+"""From episode files to a LeRobotDataset: built beside its place, synced, read back, and only then put there."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.collection.executors import Crews
+from lerobot_adamanip.datasets.appending import append, can_append, in_order
+from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
+from lerobot_adamanip.datasets.cards.collected import dataset_card
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.encoding import (
+    EpisodeFile,
+    PreparedEpisode,
+    preparing_session,
+)
+from lerobot_adamanip.datasets.manifest import Manifest, write_manifest
+from lerobot_adamanip.datasets.reading import JSON_COLUMNS, read_back
+from lerobot_adamanip.datasets.shards import read_shard
+from lerobot_adamanip.datasets.statistics import sort_statistics
+from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset, to_json
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.jobs import JobResult, WorkerError
+
+_PLAIN_COLUMNS = (
+    "object_id", "seed", "expert", "tries", "failed_tries", "success", "attempts", "attempt", "slot", "late",
+    "fingerprint",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a dataset is made of.
+
+    Attributes:
+        manifest: of the collection.
+        shards: files of its episodes, in order.
+        attempts: all that were made for the collection.
+        repo_id: written into its card.
+    """
+
+    manifest: Manifest
+    shards: list[Path]
+    attempts: list[AttemptRecord]
+    repo_id: str
+
+
+def assemble(
+    folder: Path, name: str, contents: Contents, progress: Callable[[int, int], None], crews: Crews | None = None
+) -> Path:
+    """Writes a dataset, syncs it and reads it back.
+
+    Neither who prepares the episodes, nor whether LeRobot's writer does it, changes a byte.
+
+    Args:
+        folder: that does not exist.
+        name: of the folder that it is to be in at the end.
+        contents: what it is made of.
+        progress: told of episodes written, and all.
+        crews: prepare episodes, where there are enough of them; else this process does.
+
+    Returns:
+        ``folder``.
+
+    Raises:
+        DatasetError: if there are no shards, or one is damaged, or what was written cannot be read back.
+    """
+    if not contents.shards:
+        raise DatasetError(
+            "No episode was recorded.", got="0 episodes", allowed="1 or more", hint="a larger --max-attempts"
+        )
+    files.crash_point("assembly begun")
+    dataset = _empty(folder, contents)
+    records, lengths = append_shards(dataset, contents.shards, progress, crews)
+    files.crash_point("dataset written")
+    _describe(folder, contents, records)
+    _write_card(folder, name, contents, records)
+    files.crash_point("dataset described")
+    files.sync_tree(folder)
+    files.crash_point("dataset synced")
+    read_back(folder, lengths)
+    files.crash_point("dataset verified")
+    return folder
+
+
+def _empty(folder: Path, contents: Contents) -> Any:
+    environment = contents.manifest.spec.environment
+    image_size = environment.image_size if environment.observe_images else None
+    intrinsics = read_shard(contents.shards[0]).record["camera"].get("intrinsics")
+    return create_dataset(
+        folder, contents.repo_id, num_points=environment.num_points, image_size=image_size, intrinsics=intrinsics
+    )
+
+
+def append_shards(
+    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], crews: Crews | None = None
+) -> tuple[list[dict[str, Any]], list[int]]:
+    """Writes all episodes, and finalises the dataset; returns their records and their numbers of rows."""
+    records: list[dict[str, Any]] = []
+    lengths: list[int] = []
+    appended = _appended(dataset, shards, crews) if can_append(dataset) else _written_by_lerobot(dataset, shards)
+    for record, length in appended:
+        records.append(record)
+        lengths.append(length)
+        files.crash_point("episode assembled")
+        progress(len(records), len(shards))
+    dataset.finalize()
+    return records, lengths
+
+
+def _appended(dataset: Any, shards: list[Path], crews: Crews | None) -> Iterator[tuple[dict[str, Any], int]]:
+    """Appends episodes that a crew prepares, or this process; yields each one's record and number of rows."""
+    items = [EpisodeFile(number, path) for number, path in enumerate(shards)]
+    features, fps = dataset.meta.features, dataset.meta.fps
+    with contextlib.ExitStack() as stack:
+        crew = crews.preparing(features, fps, len(items)) if crews is not None else None
+        if crew is None:
+            work = stack.enter_context(preparing_session(features, fps))
+            prepared: Iterator[PreparedEpisode] = (work(item, lambda: None) for item in items)
+        else:
+            prepared = in_order(map(_prepared, stack.enter_context(crew).run(items)))
+        for episode in prepared:
+            yield episode.record, append(dataset, episode)
+
+
+def _prepared(result: JobResult[EpisodeFile]) -> tuple[int, PreparedEpisode]:
+    if not isinstance(result.value, PreparedEpisode):
+        raise WorkerError(f"{result.item.path.name} could not be prepared: its worker died twice ({result.death})")
+    return result.item.number, result.value
+
+
+def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict[str, Any], int]]:
+    """As `_appended`, by LeRobot's writer: slower, and what the other has to equal."""
+    for path in shards:
+        episode = read_shard(path)
+        for row in range(len(episode)):
+            frame = {key: column[row] for key, column in episode.columns.items()}
+            dataset.add_frame({**frame, "task": episode.record["task"]})
+        dataset.save_episode()
+        yield episode.record, len(episode)
+
+
+def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[str, Any]]) -> None:
+    card = dataset_card(
+        folder,
+        name,
+        manifest=contents.manifest,
+        records=records,
+        attempts=contents.attempts,
+        repo_id=contents.repo_id,
+    )
+    (folder / "README.md").write_text(card)
+
+
+def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:
+    sort_statistics(root)
+    add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
+    add_episode_columns(root, {key: [to_json(record[key]) for record in records] for key in JSON_COLUMNS})
+    (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))
+    attempts_path(root).write_bytes(attempts_jsonl(contents.attempts))
+    shutil.rmtree(root / "images", ignore_errors=True)
+    write_manifest(manifest_path(root), contents.manifest)

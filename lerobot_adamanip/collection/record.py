@@ -1,0 +1,275 @@
+"""Recording the episodes of a collection, in a worker that owns a simulator; what is to be written comes as bytes.
+
+So a worker needs no folder of the collection: one on this machine writes itself, for one elsewhere the driver does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
+from lerobot_adamanip.collection.late_starts import draw_start, start_late
+from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
+from lerobot_adamanip.collection.recorder import EpisodeRecorder
+from lerobot_adamanip.contract.keyframes import KeyFrames
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.datasets.manifest import differing_parts
+from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes
+from lerobot_adamanip.datasets.start_column import start_column
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
+from lerobot_adamanip.util.errors import DatasetError, UnreachableError
+from lerobot_adamanip.util.fingerprint import combined, cpu_model, versions
+from lerobot_adamanip.util.jobs import Beat
+
+_EXPERT_STREAM = 1
+"""Tells the expert's random stream from any other that starts from the episode's seed."""
+
+EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
+"""Builds an environment. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
+ExpertFactory = Callable[..., KeyFrames]
+"""Takes the arguments of `lerobot_adamanip.experts.make_expert`. A function of a module, likewise."""
+
+
+@dataclass(frozen=True)
+class Factories:
+    """What a collection is recorded with: objects of this program, never names from a file.
+
+    Attributes:
+        environment: builds environments.
+        expert: makes experts.
+        actor: loads the policy that is corrected; None where experts demonstrate.
+    """
+
+    environment: EnvFactory
+    expert: ExpertFactory
+    actor: ActorFactory | None = None
+
+
+@dataclass(frozen=True)
+class EpisodeRequest:
+    """An episode to be tried: of an object, by its seed, with hidden values that are given instead of drawn."""
+
+    object_id: str
+    seed: int
+    overrides: Hidden | None = None
+
+
+@dataclass(frozen=True)
+class RecordingJob:
+    """What a worker needs to record episodes of a collection.
+
+    Attributes:
+        spec: of the collection.
+        factories: of environments and experts.
+        max_attempts: seeds to try per episode until the expert succeeds.
+        fingerprint: that every environment has to have.
+    """
+
+    spec: CollectionSpec
+    factories: Factories
+    max_attempts: int
+    fingerprint: Mapping[str, str]
+
+
+@contextlib.contextmanager
+def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemOutcome]]:
+    """What a worker holds from item to item: one simulator, built with the first item of a category."""
+    env: SimulatedEnvironment | None = None
+    category = ""
+    actor = None if job.factories.actor is None else job.factories.actor()
+
+    def work(item: EpisodeSpec, beat: Beat) -> ItemOutcome:
+        nonlocal env, category
+        if env is None or category != category_of(item.object_id):
+            if env is not None:
+                env.close()  # one simulator at a time
+            category = category_of(item.object_id)
+            env = job.factories.environment(job.spec.environment_of(category))
+            _require_fingerprint(env, job)
+        return record_item(env, job, item, beat, actor)
+
+    try:
+        yield work
+    finally:
+        if env is not None:
+            env.close()
+
+
+@contextlib.contextmanager
+def writing_session(job: RecordingJob, paths: CollectionPaths) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+    """As `recording_session`, for a worker on the machine of the collection: it writes what it has recorded itself."""
+    with recording_session(job) as record:
+
+        def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+            outcome = record(item, beat)
+            write_outcome(paths, item, outcome)
+            return outcome.report
+
+        yield work
+
+
+def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
+    found = env.fingerprint()
+    if parts := differing_parts(found, job.fingerprint):
+        raise DatasetError(
+            f"A worker has another fingerprint than the collection: {', '.join(parts)} differ.",
+            got="; ".join(f"{name} = {found.get(name)}" for name in parts),
+            allowed="; ".join(f"{name} = {job.fingerprint.get(name)}" for name in parts),
+            hint="the same command again; was the code changed meanwhile?",
+        )
+
+
+def record_item(
+    env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat, actor: Actor | None = None
+) -> ItemOutcome:
+    """Tries seeds until the expert succeeds; where a policy is corrected, until one can be tried.
+
+    Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
+    """
+    attempts: list[Attempt] = []
+    failed: dict[int, bytes] = {}
+    hidden: Hidden | None = None
+    category = category_of(item.object_id)
+    for number in range(job.max_attempts):
+        seed = episode_seed(job.spec.seed, category, item.object_id, item.slot, number)
+        request = EpisodeRequest(item.object_id, seed, hidden)
+        try:
+            attempt, episode = attempt_episode(env, job.spec, job.factories.expert, request, beat, actor=actor)
+        except UnreachableError as error:
+            attempts.append(Attempt(seed, hidden, False, f"unreachable: {error}".partition("\n")[0], 0, False))
+            continue
+        attempts.append(attempt)
+        hidden = attempt.hidden_state
+        record = {**episode.record, "slot": item.slot, "attempt": number}
+        if attempt.success or (actor is not None and episode.columns):
+            failures = [vars(each) for each in attempts[:-1]]
+            record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
+            content = shard_bytes(RecordedEpisode(episode.columns, record))
+            return ItemOutcome(ItemReport(tuple(attempts), kept=True), failed, content)
+        if job.spec.keep_failed and episode.columns:
+            record |= {"attempts": 1, "failures": [], "late": attempt.late}
+            failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
+    return ItemOutcome(ItemReport(tuple(attempts)), failed)
+
+
+def attempt_episode(
+    env: SimulatedEnvironment,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    request: EpisodeRequest,
+    beat: Beat = lambda: None,
+    *,
+    actor: Actor | None = None,
+) -> tuple[Attempt, RecordedEpisode]:
+    """Records one episode, successful or not: an expert's, or a policy's that an expert corrects."""
+    seed = request.seed
+    observation, actions = _started(env, spec, make_expert, request)
+    hidden, camera = env.hidden_state(), env.camera_parameters()
+    late = bool(len(actions))
+    recorder = EpisodeRecorder(env.joints, _failed_tries(env) if late else 0)
+
+    def observe(key_frame: Any) -> None:
+        recorder.record(key_frame)
+        beat()
+
+    make = functools.partial(_expert, env, spec, make_expert, request)
+    if actor is None:
+        result = rollout(env, observation, make(late=late), observe, past_success=True)
+    else:
+        correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed)
+        result = corrected_rollout(env, observation, correcting, observe)
+    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
+    facts = {"start": start_column(actions), "camera": camera, **_facts(env, spec, request, attempt)}
+    facts |= {"tries": recorder.tries, "failed_tries": recorder.failed_tries}
+    return attempt, RecordedEpisode(recorder.columns(), {name: facts[name] for name in EPISODE_FACTS})
+
+
+EPISODE_FACTS = (
+    "object_id", "seed", "hidden_state", "hidden_overrides", "start", "expert", "tries", "failed_tries", "success",
+    "key_frames", "camera", "task", "episode_record", "versions", "fingerprint",
+)  # fmt: skip
+"""Columns of an episode, in their order."""
+
+
+def _facts(
+    env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
+) -> dict[str, Any]:
+    return {
+        "object_id": request.object_id,
+        "seed": attempt.seed,
+        "hidden_state": attempt.hidden_state,
+        "hidden_overrides": None if request.overrides is None else dict(request.overrides),
+        "expert": spec.expert,
+        "success": attempt.success,
+        "key_frames": attempt.key_frames,
+        "task": env.task_description,
+        "episode_record": env.episode_record(),
+        "versions": {**versions(), "cpu": cpu_model()},
+        "fingerprint": combined(env.fingerprint()),
+    }
+
+
+def _expert(
+    env: SimulatedEnvironment,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    request: EpisodeRequest,
+    *,
+    late: bool,
+    generator: np.random.Generator | None = None,
+    **known: Any,
+) -> KeyFrames:
+    """Returns the expert of an episode; one that starts late sees where the parts stand and what the hand feels."""
+    return make_expert(
+        category_of(request.object_id),
+        spec.expert,
+        env.annotations,
+        trials=spec.trials,
+        generator=generator or np.random.default_rng([request.seed, _EXPERT_STREAM]),
+        hidden=env.hidden_state() if spec.expert == "static" else None,
+        preset=spec.expert_preset,
+        mechanism_preset=spec.environment.mechanism_preset,
+        positions=env.part_positions() if late else None,
+        feedback=env.feedback if late else None,
+        **known,
+    )
+
+
+def _failed_tries(env: SimulatedEnvironment) -> int:
+    return env.labels.trial + env.labels.failed
+
+
+def _started(
+    env: SimulatedEnvironment,
+    spec: CollectionSpec,
+    make_expert: ExpertFactory,
+    request: EpisodeRequest,
+) -> tuple[Any, NDArray[np.float32]]:
+    """Resets, and goes on to a late start where the seed says so; returns the first observation, and what led there."""
+    options: dict[str, Any] = {"object_id": request.object_id}
+    if request.overrides is not None:
+        options["hidden_overrides"] = dict(request.overrides)
+
+    def reset() -> Any:
+        return env.reset(seed=request.seed, options=options)[0]
+
+    def driver(generator: np.random.Generator) -> KeyFrames:
+        # Whatever kind of expert is recorded, so that an adaptive and a static collection meet the same late starts.
+        hidden = env.hidden_state()
+        return make_expert(
+            category_of(request.object_id), "static", env.annotations, generator=generator, hidden=hidden
+        )
+
+    start = draw_start(request.seed, spec.late_starts)
+    if start is None:
+        return reset(), np.zeros((0, 10), np.float32)
+    return start_late(env, start, reset, driver)

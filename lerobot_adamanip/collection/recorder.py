@@ -1,0 +1,87 @@
+"""Recording as an observer: what was seen, what was sent, how it ended, one row per key frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Goal, KeyFrameLabels, Outcome
+from lerobot_adamanip.contract.observation import observation_columns
+from lerobot_adamanip.episode.rollout import KeyFrame
+
+Row = dict[str, NDArray[Any]]
+
+
+@dataclass
+class EpisodeRecorder:
+    """Collects key frames. Row t: observation t, the action sent from it, its labels, and how that action ended.
+
+    The last row is terminal: the final observation, with an action that stays where the tool is, which was not sent.
+
+    Attributes:
+        joints: returns where everything that moves stands now, (13,), see `schema.JOINT_NAMES`.
+        failed_before: failed tries before the recording began, which its rows do not count.
+        rows: so far, column -> array, without the terminal one.
+        tries: at a joint so far.
+        failed_tries: of those.
+    """
+
+    joints: Callable[[], NDArray[np.float32]]
+    failed_before: int = 0
+    rows: list[Row] = field(default_factory=list)
+    tries: int = 0
+    failed_tries: int = 0
+    _last: KeyFrame | None = None
+    _before: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._before = self.joints()
+
+    def record(self, key_frame: KeyFrame) -> None:
+        """Adds one key frame."""
+        outcome = key_frame.feedback.outcome
+        if outcome is None:
+            raise ValueError("Feedback of a finished key frame carries an outcome; this one is from before the first.")
+        labels = key_frame.labels
+        self.tries += labels.tried >= 0
+        self.failed_tries += labels.failed
+        self._last = key_frame
+        row = self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
+        executed = row[schema.ACTION] if key_frame.executed is None else key_frame.executed
+        self.rows.append({**row, schema.EXECUTED: executed, schema.JOINTS: self._before})
+        self._before = self.joints()
+
+    def columns(self) -> Row:
+        """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal."""
+        if self._last is None:
+            return {}
+        last = self._last
+        stay = Goal(last.feedback.tcp_in_base, last.goal.gripper, last.goal.phase)
+        labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
+        end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
+        end |= {schema.EXECUTED: end[schema.ACTION], schema.JOINTS: self._before}
+        return {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
+
+    def _row(
+        self, observation: Any, goal: Goal, outcome: Outcome, labels: KeyFrameLabels, *, success: bool, done: bool
+    ) -> Row:
+        values = {
+            schema.PHASE: goal.phase,
+            schema.TRIAL: labels.trial - self.failed_before,
+            schema.OUTCOME: outcome,
+            schema.TRIED: labels.tried,
+            schema.FAILED: labels.failed,
+            schema.PROGRESS: labels.progress,
+            schema.SUCCESS: success,
+            schema.DONE: done,
+        }
+        return {
+            **observation_columns(observation),
+            schema.ACTION: goal.action().astype(np.float32),
+            **{key: np.array([value], dtype=schema.LABEL_DTYPES[key]) for key, value in values.items()},
+        }

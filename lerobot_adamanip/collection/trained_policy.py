@@ -1,0 +1,113 @@
+"""A trained LeRobot policy at work on observations of a `KeyframeEnvironment`, outside of `lerobot-eval`."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.observation import Observation, observation_columns
+from lerobot_adamanip.util.errors import ConfigurationError
+
+Action = NDArray[np.float32]
+_ACTING = ("config.json", "model.safetensors", "policy_*processor*")
+"""Files of a checkpoint that decide how it acts."""
+
+
+def policy_hash(path: Path) -> str:
+    """Returns a hash of a checkpoint: weights, configuration, and both pipelines with what they normalise by.
+
+    Two checkpoints that act differently have different hashes, wherever they lie. How they were trained is left out.
+
+    Raises:
+        ConfigurationError: there is no checkpoint.
+    """
+    made = hashlib.sha256()
+    for name in ("config.json", "model.safetensors"):
+        if not (path / name).is_file():
+            raise ConfigurationError(
+                "No policy is there.",
+                got=f"{path}, without {name}",
+                allowed="the folder pretrained_model of a checkpoint",
+                hint="--policy outputs/.../checkpoints/last/pretrained_model",
+            )
+    names = {file.name for pattern in _ACTING for file in path.glob(pattern)}
+    for name in sorted(names):
+        content = (path / name).read_bytes()
+        made.update(f"{name} {len(content)}\n".encode() + content)
+    return made.hexdigest()[:32]
+
+
+class TrainedPolicy:
+    """Acts as `lerobot-eval` would: the same policy, the same processors, one environment.
+
+    Args:
+        path: folder ``pretrained_model`` of a checkpoint.
+        device: of torch.
+    """
+
+    def __init__(self, path: Path, device: str = "cpu") -> None:
+        from lerobot.configs.policies import PreTrainedConfig
+        from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+        from lerobot.utils.import_utils import register_third_party_plugins
+
+        register_third_party_plugins()
+        config = PreTrainedConfig.from_pretrained(str(path))
+        config.device, config.pretrained_path = device, path
+        self._policy: Any = get_policy_class(config.type).from_pretrained(str(path), config=config)
+        self._policy.to(device).eval()
+        overrides = {"device_processor": {"device": device}}
+        self._before, self._after = make_pre_post_processors(
+            config, pretrained_path=str(path), preprocessor_overrides=overrides
+        )
+
+    def reset(self, seed: int) -> None:
+        """Begins an episode; its draws follow from the seed."""
+        torch.manual_seed(seed % 2**63)
+        self._policy.reset()
+        for pipeline in (self._before, self._after):
+            pipeline.reset()
+
+    def act(self, observation: Observation, instruction: str) -> Action:
+        """Returns the (10,) action, and remembers it where the policy has a memory."""
+        with torch.inference_mode():
+            action = self._after(self._policy.select_action(self._before(_batch(observation, instruction))))
+        return np.asarray(action.squeeze(0).cpu(), np.float32)
+
+    def draws(self, observation: Observation, instruction: str, count: int) -> NDArray[np.float32]:
+        """Returns so many actions (count, 10) that it might take now; it remembers none of them."""
+        with torch.inference_mode():
+            batch = self._before(_batch(observation, instruction))
+            found = [self._after(self._policy.predict_action_chunk(batch)[:, 0]) for _ in range(count)]
+        return np.concatenate([np.asarray(each.cpu(), np.float32) for each in found])
+
+    def executed(self, action: Action) -> None:
+        """Replaces the latest action in the policy's memory, where it has one."""
+        if hasattr(self._policy, "replace_latest"):
+            self._policy.replace_latest(self._normalized(torch.from_numpy(action)[None]))
+
+    def _normalized(self, action: torch.Tensor) -> torch.Tensor:
+        from lerobot.lerobot_types import TransitionKey
+        from lerobot.processor import NormalizerProcessorStep
+        from lerobot.processor.converters import create_transition
+
+        transition = create_transition(action=action)
+        for step in self._before.steps:
+            if isinstance(step, NormalizerProcessorStep):
+                transition = step(transition)
+        normalized: torch.Tensor = transition[TransitionKey.ACTION]
+        return normalized
+
+
+def _batch(observation: Observation, instruction: str) -> dict[str, Any]:
+    """One observation as a batch of one, as a dataset's row would come."""
+    batch: dict[str, Any] = {"task": [instruction]}
+    for key, value in observation_columns(observation).items():
+        tensor = torch.from_numpy(value)[None]
+        batch[key] = tensor.permute(0, 3, 1, 2).float() / 255 if key == schema.FRONT_IMAGE else tensor
+    return batch

@@ -1,0 +1,1 @@
+"""Feature schema, key frames, observations, rotations, point clouds, seeds and categories: shared by every package."""

@@ -1,0 +1,54 @@
+"""Observations: from points and joints to the contract's arrays, and from those to dataset columns."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Feedback
+from lerobot_adamanip.contract.pointcloud import Cloud, Workspace, farthest_point_order
+from lerobot_adamanip.contract.rotations import pose_vector
+
+Observation = Mapping[str, Any]
+"""As the environments return it: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and
+``pixels["front"]`` (H, W, 3) where images are observed."""
+
+
+class RepeatedPointsWarning(UserWarning):
+    """A cloud has fewer points than it was asked for, and repeats them."""
+
+
+def workspace_cloud(points_in_base: Cloud, workspace: Workspace, num_points: int) -> Cloud:
+    """Crops (M, 3) to the workspace and orders ``num_points`` of it farthest first. -> (num_points, 3).
+
+    Where the workspace has fewer points they are repeated from the start, which `RepeatedPointsWarning` tells: a view
+    that something blocks must not end an episode.
+    """
+    inside = points_in_base.take(np.flatnonzero(workspace.contains(points_in_base)), axis=0)
+    if len(inside) < num_points:
+        # The same words each time, so that Python's filter tells it once and not at every key frame.
+        text = f"The camera sees fewer than num_points={num_points} points in the workspace; the cloud repeats them."
+        warnings.warn(text, RepeatedPointsWarning, stacklevel=2)
+    return farthest_point_order(inside, num_points)
+
+
+def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Returns the (24,) state of the contract: tool pose, gripper, joint positions and velocities."""
+    pose = pose_vector(feedback.tcp_in_base, feedback.gripper)
+    return np.concatenate([pose, qpos, qvel]).astype(np.float32)
+
+
+def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
+    """Returns the dataset columns of one Gym observation: copies, so that the environment may reuse its buffers."""
+    pixels = observation.get("pixels", {})
+    return {
+        schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32).reshape(-1),
+        schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),
+        schema.EFFORT: np.array(observation["effort"], dtype=np.float32),
+        **({schema.FRONT_IMAGE: np.array(pixels["front"], dtype=np.uint8)} if "front" in pixels else {}),
+    }

@@ -1,0 +1,1 @@
+"""Read, check, repair, edit, count, view and describe LeRobotDatasets of this project."""

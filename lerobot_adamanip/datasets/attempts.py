@@ -1,0 +1,155 @@
+"""Accounts of attempts: all that were made for a dataset, kept or not, and how they divide by hidden value."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
+from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, AttemptCounts
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.errors import DatasetError
+
+SUCCESS = "success"
+"""Reason of an attempt that succeeded."""
+NO_LAYOUT = "(no layout)"
+"""Stands for the hidden state of an attempt for which no reachable layout was found."""
+
+
+@dataclass(frozen=True)
+class AttemptRecord:
+    """One attempt of a collection, as ``meta/attempts.jsonl`` lists it.
+
+    Attributes:
+        object_id: of the object.
+        slot: of the object's episodes.
+        attempt: number within the slot, from 0.
+        seed: of the episode.
+        hidden_state: its draw; None if there was no layout.
+        kept: whether it is in the dataset.
+        reason: ``success``, or why not.
+        key_frames: it took.
+        late: whether it started late.
+    """
+
+    object_id: str
+    slot: int
+    attempt: int
+    seed: int
+    hidden_state: Mapping[str, Any] | None
+    kept: bool
+    reason: str
+    key_frames: int
+    late: bool
+
+    @property
+    def success(self) -> bool:
+        """Whether it succeeded: a policy's episodes that an expert corrects are kept without that, too."""
+        return self.reason == SUCCESS
+
+
+def all_attempts(
+    paths: CollectionPaths, items: Iterable[EpisodeSpec], records: Iterable[Mapping[str, Any]]
+) -> list[AttemptRecord]:
+    """Returns every attempt at the items, in their order: of episode files, and of items that were given up."""
+    kept = {(record["slot"], record["object_id"]): record for record in records}
+    listed = []
+    for item in items:
+        record = kept.get((item.slot, item.object_id))
+        tried = _given_up(paths, item) if record is None else [*record["failures"], _kept(record)]
+        for number, attempt in enumerate(tried):
+            facts = {key: attempt[key] for key in ("seed", "hidden_state", "reason", "key_frames", "late")}
+            in_dataset = record is not None and number == len(tried) - 1
+            listed.append(AttemptRecord(item.object_id, item.slot, number, kept=in_dataset, **facts))
+    return listed
+
+
+def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
+    """An expert's episodes are kept if they succeed, a policy's that an expert corrects always."""
+    facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
+    return {**facts, "reason": SUCCESS if record["success"] else "corrected without success"}
+
+
+def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]:
+    path = paths.attempts / item.file_name.replace(".safetensors", ".json")
+    listed: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
+    return listed
+
+
+def attempts_path(root: Path) -> Path:
+    """Returns where a dataset lists the attempts that were made for it."""
+    return root / "meta" / "attempts.jsonl"
+
+
+def attempts_jsonl(attempts: Iterable[AttemptRecord]) -> bytes:
+    """Returns attempts as lines of JSON."""
+    return "".join(json.dumps(vars(attempt), sort_keys=True) + "\n" for attempt in attempts).encode()
+
+
+def read_attempts(path: Path) -> list[AttemptRecord]:
+    """Reads ``meta/attempts.jsonl``; raises `DatasetError` if it is missing or a line of it is no attempt."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return [AttemptRecord(**_ATTEMPT("an attempt", checked_json.parse(line))) for line in lines]
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            "Cannot read the list of attempts.",
+            got=f"{path.name}: {error}",
+            allowed="the file `adamanip collect` wrote",
+            hint="another --root",
+        ) from error
+
+
+def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
+    """Returns how many attempts were made for ``wanted`` episodes, and how many were kept."""
+    listed = list(attempts)
+    kept = sum(attempt.kept for attempt in listed)
+    return AttemptCounts(kept, len(listed), wanted - kept)
+
+
+def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, int]]:
+    """Returns what was hidden -> (kept, attempted). Of continuous values, below and above the attempted ones' median.
+
+    A share that differs from value to value shows where successes alone would mislead.
+    """
+    groups = grouped_by_hidden_value(attempts)
+    return {label: (sum(attempt.kept for attempt in group), len(group)) for label, group in groups.items()}
+
+
+def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
+    """Returns what was hidden -> attempts. An attempt is in a group for each of its hidden values."""
+    listed = list(attempts)
+    names = sorted({name for attempt in listed for name in attempt.hidden_state or {}})
+    table: dict[str, list[AttemptRecord]] = {}
+    for name in names:
+        mine = [attempt for attempt in listed if name in (attempt.hidden_state or {})]
+        table |= _groups(name, mine)
+    if unplaced := [attempt for attempt in listed if attempt.hidden_state is None]:
+        table[NO_LAYOUT] = unplaced
+    return table
+
+
+def _groups(name: str, attempts: list[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
+    values = [(attempt.hidden_state or {})[name] for attempt in attempts]
+    if not any(isinstance(value, float) for value in values):
+        labels = [f"{name} = {json.dumps(value)}" for value in values]
+    else:
+        middle = sorted(values)[len(values) // 2]
+        labels = [f"{name} {'<' if value < middle else '>='} {middle:.3g}" for value in values]
+    groups: dict[str, list[AttemptRecord]] = {label: [] for label in sorted(set(labels))}
+    for label, attempt in zip(labels, attempts, strict=True):
+        groups[label].append(attempt)
+    return groups
+
+
+_COUNT = checked_json.integer(0, 2**31)
+_LINE = checked_json.text(r"[^\r\n|`]{1,500}", "one line")
+_FIELDS: Mapping[str, checked_json.Check] = {
+    "object_id": _LINE, "slot": _COUNT, "attempt": _COUNT, "seed": _COUNT,
+    "hidden_state": checked_json.optional(HIDDEN_STATE), "kept": checked_json.flag, "reason": _LINE,
+    "key_frames": _COUNT, "late": checked_json.flag,
+}  # fmt: skip
+_ATTEMPT = checked_json.table(_FIELDS)

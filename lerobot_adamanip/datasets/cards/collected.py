@@ -1,0 +1,249 @@
+"""The card of a dataset: its README on the Hub, with the numbers that are true of it."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.assets import is_asset_id
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.datasets.attempts import (
+    SUCCESS,
+    AttemptRecord,
+    attempts_path,
+    grouped_by_hidden_value,
+    read_attempts,
+)
+from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
+from lerobot_adamanip.datasets.collect_command import collect_command
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.editing.selection import Selection, read_selection, selection_path
+from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
+from lerobot_adamanip.datasets.reading import episode_records
+from lerobot_adamanip.util.fingerprint import combined
+
+COLUMNS = {
+    schema.POINT_CLOUD: "m; x, y, z of each point, farthest first, so any prefix is itself a farthest-point sample",
+    schema.STATE: "tool position, rotation 6D, gripper opening, 7 joint positions [rad], 7 joint velocities [rad/s]",
+    schema.EFFORT: "external joint torque [N m]",
+    schema.FRONT_IMAGE: "RGB",
+    schema.ACTION: "goal: position [m], rotation 6D, gripper (0 closed, 1 open)",
+    schema.PHASE: "what the expert is doing: 0 approach, 1 grasp, 2 try, 3 release, 4 unlock, 5 open",
+    schema.TRIAL: "failed tries before this row",
+    schema.OUTCOME: "of this row's action: 0 reached, 1 stalled, 2 time limit, 3 unreachable",
+    schema.TRIED: "joint that this row's action tried to move: 0 the one that opens, 1 and up the others, -1 none",
+    schema.FAILED: "whether that try failed: the joint covered less than half of the way it was sent",
+    schema.PROGRESS: "how far that joint moved, in the direction it was sent [rad or m]",
+    schema.EXECUTED: "what the arm was sent: `action`, but where a policy drove and `action` corrects it",
+    schema.JOINTS: "positions of all joints, from which `adamanip render` makes pictures: never a policy's input",
+    schema.SUCCESS: "whether the task is done after this row's action",
+    schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
+}
+"""What a column means."""
+_SIZES = (
+    (1_000, "n<1K"),
+    (10_000, "1K<n<10K"),
+    (100_000, "10K<n<100K"),
+    (1_000_000, "100K<n<1M"),
+    (10_000_000, "1M<n<10M"),
+)
+"""Rows below which the Hub's word for a dataset's size is what follows."""
+_OF_LEROBOT = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+
+def read_dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | None = None) -> str:
+    """Returns the README of a finished dataset, from what is in its folder.
+
+    Args:
+        folder: that the dataset is in.
+        name: that its folder will have, in the command that collects the same.
+        repo_id: its name on the Hub.
+        assets: folder of the external assets that it was collected with, if any.
+
+    Raises:
+        DatasetError: its manifest or its list of attempts is damaged, or it lacks the columns of a collection.
+    """
+    path = manifest_path(folder)
+    manifest = read_manifest(path, assets) if path.exists() else None
+    attempts = read_attempts(attempts_path(folder)) if manifest is not None else []
+    records = episode_records(folder)
+    selection = read_selection(folder, len(records)) if selection_path(folder).exists() else None
+    return dataset_card(
+        folder,
+        name,
+        manifest=manifest,
+        records=records,
+        attempts=attempts,
+        repo_id=repo_id,
+        selection=selection,
+    )
+
+
+def dataset_card(
+    folder: Path,
+    name: str,
+    *,
+    manifest: Manifest | None,
+    records: list[dict[str, Any]],
+    attempts: list[AttemptRecord],
+    repo_id: str,
+    selection: Selection | None = None,
+) -> str:
+    """Returns the README of a dataset, with the numbers that are true of it. It holds no path of this machine.
+
+    Args:
+        folder: that the dataset is in.
+        name: that its folder will have.
+        manifest: of the collection; None for a dataset that is not one collection, as merged ones.
+        records: of its episodes.
+        attempts: all that were made for the collection.
+        repo_id: its name on the Hub.
+        selection: which episodes of the collection it holds, if not all.
+    """
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    return card_template("dataset_card.md").substitute(
+        _made(manifest, records, name.removesuffix("-failed"), selection),
+        **_recorded(records),
+        **_attempted(None if selection else manifest, attempts, records),
+        **_seen(info, records),
+        front_matter=front_matter("dataset", card_header(info, name)),
+        repo_id=repo_id,
+        frames=info["total_frames"],
+        key_frames=info["total_frames"] - len(records),
+        root_option=" --dataset.root=DIR" if repo_id.startswith("local/") else "",
+        features=features_table(info["features"]),
+        fps=info["fps"],
+        citation=citation(),
+    )
+
+
+def card_header(info: dict[str, Any], name: str) -> dict[str, Any]:
+    """Returns the fields of a card's header."""
+    rows = info["total_frames"]
+    size = next((text for least, text in _SIZES if rows < least), "n>1T")
+    return {
+        "license": LICENSE,
+        "task_categories": ["robotics"],
+        "tags": list(TAGS),
+        "pretty_name": f"AdaManip demonstrations ({name})",
+        "size_categories": [size],
+        "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
+    }
+
+
+def _made(
+    manifest: Manifest | None, records: list[dict[str, Any]], folder: str, selection: Selection | None
+) -> dict[str, str]:
+    """Returns the fields of a card that say what was asked for."""
+    categories = list(dict.fromkeys(category_of(record["object_id"]) for record in records))
+    together = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
+    parts = _fingerprints(records) if manifest is None else manifest.fingerprint
+    made = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
+    if manifest is not None:
+        made = f"```bash\n{collect_command(manifest.spec, 'DATASET' if selection else folder)}\n```"
+    if selection is not None:
+        made = f"{_chosen(selection)}\n\nHow `DATASET` was made:\n\n{made}"
+    return {
+        "title": "all categories" if together else categories[0].replace("_", " "),
+        "env_type": "adamanip" if together else f"adamanip_{categories[0]}",
+        "expert": "/".join(sorted({str(record["expert"]) for record in records})),
+        "made": made,
+        "fingerprint": ", ".join(parts.values()) if manifest is None else combined(manifest.fingerprint),
+        "fingerprint_table": "\n".join(f"| {part} | `{value}` |" for part, value in sorted(parts.items())),
+    }
+
+
+def _chosen(selection: Selection) -> str:
+    """Says which part of a dataset this is, and the commands that chose it."""
+    part = f"Part of `DATASET`: {len(selection.episodes)} of its {selection.source_episodes} episodes"
+    if not selection.made_with:
+        return f"{part}, listed in `meta/selection.json`."
+    commands = "\n".join(selection.made_with)
+    return f"{part}, listed in `meta/selection.json`, made with\n\n```bash\n{commands}\n```"
+
+
+def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, object]:
+    """Returns the fields of a card about the camera and what it looks at."""
+    picture = info["features"].get(schema.FRONT_IMAGE)
+    if picture is None:
+        pictures = "There are no pictures (`adamanip render` adds them)"
+    else:
+        height, width = picture["shape"][:2]
+        pictures = f"Pictures (`{schema.FRONT_IMAGE}`) have {width} x {height} pixels, RGB"
+    poses = {json.dumps(record["camera"].get("extrinsics", record["camera"]), sort_keys=True) for record in records}
+    moves = "its pose is drawn anew for each episode" if len(poses) > 1 else "its pose is the same in all episodes"
+    external = any(is_asset_id(str(record["object_id"])) for record in records)
+    objects = " from external models" if external else ", generated from parameters"
+    return {"pictures": pictures, "camera_pose": moves, "kind_of_objects": objects}
+
+
+def _fingerprints(records: list[dict[str, Any]]) -> dict[str, str]:
+    """Fingerprints of episodes where no manifest tells their parts."""
+    found = Counter(str(record["fingerprint"]) for record in records)
+    return {f"of {count} episodes": value for value, count in found.items()}
+
+
+def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
+    """Returns the fields of a card that count the dataset's episodes."""
+    successes = sum(bool(record["success"]) for record in records)
+    tries = Counter(record["failed_tries"] for record in records)
+    opened = Counter(record["failed_tries"] for record in records if record["success"])
+    kept = {0: "Only episodes that failed are in it", len(records): "Only episodes that ended in success are in it"}
+    return {
+        "split": "" if successes else ", failed episodes",
+        "kept": kept.get(successes, f"{successes} of its episodes ended in success"),
+        "episodes": len(records),
+        "objects": len({record["object_id"] for record in records}),
+        "late": sum(record["late"] for record in records),
+        "recovered": sum(count for failed, count in opened.items() if failed),
+        "trial_table": "\n".join(f"| {failed} | {tries[failed]} | {opened[failed]} |" for failed in sorted(tries)),
+        "versions": ", ".join(f"{name} {version}" for name, version in sorted(records[0]["versions"].items())),
+    }
+
+
+def _attempted(
+    manifest: Manifest | None, attempts: list[AttemptRecord], records: list[dict[str, Any]]
+) -> dict[str, object]:
+    """Returns the fields of a card that count all attempts of the collection."""
+    if manifest is None or manifest.attempts is None:
+        counted = [_as_attempt(record) for record in records]
+        rows = (
+            f"| `{label}` | {len(group)} | {sum(each.success for each in group)} |"
+            for label, group in grouped_by_hidden_value(counted).items()
+        )
+        account = "what was attempted for them is told by the collections that they are from"
+        header = "| hidden | episodes | of them succeeded |\n|---|---|---|"
+        return {"account": account, "hidden_table": "\n".join([header, *rows])}
+    succeeded = sum(attempt.success for attempt in attempts)
+    counts = manifest.attempts
+    account = (
+        f"for the collection {counts.attempted} episodes were attempted: {succeeded} "
+        f"({100.0 * succeeded / max(1, counts.attempted):.1f} %) succeeded,\n{counts.kept} were kept, and "
+        f"{counts.given_up} wanted episodes were given up"
+    )
+    rows = (
+        f"| `{label}` | {len(group)} | {sum(each.success for each in group)} | {sum(each.kept for each in group)} |"
+        for label, group in grouped_by_hidden_value(attempts).items()
+    )
+    header = "| hidden | attempted | of them succeeded | of them kept |\n|---|---|---|---|"
+    return {"account": account, "hidden_table": "\n".join([header, *rows])}
+
+
+def _as_attempt(record: dict[str, Any]) -> AttemptRecord:
+    """An episode that is all that is known of the attempts at it."""
+    facts = {key: record[key] for key in ("object_id", "slot", "attempt", "seed", "hidden_state", "late")}
+    return AttemptRecord(**facts, kept=True, reason=SUCCESS if record["success"] else "no success", key_frames=0)
+
+
+def features_table(features: dict[str, Any]) -> str:
+    """Returns a table of a dataset's columns; raises KeyError for one that nobody has described."""
+    rows = [
+        f"| `{key}` | {'video, ' if feature['dtype'] == 'video' else ''}{tuple(feature['shape'])} | {COLUMNS[key]} |"
+        for key, feature in features.items()
+        if key not in _OF_LEROBOT
+    ]
+    return "\n".join(rows)

@@ -1,0 +1,85 @@
+"""Columns against the contract: `lerobot_adamanip.contract.schema`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.check.layout import INFO
+from lerobot_adamanip.hardware.features import is_dense, names_of
+
+OF_LEROBOT: Mapping[str, str] = {
+    "timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64",
+}  # fmt: skip
+"""Columns that LeRobot adds to every dataset, and their dtypes."""
+REQUIRED = (schema.POINT_CLOUD, schema.STATE, schema.ACTION)
+"""Without these a dataset is none of ours; of the others a robot may lack some, and a collection has all."""
+_IMAGES = "observation.images."
+
+
+def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *, collected: bool) -> None:
+    """Reports columns that are missing, or are not as the contract has them.
+
+    Args:
+        features: of the dataset, as LeRobot describes them.
+        report: takes the findings.
+        collected: whether `adamanip collect` made it, so that every column has to be there.
+    """
+    if is_dense(features):
+        _check_dense(features, report)
+        return
+    contract = _contract(features)
+    for key, wanted in contract.items():
+        feature = features.get(key)
+        if feature is None:
+            if collected or key in (*REQUIRED, *OF_LEROBOT):
+                report.add("schema", f"no column {key}", INFO)
+            continue
+        for name in ("dtype", "shape", "names"):
+            found, right = _plain(feature.get(name)), _plain(wanted.get(name))
+            as_pictures = name == "dtype" and right == "video" and found == "image"
+            if found != right and not as_pictures and not (name == "names" and right is None):
+                told = f"{key}: {name} {found!r:.80}, not {right!r:.80}"
+                report.add(
+                    "schema",
+                    told + ("; `adamanip repair DIR` stores it so" if is_old_cloud(key, feature) else ""),
+                    INFO,
+                )
+    for key in features:
+        if key.startswith("observation.") and key not in contract and not key.startswith(_IMAGES):
+            report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
+
+
+def is_old_cloud(key: str, feature: Mapping[str, Any]) -> bool:
+    """Whether a column is a cloud in two dimensions (N, 3), as datasets of version 0.2 and before have it."""
+    return key == schema.POINT_CLOUD and len(feature.get("shape") or ()) == 2
+
+
+def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
+    """Of a robot's recording: its numbers come in the order of their names, and LeRobot's columns are there."""
+    for key, names in ((schema.STATE, schema.STATE_NAMES), (schema.ACTION, schema.POSE_NAMES)):
+        found = names_of(features[key])
+        if found[: len(names)] != list(names) or list(features[key]["shape"]) != [len(found)]:
+            report.add("schema", f"{key}: names {found!r:.80}, not {list(names)!r:.80} first", INFO)
+    for key, dtype in OF_LEROBOT.items():
+        if (features.get(key) or {}).get("dtype") != dtype:
+            report.add("schema", f"no column {key} of {dtype}", INFO)
+
+
+def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """The contract, with as many points, and pictures of the size, that the dataset has."""
+    cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
+    image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
+    points = schema.DEFAULT_NUM_POINTS if not cloud else cloud[0] if len(cloud) == 2 else max(1, cloud[0] // 3)
+    size = image[0] if image else schema.IMAGE_SIZE
+    own = schema.dataset_features(points, size, images=schema.FRONT_IMAGE in features)
+    return {**own, **{key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}}
+
+
+def _plain(value: object) -> object:
+    """Lists for tuples, and for names in groups, as robots of LeRobot have them."""
+    if isinstance(value, Mapping):
+        return [name for group in value.values() for name in group]
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,253 @@
+"""Episode columns of ours, and what of a collection lies beside them: manifest, attempts, cameras."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.assets import is_asset_id, parse_asset_id
+from lerobot_adamanip.catalog import category_of, parse_object_id
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
+from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.check.layout import ATTEMPTS, CAMERAS, Layout
+from lerobot_adamanip.datasets.check.reading import Batch
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec, episode_seed, manifest_path
+from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, read_manifest
+from lerobot_adamanip.datasets.reading import JSON_COLUMNS
+from lerobot_adamanip.datasets.start_column import read_start
+from lerobot_adamanip.hardware.features import UNLABELLED
+from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.fingerprint import combined
+from lerobot_adamanip.util.json_fields import flag, integer, mapping, optional, parse, read, text
+
+COLLECTION = "meta/collection.json"
+_ANY = text(r"(?s).*", "text")
+_COUNT = integer(0, 2**31)
+_SEED = integer(0, 2**63 - 1)
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What a dataset says of its collection.
+
+    Attributes:
+        manifest: None where the folder of its external assets is not known.
+        fingerprint: part -> hash or name.
+    """
+
+    manifest: Manifest | None
+    fingerprint: Mapping[str, str]
+
+
+def read_collection(root: Path, assets: Path | None, report: Report) -> Collected | None:
+    """Returns what ``meta/collection.json`` says; None if there is none (a merged dataset), or it cannot be."""
+    path = manifest_path(root)
+    if not path.exists():
+        return None
+    try:
+        content = read(path)
+        external = isinstance(content, dict) and bool(content.get("external_assets"))
+        if external and assets is None:
+            return Collected(None, dict(content["fingerprint"]))
+        manifest = read_manifest(path, assets if external else None)
+    except AdaManipError as error:
+        report.add("collection", str(error).partition("\n")[0] + _cause(error), COLLECTION)
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        report.add("unreadable", str(error)[:200], COLLECTION)
+        return None
+    return Collected(manifest, manifest.fingerprint)
+
+
+def _cause(error: BaseException) -> str:
+    return "" if error.__cause__ is None else f" {error.__cause__}"[:200]
+
+
+def count_labels(batch: Batch, columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, dict[str, int]]]:
+    """Yields each episode with what its rows count: ``tries``, ``failed_tries``, ``success``."""
+    starts = batch.starts()
+    sums = {}
+    if schema.TRIED in columns:
+        sums["tries"] = np.add.reduceat((columns[schema.TRIED] >= 0).astype(np.int64), starts)
+    if schema.FAILED in columns:
+        sums["failed_tries"] = np.add.reduceat(columns[schema.FAILED].astype(np.int64), starts)
+    if schema.SUCCESS in columns:
+        sums["success"] = np.maximum.reduceat(columns[schema.SUCCESS].astype(np.int64), starts)
+    for place, number in enumerate(batch.where.episodes[starts].tolist()):
+        yield number, {name: int(values[place]) for name, values in sums.items()}
+
+
+def check_course(batch: Batch, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
+    """Checks the course of recorded episodes: failed tries are counted on, success stays, the last row alone ends.
+
+    For datasets with columns of episodes (`check_facts`): `EpisodeRecorder` writes both.
+    """
+    starts = batch.starts()
+    first = np.zeros(len(batch.where), bool)
+    first[starts] = True
+    last = np.r_[first[1:], True]
+    if schema.DONE in columns:
+        wrong = columns[schema.DONE].astype(bool) != last
+        report.add_rows("label", f"{schema.DONE} is not in the last row alone", batch.where, wrong)
+    if schema.SUCCESS in columns:
+        success = columns[schema.SUCCESS].astype(np.int8)
+        wrong = ~first & (np.diff(success, prepend=success[:1]) < 0)
+        report.add_rows("label", f"{schema.SUCCESS} ends again", batch.where, wrong)
+    if schema.TRIAL in columns and schema.FAILED in columns:
+        before = np.cumsum(columns[schema.FAILED].astype(np.int64)) - columns[schema.FAILED].astype(np.int64)
+        counted = before - np.repeat(before[starts], np.diff(np.r_[starts, len(before)]))
+        wrong = (columns[schema.TRIAL] != counted) & (columns[schema.TRIAL] != UNLABELLED)
+        report.add_rows("label", f"{schema.TRIAL} is not the number of failed tries before", batch.where, wrong)
+
+
+def has_facts(layout: Layout) -> bool:
+    """Whether the dataset has episode columns of ours."""
+    return {"object_id", "tries"} <= set(layout.table.column_names)
+
+
+def check_facts(
+    layout: Layout, collected: Collected | None, counted: Mapping[int, Mapping[str, int]], report: Report
+) -> None:
+    """Checks the columns of episodes, by themselves, against the rows, and against the collection.
+
+    Args:
+        layout: of the dataset.
+        collected: what it says of its collection.
+        counted: episode -> what its rows count, see `count_labels`.
+        report: takes the findings.
+    """
+    if not has_facts(layout):
+        return
+    names = [name for name in layout.table.column_names if not name.startswith("stats/")]
+    fixed = _fixed_camera(layout, report)
+    fingerprint = None if collected is None else combined(collected.fingerprint)
+    rows, sound = layout.table.select(names).to_pylist(), []
+    for row in rows:
+        number, file = row["episode_index"], row["listed_in"]
+        if row["object_id"] is None and row.get("recorded") is not None:
+            continue  # in a mix, an episode that a robot has recorded: no object of ours, no seed
+        try:
+            _check_row(row, fixed)
+            for name, value in counted.get(number, {}).items():
+                if name in row and int(row[name]) != value and number not in report.damaged:
+                    raise ValueError(f"{name} is {row[name]}, but the rows say {value}")
+            if collected is not None:
+                _check_place_columns(row)
+        except (ValueError, TypeError, KeyError, AdaManipError) as error:
+            report.add("facts", str(error).partition("\n")[0][:200], file, number)
+            continue
+        sound.append(row)
+        if fingerprint is not None and row.get("fingerprint", fingerprint) != fingerprint:
+            report.add("fingerprint", f"{row['fingerprint']}, not the collection's {fingerprint}", file, number)
+        if collected is not None and collected.manifest is not None:
+            _check_place(row, collected.manifest.spec, report)
+    _check_once(layout, rows, report)
+    if collected is not None:
+        _check_attempts(layout.root, sound, collected, report)
+
+
+def _check_row(row: Mapping[str, Any], fixed: Mapping[str, Any]) -> None:
+    """Raises ValueError for a row that cannot be."""
+    object_id = text(r".{1,120}", "an object's id")("object_id", row["object_id"])
+    (parse_asset_id if is_asset_id(object_id) else parse_object_id)(object_id)
+    _SEED("seed", row.get("seed"))
+    flag("success", row.get("success"))
+    if _COUNT("failed_tries", row.get("failed_tries")) > _COUNT("tries", row.get("tries")):
+        raise ValueError(f"failed_tries = {row['failed_tries']} of tries = {row['tries']}")
+    parsed = {name: parse(_ANY(name, row[name])) for name in JSON_COLUMNS if name in row}
+    HIDDEN_STATE("hidden_state", parsed["hidden_state"])
+    optional(HIDDEN_STATE)("hidden_overrides", parsed.get("hidden_overrides"))
+    if "start" in row:
+        actions = read_start(_ANY("start", row["start"]))
+        if "late" in row and flag("late", row["late"]) != bool(len(actions)):
+            raise ValueError(f"late is {row['late']}, but start tells of {len(actions)} actions")
+    told = mapping(_ANY, lambda _, value: value, 64)("episode_record", parsed.get("episode_record", {}))
+    own = {"object_id": object_id, "seed": row["seed"], "hidden_state": parsed["hidden_state"]}
+    for name, value in own.items():
+        if name in told and told[name] != value:
+            raise ValueError(f"{name} is {value!r:.60}, but episode_record says {told[name]!r:.60}")
+    camera = mapping(_ANY, lambda _, value: value, 64)("camera", parsed.get("camera", {}))
+    for name, value in fixed.items():
+        if camera and camera.get(name) != value:
+            raise ValueError(f"camera.{name} is not the constant one of {CAMERAS}")
+
+
+def _check_place_columns(row: Mapping[str, Any]) -> None:
+    """Raises ValueError for an episode of a collection that does not tell its place in it."""
+    for name in ("slot", "attempt"):
+        _COUNT(name, row.get(name))
+    flag("late", row.get("late"))
+
+
+def _fixed_camera(layout: Layout, report: Report) -> Mapping[str, Any]:
+    """Returns what the camera's parameters are in every episode."""
+    path = layout.root / CAMERAS
+    if not path.exists():
+        named = any("cameras" in (feature.get("info") or {}) for feature in layout.features.values())
+        if named:
+            report.add("missing", "parameters of the cameras", CAMERAS)
+        return {}
+    try:
+        return dict(read(path)["front"]["constant"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        report.add("unreadable", f"it lacks or garbles {error}"[:200], CAMERAS)
+        return {}
+
+
+def _check_place(row: Mapping[str, Any], spec: CollectionSpec, report: Report) -> None:
+    """An episode is of the collection's objects, and of the seed that follows from its place."""
+    number, file = row["episode_index"], row["listed_in"]
+    if row["object_id"] not in spec.objects:
+        report.add("collection", f"{row['object_id']} is none of the collection's objects", file, number)
+        return
+    place = (category_of(row["object_id"]), row["object_id"], row["slot"], row["attempt"])
+    if row["seed"] != episode_seed(spec.seed, *place):
+        report.add("collection", f"seed {row['seed']} is not that of its place in the collection", file, number)
+
+
+def _check_once(layout: Layout, rows: list[dict[str, Any]], report: Report) -> None:
+    """No episode is there twice: a collection, or a seed, that was merged with itself."""
+    name = f"stats/{schema.ACTION}/mean"
+    means = layout.table[name].to_pylist() if name in layout.table.column_names else [None] * len(rows)
+    seen: dict[tuple[object, ...], int] = {}
+    for row, mean in zip(rows, means, strict=True):
+        if row["episode_index"] in report.damaged:
+            continue
+        # A policy that is corrected meets the seeds of demonstrations: what was done tells them apart.
+        same = seen.setdefault((row["object_id"], row.get("seed"), row["length"], str(mean)), row["episode_index"])
+        if same != row["episode_index"]:
+            report.add("facts", f"the same as episode {same}", row["listed_in"], row["episode_index"])
+
+
+def _check_attempts(root: Path, rows: list[dict[str, Any]], collected: Collected, report: Report) -> None:
+    """Every episode whose columns are sound has its line; there are as many lines as the manifest counts."""
+    path = attempts_path(root)
+    if not path.exists():
+        report.add("missing", "the attempts of the collection", ATTEMPTS)
+        return
+    try:
+        listed = read_attempts(path)
+    except AdaManipError as error:
+        report.add("unreadable", str(error.__cause__)[:200], ATTEMPTS)
+        return
+    told = {(each.object_id, each.slot, each.attempt): each for each in listed}
+    counts = None if collected.manifest is None else collected.manifest.attempts
+    if counts is not None and len(listed) != counts.attempted:
+        report.add("attempts", f"{len(listed)} lines, where {COLLECTION} counts {counts.attempted}", ATTEMPTS)
+        return
+    for row in rows:
+        if row["episode_index"] in report.damaged:
+            continue
+        line = told.get((row["object_id"], row["slot"], row["attempt"]))
+        right = {"seed": row["seed"], "hidden_state": json.loads(row["hidden_state"]), "late": row["late"]}
+        if line is None:
+            report.add("attempts", "no line for the episode", ATTEMPTS, row["episode_index"])
+        elif wrong := [name for name, value in right.items() if getattr(line, name) != value]:
+            report.add("attempts", f"another {', '.join(wrong)} of the episode", ATTEMPTS, row["episode_index"])

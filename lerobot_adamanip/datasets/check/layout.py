@@ -1,0 +1,289 @@
+"""What a dataset says of itself, before a row is read: features, tasks, episodes and the files they are in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.reading import DATA_PATH, VIDEO_PATH, read_info
+
+INFO, STATS, TASKS, CAMERAS, ATTEMPTS = (
+    f"meta/{name}" for name in ("info.json", "stats.json", "tasks.parquet", "cameras.json", "attempts.jsonl")
+)
+EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VERSION = "v3.0"
+_FRAME = 1e-3
+"""Times that differ by less are equal [s]: LeRobot keeps them as sums of durations."""
+
+
+@dataclass(frozen=True)
+class VideoPart:
+    """Where an episode's frames are in a video.
+
+    Attributes:
+        file: path within the dataset.
+        start, end: times within the file [s].
+    """
+
+    file: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What the metadata says of an episode.
+
+    Attributes:
+        number: its index.
+        length: rows.
+        file: of its rows, path within the dataset.
+        start, end: first row of the dataset that is its, and the one after its last.
+        tasks: texts.
+        listed_in: file that says all this.
+        videos: column -> where its frames are.
+    """
+
+    number: int
+    length: int
+    file: str
+    start: int
+    end: int
+    tasks: tuple[str, ...]
+    listed_in: str
+    videos: dict[str, VideoPart] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A dataset as its metadata has it.
+
+    Attributes:
+        root: its folder.
+        info: ``meta/info.json``.
+        tasks: task_index -> text.
+        episodes: in order.
+        table: rows of ``meta/episodes``, in the same order.
+    """
+
+    root: Path
+    info: dict[str, Any]
+    tasks: dict[int, str]
+    episodes: list[Episode]
+    table: pa.Table
+
+    @property
+    def features(self) -> dict[str, dict[str, Any]]:
+        """Columns, as LeRobot describes them."""
+        found: dict[str, dict[str, Any]] = self.info["features"]
+        return found
+
+    @property
+    def fps(self) -> int:
+        """Rows per second."""
+        return int(self.info["fps"])
+
+    @property
+    def video_keys(self) -> list[str]:
+        """Columns that are videos."""
+        return [key for key, feature in self.features.items() if feature["dtype"] == "video"]
+
+    @property
+    def picture_keys(self) -> list[str]:
+        """Columns whose statistics are of colours."""
+        return [key for key, feature in self.features.items() if feature["dtype"] in ("video", "image")]
+
+    @property
+    def data_keys(self) -> list[str]:
+        """Columns that are in the Parquet files."""
+        return [key for key in self.features if key not in self.video_keys]
+
+    @cached_property
+    def rows(self) -> int:
+        """Rows of all episodes, as the metadata counts them."""
+        return sum(episode.length for episode in self.episodes)
+
+    @cached_property
+    def row_of(self) -> dict[int, int]:
+        """Index of an episode -> its row in `table`."""
+        return {number: row for row, number in enumerate(self.table["episode_index"].to_pylist())}
+
+    def by_data_file(self) -> dict[str, list[Episode]]:
+        """Returns data file -> its episodes, in order."""
+        found: dict[str, list[Episode]] = {}
+        for episode in self.episodes:
+            found.setdefault(episode.file, []).append(episode)
+        return found
+
+    def by_video_file(self) -> dict[tuple[str, str], list[Episode]]:
+        """Returns (column, video file) -> its episodes, in order."""
+        found: dict[tuple[str, str], list[Episode]] = {}
+        for episode in self.episodes:
+            for key, part in episode.videos.items():
+                found.setdefault((key, part.file), []).append(episode)
+        return found
+
+
+def read_layout(root: Path, report: Report) -> Layout | None:
+    """Reads the metadata; None, with findings, if without it nothing else can be read."""
+    try:
+        info = read_info(root)
+    except FileNotFoundError:
+        report.add("missing", "the description of the dataset", INFO)
+        return None
+    except (OSError, ValueError) as error:
+        report.add("unreadable", str(error), INFO)
+        return None
+    if info.get("codebase_version") != VERSION:
+        report.add("metadata", f"codebase_version is {info.get('codebase_version')!r}, not {VERSION!r}", INFO)
+    tasks = _tasks(root, report)
+    table = read_episode_files(root, report)
+    videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
+    episodes = _episodes(table, videos, report)
+    layout = Layout(root, info, tasks or {}, episodes, table)
+    _check_counts(layout, report, tasks is not None)
+    _check_order(layout, report)
+    return layout
+
+
+def _tasks(root: Path, report: Report) -> dict[int, str] | None:
+    try:
+        content = pq.read_table(root / TASKS).to_pydict()
+        texts = next(values for key, values in content.items() if key != "task_index")
+        return {int(index): str(text) for index, text in zip(content["task_index"], texts, strict=True)}
+    except FileNotFoundError:
+        report.add("missing", "texts of the tasks", TASKS)
+    except (OSError, ValueError, TypeError, KeyError, StopIteration, pa.ArrowException) as error:
+        report.add("unreadable", _said(error), TASKS)
+    return None
+
+
+def read_episode_files(root: Path, report: Report) -> pa.Table:
+    """Returns the rows of all readable files of ``meta/episodes``, by episode, with column ``listed_in``."""
+    tables = []
+    for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
+        name = path.relative_to(root).as_posix()
+        try:
+            table = pq.read_table(path)
+            if not {"episode_index", "length"} <= set(table.column_names):
+                raise KeyError("the file does not list episodes")
+            tables.append(table.append_column("listed_in", pa.array([name] * len(table), pa.string())))
+        except (OSError, KeyError, pa.ArrowException) as error:
+            report.add("unreadable", _said(error), name)
+    if not tables:
+        if not report.counts["unreadable"]:
+            report.add("missing", "metadata of the episodes", "meta/episodes")
+        return pa.table({"episode_index": pa.array([], pa.int64()), "listed_in": pa.array([], pa.string())})
+    merged = pa.concat_tables([each.replace_schema_metadata(None) for each in tables], promote_options="permissive")
+    return merged.sort_by("episode_index")
+
+
+def _episodes(table: pa.Table, videos: Iterable[str], report: Report) -> list[Episode]:
+    names = [name for name in table.column_names if not name.startswith("stats/")]
+    found = []
+    for row in table.select(names).to_pylist():
+        try:
+            found.append(_episode(row, videos))
+        except (KeyError, TypeError, ValueError) as error:
+            told = f"it lacks or garbles {error}"
+            report.add("metadata", told, row["listed_in"], row["episode_index"])
+    return found
+
+
+def _episode(row: dict[str, Any], videos: Iterable[str]) -> Episode:
+    def number(name: str) -> int:
+        value = row[name]
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise ValueError(f"{name} = {value!r}")
+        return value
+
+    def seconds(name: str) -> float:
+        return float(row[name])
+
+    return Episode(
+        number("episode_index"),
+        number("length"),
+        DATA_PATH.format(chunk_index=number("data/chunk_index"), file_index=number("data/file_index")),
+        number("dataset_from_index"),
+        number("dataset_to_index"),
+        tuple(row["tasks"]),
+        row["listed_in"],
+        {
+            key: VideoPart(
+                VIDEO_PATH.format(
+                    video_key=key,
+                    chunk_index=number(f"videos/{key}/chunk_index"),
+                    file_index=number(f"videos/{key}/file_index"),
+                ),
+                seconds(f"videos/{key}/from_timestamp"),
+                seconds(f"videos/{key}/to_timestamp"),
+            )
+            for key in videos
+        },
+    )
+
+
+def _check_counts(layout: Layout, report: Report, tasks_known: bool) -> None:
+    info, episodes = layout.info, layout.episodes
+    if info["total_episodes"] != len(layout.table):
+        message = f"total_episodes = {info['total_episodes']}, but metadata of {len(layout.table)} are there"
+        report.add("count", message, INFO)
+    elif info["total_frames"] != sum(episode.length for episode in episodes) and len(episodes) == len(layout.table):
+        rows = sum(episode.length for episode in episodes)
+        report.add("count", f"total_frames = {info['total_frames']}, but the episodes have {rows} rows", INFO)
+    if tasks_known and info.get("total_tasks") != len(layout.tasks):
+        report.add("count", f"total_tasks = {info.get('total_tasks')}, but {len(layout.tasks)} are there", INFO)
+
+
+def _check_order(layout: Layout, report: Report) -> None:
+    """Episodes count on, their rows follow each other, and each is as long as its rows are."""
+    row = 0
+    for expected, episode in enumerate(layout.episodes):
+        if episode.number != expected:
+            missing = "is there twice" if episode.number < expected else f"follows episode {expected - 1}"
+            report.add("metadata", f"episode {episode.number} {missing}", episode.listed_in, episode.number)
+            return
+        span = f"rows {episode.start} to {episode.end}, length {episode.length}"
+        if episode.end - episode.start != episode.length or episode.length == 0:
+            report.add("metadata", span, episode.listed_in, episode.number)
+        elif episode.start != row:
+            report.add("metadata", f"{span}, where row {row} is the next", episode.listed_in, episode.number)
+        row = episode.end
+        for key, part in episode.videos.items():
+            if abs(part.end - part.start - episode.length / layout.fps) > _FRAME:
+                told = f"{part.end - part.start:.3f} s of {key} for {episode.length} rows at {layout.fps}/s"
+                report.add("video-length", told, episode.listed_in, episode.number)
+
+
+def leftovers(root: Path) -> Iterator[Path]:
+    """Yields temporary files and folders that a process which ended early has left."""
+    yield from sorted(root.rglob(".*.tmp"))
+    yield from sorted(path for path in root.glob("tmp*") if path.is_dir())  # LeRobot encodes videos in such
+    if any(path.is_file() for path in (root / "images").rglob("*")):  # empty, it is what LeRobot always leaves
+        yield root / "images"
+
+
+def unlisted_files(layout: Layout) -> Iterator[str]:
+    """Yields Parquet and video files in which no episode is."""
+    known = set(layout.by_data_file()) | {file for _, file in layout.by_video_file()}
+    for pattern in ("data/*/*.parquet", "videos/*/*/*.mp4"):
+        for path in sorted(layout.root.glob(pattern)):
+            if (name := path.relative_to(layout.root).as_posix()) not in known:
+                yield name
+
+
+def _said(error: Exception) -> str:
+    return str(error).partition("\n")[0][:200] or type(error).__name__
+
+
+__all__ = [
+    "ATTEMPTS", "CAMERAS", "EPISODES", "INFO", "STATS", "TASKS", "VERSION", "Episode", "Layout", "VideoPart",
+    "leftovers", "read_episode_files", "read_layout", "unlisted_files",
+]  # fmt: skip

@@ -1,0 +1,73 @@
+"""The command line that collects a dataset of given options, for its card."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from lerobot_adamanip.catalog import select_objects
+from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.datasets.collection_spec import DECIDING, CollectionSpec
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import ConfigurationError
+
+_OPTIONS = {"observe_images": "images"}
+"""Field -> its option of `adamanip collect`, where the two differ."""
+PYTHON_ONLY = ("max_key_frames", "hidden_overrides", "workspace")
+"""Fields without an option of `adamanip collect`."""
+
+
+def collect_command(spec: CollectionSpec, folder: str) -> str:
+    """Returns the command that collects a dataset of these options, into ``folder``.
+
+    A policy and external assets are folders of somebody's machine, so they are called POLICY and ASSETS. Values that
+    no option sets are listed in a comment.
+    """
+    values: dict[str, Any] = {"category": spec.category, "objects": _objects(spec)}
+    own = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec)}
+    values |= {name: value for name, value in own.items() if name not in ("environment", "objects")}
+    values |= {name: getattr(spec.environment, name) for name in DECIDING if name not in PYTHON_ONLY}
+    if spec.policy:
+        values["policy"] = "POLICY"
+    else:
+        del values["policy"], values["expert_share"]
+    if spec.environment.assets is not None:
+        values["assets"] = "ASSETS"
+    flags = [flag for name, value in values.items() if (flag := _flag(name, value))]
+    line = f"adamanip collect {' '.join(flags)} --root {folder}"
+    return "\n".join([*_comments(spec), line])
+
+
+def _flag(name: str, value: object) -> str:
+    option = _OPTIONS.get(name, name).replace("_", "-")
+    if isinstance(value, bool) and not value:
+        return "--no-images" if name == "observe_images" else ""  # other flags are off unless they are given
+    if isinstance(value, bool):
+        return f"--{option}"
+    return f"--{option} {value}"
+
+
+def _objects(spec: CollectionSpec) -> str:
+    """The shortest selection that gives the objects: a split, or a range of numbers, else all ids."""
+    first, last = (name.rpartition("_")[2] for name in (spec.objects[0], spec.objects[-1]))
+    ranges = [f"{int(first)}:{int(last) + 1}"] if first.isdecimal() and last.isdecimal() else []
+    for selection in ("seen", "unseen", "novel", *ranges):
+        try:
+            chosen = [select_objects(each, selection, spec.environment.assets) for each in spec.categories]
+        except ConfigurationError:
+            continue
+        if tuple(name for ids in chosen for name in ids) == spec.objects:
+            return selection
+    return ",".join(spec.objects)
+
+
+def _comments(spec: CollectionSpec) -> list[str]:
+    told = [f"# policy {spec.policy}"] if spec.policy else []
+    default = EnvironmentOptions()
+    for name in PYTHON_ONLY:
+        if (value := getattr(spec.environment, name)) != getattr(default, name):
+            plain = dict(value) if name == "hidden_overrides" else value
+            told.append(f"# and {name}={plain}, which has no option: EnvironmentOptions in Python")
+    if spec.category == ALL and "," in _objects(spec):
+        told.append("# and these objects, which no selection of all categories gives: CollectionSpec in Python")
+    return told

@@ -1,0 +1,206 @@
+"""What a collection is: its options, its episodes, their seeds, and the folders it lives in."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.contract.seeds import SPLITS
+from lerobot_adamanip.datasets.output_folder import COLLECTING
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
+from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
+
+SPLIT = "train"
+DEMO_SEED_START, DEMO_SEED_END = SPLITS[SPLIT]
+"""Demonstration seeds lie apart from those of evaluation, so the two never meet."""
+DEFAULT_LATE_STARTS = 0.15
+LIMITS: Mapping[str, tuple[int, int]] = {
+    "episodes_per_object": (1, 100_000), "trials": (1, 20), "seed": (0, 2**63 - 1),
+}  # fmt: skip
+MAX_OBJECTS, MAX_EPISODES = 5_000, 1_000_000
+
+
+def episode_seed(seed: int, category: str, object_id: str, slot: int, attempt: int) -> int:
+    """Returns an episode's seed, a hash of its place in the collection.
+
+    It depends on neither the expert nor the order of work: an adaptive and a static collection of one seed meet the
+    same layouts and hidden states, and any number of workers, interrupted or not, gives the same data.
+    """
+    place = json.dumps([seed, category, object_id, slot, attempt]).encode()
+    number = int.from_bytes(hashlib.sha256(place).digest()[:8], "big")
+    return DEMO_SEED_START + number % (DEMO_SEED_END - DEMO_SEED_START)
+
+
+@dataclass(frozen=True, order=True)
+class EpisodeSpec:
+    """One episode to be recorded: the ``slot``-th of an object."""
+
+    slot: int
+    object_id: str
+
+    def __str__(self) -> str:
+        return f"{self.object_id}, episode {self.slot}"
+
+    @property
+    def file_name(self) -> str:
+        """Name of its episode file."""
+        return f"{self.object_id}-{self.slot:05d}.safetensors"
+
+
+@dataclass(frozen=True)
+class CollectionSpec:
+    """Everything that decides which data a collection holds. Two collections of equal options are equal.
+
+    Attributes:
+        environment: options of the environments; its ``category`` is that of the first object.
+        objects: ids, in the order of the dataset; of one category or of several.
+        expert: ``adaptive`` or ``static``.
+        expert_preset: see `lerobot_adamanip.experts.EXPERT_PRESETS`.
+        episodes_per_object: successes to keep of each object.
+        trials: adaptive trials the expert may demonstrate (the paper's second table).
+        seed: of the whole collection.
+        late_starts: share of episodes that start late, see `lerobot_adamanip.collection.late_starts`.
+        keep_failed: whether failed episodes are kept, in a dataset of their own.
+        policy: hash of the policy that drives and is corrected by the expert (`collection.corrections`);
+            empty where the expert demonstrates. Its episodes are kept whether they succeed or not.
+        expert_share: share of key frames that the expert drives; 1 where it demonstrates.
+    """
+
+    environment: EnvironmentOptions
+    objects: tuple[str, ...]
+    expert: str = "adaptive"
+    expert_preset: str = "paper"
+    episodes_per_object: int = 20
+    trials: int = 1
+    seed: int = 0
+    late_starts: float = DEFAULT_LATE_STARTS
+    keep_failed: bool = False
+    policy: str = ""
+    expert_share: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_choice("expert", self.expert, EXPERT_KINDS)
+        require_choice("expert preset", self.expert_preset, EXPERT_PRESETS)
+        for name, (lowest, highest) in LIMITS.items():
+            _require(
+                lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}", lowest
+            )
+        _require(0 <= self.late_starts <= 1, "late_starts", self.late_starts, "a share, 0 ... 1")
+        _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
+        alone = bool(self.policy) or self.expert_share == 1
+        _require(alone, "expert_share", self.expert_share, "1 without a policy")
+        _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
+        different = len(set(self.objects)) == len(self.objects)
+        _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")
+        count = len(self.objects) * self.episodes_per_object
+        _require(count <= MAX_EPISODES, "number of episodes", count, f"at most {MAX_EPISODES}")
+        for category in self.categories:
+            self.environment_of(category)
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Of the objects, in their order."""
+        return tuple(dict.fromkeys(map(category_of, self.objects)))
+
+    @property
+    def category(self) -> str:
+        """Of all objects, or ``all`` for several."""
+        return self.categories[0] if len(self.categories) == 1 else ALL
+
+    def environment_of(self, category: str) -> EnvironmentOptions:
+        """Returns the options of the environment for a category's objects; raises `ConfigurationError`."""
+        mine = ",".join(name for name in self.objects if category_of(name) == category)
+        return self.environment.changed(category=category, objects=mine, split=SPLIT, seed_offset=0)
+
+    def items(self) -> list[EpisodeSpec]:
+        """Returns the episodes in dataset order: the first of every object, then the second: any prefix is balanced."""
+        return [EpisodeSpec(slot, name) for slot in range(self.episodes_per_object) for name in self.objects]
+
+
+def _require(holds: bool, name: str, got: object, allowed: str, advice: object = None) -> None:
+    if not holds:
+        hint = "adamanip collect -h" if advice is None else f"--{name.replace('_', '-')} {advice}"
+        raise ConfigurationError(f"Wrong {name} of a collection.", got=got, allowed=allowed, hint=hint)
+
+
+@dataclass(frozen=True)
+class CollectionPaths:
+    """Where a collection lives: ``root`` once complete; beside it what is not."""
+
+    root: Path
+
+    @property
+    def partial(self) -> Path:
+        """What was recorded so far."""
+        return self.root.with_name(self.root.name + COLLECTING)
+
+    @property
+    def episodes(self) -> Path:
+        """Files of the episodes to keep."""
+        return self.partial / "episodes"
+
+    @property
+    def attempts(self) -> Path:
+        """What became of items without such a file."""
+        return self.partial / "attempts"
+
+    @property
+    def failed_episodes(self) -> Path:
+        """Files of failed episodes, where they are kept."""
+        return self.partial / "failed"
+
+    @property
+    def building(self) -> Path:
+        """The dataset, while it is assembled."""
+        return self.partial / "dataset"
+
+    @property
+    def building_failed(self) -> Path:
+        """The dataset of failed episodes, while it is assembled."""
+        return self.partial / "dataset-failed"
+
+    @property
+    def failed(self) -> Path:
+        """The dataset of failed episodes."""
+        return self.root.with_name(self.root.name + "-failed")
+
+    @property
+    def partial_manifest(self) -> Path:
+        """Manifest of an unfinished collection."""
+        return self.partial / "collection.json"
+
+    @property
+    def manifest(self) -> Path:
+        """Manifest of a finished one."""
+        return manifest_path(self.root)
+
+
+def manifest_path(root: Path) -> Path:
+    """Returns where a dataset says how it was collected."""
+    return root / "meta" / "collection.json"
+
+
+def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
+    """Returns what of an environment's options decides data, JSON-able: no path, and nothing of this machine."""
+    plain = environment.to_json()
+    return {name: plain[name] for name in DECIDING}
+
+
+DECIDING = (
+    "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_preset", "max_key_frames",
+    "hidden_overrides", "workspace",
+)  # fmt: skip
+"""Options of an environment that a manifest holds."""
+NOT_DECIDING = (
+    "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
+    "logged_seeds",
+)  # fmt: skip
+"""Options that it does not: category and objects stand beside them, the split is the same for every collection, a path
+is of one machine, a run is of an evaluation, and the fingerprint tells the renderer."""

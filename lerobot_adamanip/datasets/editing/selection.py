@@ -1,0 +1,118 @@
+"""``meta/selection.json``: which episodes of which dataset a part of it holds, so that parts find together again.
+
+A part of a part names the first dataset, not the one between. Written by us, read from anywhere, so checked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.json_fields import integer, listing, read, table, text
+
+FORMAT = 1
+_MOST = 10_000_000
+_MOST_COMMANDS = 100
+_SELECTION = table(
+    {
+        "format": integer(FORMAT, FORMAT),
+        "source": text(r"[0-9a-f]{32}", "a hash"),
+        "source_episodes": integer(1, _MOST),
+        "episodes": listing(integer(0, _MOST), 1, _MOST),
+        "made_with": listing(text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command"), 0, _MOST_COMMANDS),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Episodes of a dataset.
+
+    Attributes:
+        source: hash of the dataset's metadata, which hold statistics of every episode.
+        source_episodes: how many it has.
+        episodes: their indices there, in the order of the part.
+        made_with: commands that chose them, in order; each takes DATASET, which the one before has made.
+    """
+
+    source: str
+    source_episodes: int
+    episodes: tuple[int, ...]
+    made_with: tuple[str, ...] = ()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether these are all episodes of the dataset, each once, in its order."""
+        return self.episodes == tuple(range(self.source_episodes))
+
+    def of(self, chosen: list[int], command: Sequence[str]) -> Selection:
+        """Returns the selection that takes these of its own episodes, by their places in it.
+
+        Args:
+            chosen: the places.
+            command: that chose them, without a path.
+        """
+        episodes = tuple(self.episodes[place] for place in chosen)
+        return Selection(self.source, self.source_episodes, episodes, (*self.made_with, shlex.join(command)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        return {"format": FORMAT, **vars(self), "episodes": list(self.episodes), "made_with": list(self.made_with)}
+
+
+def selection_path(root: Path) -> Path:
+    """Returns where a part of a dataset says what it holds."""
+    return root / "meta" / "selection.json"
+
+
+def read_selection(root: Path, episodes: int) -> Selection:
+    """Returns what a part says that it holds; of any other dataset, all its own episodes.
+
+    Args:
+        root: of the dataset.
+        episodes: how many it has.
+
+    Raises:
+        DatasetError: the file cannot be, or is of another number of episodes.
+    """
+    path = selection_path(root)
+    if not path.exists():
+        return Selection(identity(root), episodes, tuple(range(episodes)))
+    try:
+        written = read(path, max_bytes=100_000_000)
+        if isinstance(written, dict):
+            written = {"made_with": [], **written}  # version 0.2 has no commands in it
+        content = _SELECTION("the selection", written)
+        content.pop("format")
+        found = Selection(**content)
+        if len(found.episodes) != episodes or max(found.episodes) >= found.source_episodes:
+            raise ValueError(f"it names {len(found.episodes)} episodes, of {found.source_episodes}")
+    except (OSError, ValueError) as error:
+        raise DatasetError(
+            "Cannot read which episodes this part of a dataset holds.",
+            got=f"{path}: {error}",
+            allowed=f"{episodes} indices, as `adamanip filter` and `adamanip split` write them",
+            hint="delete the file: the dataset is then one of its own",
+        ) from error
+    return found
+
+
+def write_selection(root: Path, selection: Selection) -> None:
+    """Writes what a part holds. A dataset that is whole is no part: it gets no file."""
+    if not selection.is_whole:
+        files.write_atomically(selection_path(root), (json.dumps(selection.to_json(), sort_keys=True) + "\n").encode())
+
+
+def identity(root: Path) -> str:
+    """Returns a hash of a dataset's metadata, which hold statistics of every episode."""
+    made = hashlib.sha256()
+    for path in (root / "meta" / "info.json", *sorted((root / "meta" / "episodes").glob("*/*.parquet"))):
+        made.update(path.read_bytes())
+    return made.hexdigest()[:32]

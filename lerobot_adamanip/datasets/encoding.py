@@ -1,0 +1,158 @@
+"""What of an episode's way into a dataset depends on that episode alone: its table, statistics and video.
+
+That is most of assembly's work, so it is done by as many processes as there are; appending in order is what is left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from lerobot_adamanip.datasets.shards import RecordedEpisode, read_shard
+from lerobot_adamanip.datasets.statistics import compute_statistics
+from lerobot_adamanip.util.jobs import Beat
+
+Features = Mapping[str, Mapping[str, Any]]
+PLACE = ("index", "episode_index", "task_index")
+"""Columns that depend on what was appended before."""
+VIDEO = {"vcodec": "h264", "crf": 20, "preset": "veryfast", "g": 2}
+ENCODER_THREADS = 1
+"""One thread: the same frames then give the same file on every run."""
+
+
+@dataclass(frozen=True, order=True)
+class EpisodeFile:
+    """An episode to be prepared: its number in the dataset, and its file."""
+
+    number: int
+    path: Path
+
+
+@dataclass(frozen=True)
+class PreparedEpisode:
+    """An episode ready to be appended.
+
+    Attributes:
+        record: what describes it.
+        table: its rows, as an Arrow stream; 0 in the columns `PLACE`.
+        stats: column -> statistics, without `PLACE`.
+        videos: column -> file content.
+    """
+
+    record: dict[str, Any]
+    table: bytes
+    stats: dict[str, dict[str, Any]]
+    videos: dict[str, bytes]
+
+
+def video_encoder() -> Any:
+    """Returns LeRobot's description of how videos are encoded."""
+    from lerobot.configs.video import RGBEncoderConfig
+
+    return RGBEncoderConfig(**VIDEO)
+
+
+@contextlib.contextmanager
+def preparing_session(features: Features, fps: int) -> Iterator[Callable[[EpisodeFile | bytes, Beat], PreparedEpisode]]:
+    """What a worker holds: a folder of its own. It is given an episode's file, or what is in it."""
+    import av
+    import datasets
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+    with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
+        sent = Path(scratch) / "episode.safetensors"
+
+        def work(item: EpisodeFile | bytes, beat: Beat) -> PreparedEpisode:
+            if isinstance(item, bytes):
+                sent.write_bytes(item)
+            return prepare(read_shard(sent if isinstance(item, bytes) else item.path), features, fps, Path(scratch))
+
+        yield work
+
+
+def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Path) -> PreparedEpisode:
+    """Does for one episode what LeRobot's writer does, with LeRobot's functions.
+
+    Args:
+        episode: to be prepared.
+        features: of the dataset, LeRobot's own columns included.
+        fps: of the dataset.
+        scratch: a folder to work in.
+    """
+    from lerobot.datasets.feature_utils import validate_frame
+
+    length = len(episode)
+    for row in range(length):
+        frame = {key: column[row] for key, column in episode.columns.items()}
+        validate_frame({**frame, "task": episode.record["task"]}, dict(features))
+    with tempfile.TemporaryDirectory(dir=scratch) as folder:
+        images = {
+            key: _write_images(Path(folder) / key, episode.columns[key])
+            for key, feature in features.items()
+            if feature["dtype"] == "video"
+        }
+        rows = _rows(episode, features, fps)
+        buffer = {key: images[key] if key in images else rows[key] for key in features if key not in PLACE}
+        stats = compute_statistics(buffer, features)
+        videos = {key: _encode(Path(folder) / key, fps) for key in images}
+    return PreparedEpisode(episode.record, _table(rows, features), stats, videos)
+
+
+def _rows(episode: RecordedEpisode, features: Features, fps: int) -> dict[str, Any]:
+    """Returns the columns as LeRobot's writer stacks them: of shape (1,) they are scalars."""
+    import numpy as np
+
+    length = len(episode)
+    given: dict[str, Any] = {
+        **{key: np.zeros(length, np.int64) for key in PLACE},
+        "timestamp": np.stack([row / fps for row in range(length)]),
+        "frame_index": np.stack(list(range(length))),
+    }
+    rows = {}
+    for key, feature in features.items():
+        if feature["dtype"] == "video":
+            continue
+        column = given[key] if key in given else episode.columns[key]
+        rows[key] = column.reshape(length) if tuple(feature["shape"]) == (1,) else column
+    return rows
+
+
+def _table(rows: dict[str, Any], features: Features) -> bytes:
+    import datasets
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+    columns = get_hf_features_from_features(dict(features))
+    made = datasets.Dataset.from_dict({key: rows[key] for key in columns}, features=columns, split="train")
+    table = made.with_format("arrow")[:]
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as stream:
+        stream.write_table(table)
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def _write_images(folder: Path, images: Any) -> list[str]:
+    from lerobot.datasets.image_writer import write_image
+
+    folder.mkdir()
+    paths = [folder / f"frame-{number:06d}.png" for number in range(len(images))]
+    for path, image in zip(paths, images, strict=True):
+        write_image(image, path)
+    return list(map(str, paths))
+
+
+def _encode(folder: Path, fps: int) -> bytes:
+    from lerobot.datasets.video_utils import encode_video_frames
+
+    path = folder.with_suffix(".mp4")
+    encode_video_frames(
+        folder, path, fps, video_encoder=video_encoder(), encoder_threads=ENCODER_THREADS, overwrite=True
+    )
+    return path.read_bytes()

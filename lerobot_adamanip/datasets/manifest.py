@@ -1,0 +1,291 @@
+"""``meta/collection.json``: how a dataset was collected. Written by us, read from anywhere, so checked field by field.
+
+It names no code and no path: environment and expert come from the program that reads it, the folder of external
+assets from whoever has it (``--assets``); the manifest holds a hash of each object's content.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.assets import AssetSource, is_asset_id, parse_asset_id
+from lerobot_adamanip.catalog import parse_object_id
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.datasets.collection_spec import (
+    LIMITS,
+    MAX_EPISODES,
+    MAX_OBJECTS,
+    CollectionPaths,
+    CollectionSpec,
+    environment_json,
+)
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, IMAGE_SIZES, KEY_FRAMES, POSES, EnvironmentOptions
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
+from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, DatasetError, listed
+from lerobot_adamanip.util.json_fields import (
+    Check,
+    choice,
+    either,
+    flag,
+    integer,
+    listing,
+    mapping,
+    number,
+    optional,
+    read,
+    table,
+    text,
+)
+
+FORMAT = 2
+"""Of the manifest and the columns beside it. 1 was version 0.1.0's."""
+MAX_POINTS = 16_384
+_LONGEST_ID, _FARTHEST, _MAX_PARTS = 120, 10.0, 64
+HIDDEN_STATE: Check = mapping(
+    text(r"[a-z][a-z_]{0,39}", "the name of a hidden value"), either(flag, number(-1e6, 1e6), text(r"\w{1,40}", "")), 16
+)
+"""Checks the hidden values of an episode."""
+_WORD = text(r"[\w .:+-]{1,80}", "a short word")
+
+
+@dataclass(frozen=True)
+class AttemptCounts:
+    """How many episodes were tried for a dataset.
+
+    Attributes:
+        kept: in the dataset.
+        attempted: tried for it, kept or not.
+        given_up: that were to be in the dataset, and no attempt at them succeeded.
+    """
+
+    kept: int
+    attempted: int
+    given_up: int
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What ``meta/collection.json`` says.
+
+    Attributes:
+        spec: the options.
+        fingerprint: part -> hash or name of what made the episodes, see `lerobot_adamanip.util.fingerprint`.
+        external_assets: object id -> hash of its folder's content; empty for generated objects.
+        attempts: counts of a finished collection.
+    """
+
+    spec: CollectionSpec
+    fingerprint: Mapping[str, str] = field(default_factory=dict)
+    external_assets: Mapping[str, str] = field(default_factory=dict)
+    attempts: AttemptCounts | None = None
+
+    @classmethod
+    def of(cls, spec: CollectionSpec, fingerprint: Mapping[str, str]) -> Manifest:
+        """Returns the manifest of a collection that is about to begin."""
+        assets = spec.environment.assets
+        hashes = {} if assets is None else {name: asset_hash(assets, name) for name in spec.objects}
+        return cls(spec, dict(fingerprint), hashes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        spec = self.spec
+        return {
+            "format": FORMAT,
+            "category": spec.category,
+            "collection": {
+                "objects": list(spec.objects),
+                "environment": environment_json(spec.environment),
+                **{name: getattr(spec, name) for name in _COLLECTION if name not in ("objects", "environment")},
+            },
+            "fingerprint": dict(self.fingerprint),
+            "external_assets": dict(self.external_assets),
+            "attempts": None if self.attempts is None else vars(self.attempts),
+        }
+
+
+def asset_hash(assets: str | Path, object_id: str) -> str:
+    """Returns a hash of all files of an external object."""
+    made, folder = hashlib.sha256(), AssetSource(Path(assets)).folder(object_id)
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            made.update(f"{path.relative_to(folder).as_posix()} {digest}\n".encode())
+    return made.hexdigest()[:32]
+
+
+def write_manifest(path: Path, manifest: Manifest) -> None:
+    """Writes a manifest, durably."""
+    files.write_atomically(path, (json.dumps(manifest.to_json(), indent=2, sort_keys=True) + "\n").encode())
+
+
+def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
+    """Reads a manifest.
+
+    Args:
+        path: of the file.
+        assets: the folder of external assets, if the collection used any.
+
+    Raises:
+        DatasetError: it is missing or damaged, a field is not what it may be, or ``assets`` does not fit it.
+    """
+    try:
+        content = read(path)
+        if isinstance(content, dict) and "env_factory" in content:
+            raise _outdated(path)
+        return _manifest(table(_MANIFEST)("the manifest", content), None if assets is None else str(assets))
+    except (OSError, ValueError, OverflowError) as error:
+        if isinstance(error, AdaManipError) and not isinstance(error, ConfigurationError):
+            raise
+        raise DatasetError(
+            "Cannot read the manifest of a collection.",
+            got=f"{path}: {error}",
+            allowed="the file `adamanip collect` wrote",
+            hint="another --root",
+        ) from error
+
+
+def stored_images(paths: CollectionPaths) -> bool | None:
+    """Returns whether the collection that ``paths`` hold, finished or not, has images; None if they hold none."""
+    for path in (paths.manifest, paths.partial_manifest):
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            return bool(read(path)["collection"]["environment"]["observe_images"])
+    return None
+
+
+def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
+    """Raises `DatasetError` naming each option, object and part of the fingerprint in which two manifests differ."""
+    old, new = _flat(stored), _flat(wanted)
+    if different := [name for name in new if old[name] != new[name]]:
+        raise DatasetError(
+            f"{where} holds a collection made with other options: {', '.join(different)}.",
+            got="; ".join(f"{name} = {_told(new[name])}" for name in different),
+            allowed="; ".join(f"{name} = {_told(old[name])}" for name in different),
+            hint="the same options, or another --root (a dataset does not grow: collect the rest elsewhere)",
+        )
+    if parts := differing_parts(stored.external_assets, wanted.external_assets):
+        raise DatasetError(
+            "The external assets are not those that were used.",
+            got=f"{where}: {', '.join(parts)} changed",
+            allowed="folders of the same content",
+            hint="the --assets of before, or another --root",
+        )
+    if parts := differing_parts(stored.fingerprint, wanted.fingerprint):
+        raise DatasetError(
+            f"{where} was recorded under another fingerprint: {', '.join(parts)} differ.",
+            got="; ".join(f"{name} = {wanted.fingerprint.get(name)}" for name in parts),
+            allowed="; ".join(f"{name} = {stored.fingerprint.get(name)}" for name in parts),
+            hint="the code and versions of before, or another --root: episodes of both do not go together",
+        )
+
+
+def differing_parts(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[str, ...]:
+    """Returns the names under which two fingerprints differ."""
+    return tuple(name for name in sorted({*one, *other}) if one.get(name) != other.get(name))
+
+
+def _flat(manifest: Manifest) -> dict[str, Any]:
+    whole = manifest.to_json()
+    content = whole["collection"]
+    return {
+        "category": whole["category"],
+        **{name: value for name, value in content.items() if name != "environment"},
+        **content["environment"],
+    }
+
+
+def _told(value: object) -> str:
+    return listed(value) if isinstance(value, list | tuple) else repr(value)
+
+
+def _object_id(name: str, value: object) -> str:
+    if not isinstance(value, str) or len(value) > _LONGEST_ID:
+        raise ValueError(f"{name} is no object's id")
+    try:
+        (parse_asset_id if is_asset_id(value) else parse_object_id)(value)
+    except ConfigurationError:
+        raise ValueError(f"{name} is {value!r}, which is no object's id") from None
+    return value
+
+
+_HASHES = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a hash or a name"), _MAX_PARTS)
+_CORNER = listing(number(-_FARTHEST, _FARTHEST), 3, 3)
+_ENVIRONMENT: Mapping[str, Check] = {
+    "num_points": integer(1, MAX_POINTS),
+    "image_size": integer(*IMAGE_SIZES),
+    "observe_images": flag,
+    "cloud_source": choice(CLOUD_SOURCES),
+    "poses": choice(POSES),
+    "mechanism_preset": choice(MECHANISM_PRESETS),
+    "max_key_frames": integer(*KEY_FRAMES),
+    "hidden_overrides": HIDDEN_STATE,
+    "workspace": table({"lower": _CORNER, "upper": _CORNER}),
+}
+_COLLECTION: Mapping[str, Check] = {
+    "objects": listing(_object_id, 1, MAX_OBJECTS),
+    "environment": table(_ENVIRONMENT),
+    "expert": choice(EXPERT_KINDS),
+    "expert_preset": choice(EXPERT_PRESETS),
+    "late_starts": number(0.0, 1.0),
+    "keep_failed": flag,
+    "policy": text(r"([0-9a-f]{32})?", "a hash, or nothing"),
+    "expert_share": number(0.0, 1.0),
+    **{name: integer(*limits) for name, limits in LIMITS.items()},
+}
+_COUNT = integer(0, 1000 * MAX_EPISODES)
+_MANIFEST: Mapping[str, Check] = {
+    "format": integer(FORMAT, FORMAT),
+    "category": choice((*CATEGORIES, ALL)),
+    "collection": table(_COLLECTION),
+    "fingerprint": _HASHES,
+    "external_assets": mapping(_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
+    "attempts": optional(table(dict.fromkeys(("kept", "attempted", "given_up"), _COUNT))),
+}
+
+
+def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
+    collection, hashes = dict(content["collection"]), content["external_assets"]
+    external = [name for name in collection["objects"] if is_asset_id(name)]
+    if sorted(external) != sorted(hashes) or (hashes and len(external) < len(collection["objects"])):
+        raise ValueError("external_assets does not list the objects")
+    if bool(hashes) != (assets is not None):
+        raise DatasetError(
+            "This collection used external assets." if hashes else "This collection used generated objects.",
+            got=f"--assets {assets}",
+            allowed="their folder" if hashes else "no folder",
+            hint="--assets DIR",
+        )
+    options = dict(collection.pop("environment"))
+    workspace = Workspace(**options.pop("workspace"))
+    first = collection["objects"][0].partition(":")[0] if hashes else collection["objects"][0].rpartition("_")[0]
+    environment = EnvironmentOptions(
+        first, objects=collection["objects"][0], assets=assets, workspace=workspace, **options
+    )
+    spec = CollectionSpec(environment, **collection)
+    if spec.category != content["category"]:
+        raise ValueError(f"category is {content['category']!r}, but its objects are of {spec.category!r}")
+    counts = content["attempts"]
+    return Manifest(spec, content["fingerprint"], hashes, None if counts is None else AttemptCounts(**counts))
+
+
+def _outdated(path: Path) -> DatasetError:
+    return DatasetError(
+        "This dataset was made by version 0.1.0, whose format names code; it is read no more.",
+        got=path,
+        allowed=f"format {FORMAT}, as `adamanip collect` writes it now",
+        hint="collect it again, into another --root",
+    )
+
+
+__all__ = [
+    "FORMAT", "HIDDEN_STATE", "AttemptCounts", "Manifest", "asset_hash", "differing_parts", "read_manifest",
+    "require_same", "stored_images", "write_manifest",
+]  # fmt: skip

@@ -1,0 +1,299 @@
+"""Output folders: one owner at a time, and one rule for every command that writes a dataset.
+
+The target is resolved, locked and probed before any work begins. Unfinished output is kept beside it, in a work folder
+whose suffix belongs to one command. Nothing is removed that another command, or another run of the same, has left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import DatasetError
+
+COLLECTING, RENDERING, WRITING, CONVERTING = ".partial", ".rendering", ".writing", ".converting"
+"""Suffixes of the work folders of collect; render; filter, split and merge; keyframes."""
+WORK_FOLDERS = {
+    COLLECTING: ("episodes", "attempts", "failed", "collection.json", "dataset", "dataset-failed", "lock"),
+    RENDERING: ("episodes", "collection.json", "source", "dataset"),
+    WRITING: ("dataset",),
+    CONVERTING: ("episodes", "dataset", "merged"),
+}
+"""Suffix -> what may be in such a folder. ``lock`` was left there by version 0.2."""
+_RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render"}
+"""Commands that go on with the episodes in their work folder."""
+_EPISODE_FOLDERS = ("episodes", "failed")
+_PROBE = "probe"
+MIN_FREE_BYTES = 20_000_000
+"""Room that every output needs at least, beside the data."""
+
+
+@dataclass(frozen=True)
+class OutputFolder:
+    """A locked output folder.
+
+    Attributes:
+        root: where the finished dataset is to be; resolved.
+        suffix: of the work folder.
+    """
+
+    root: Path
+    suffix: str
+
+    @property
+    def work(self) -> Path:
+        """Folder beside ``root`` for what is unfinished."""
+        return self.root.with_name(self.root.name + self.suffix)
+
+    def fresh(self, name: str) -> Path:
+        """Returns a path in the work folder at which nothing is: what an interrupted run built there is removed."""
+        files.remove_tree(self.work / name)
+        return self.work / name
+
+    def require_free(self) -> None:
+        """Raises `DatasetError` if something is at ``root``, or another command's episodes wait to become it."""
+        if not is_free(self.root):
+            raise DatasetError(
+                "There is something at the root of the new dataset.",
+                got=self.root,
+                allowed="a folder that does not exist, or is empty",
+                hint="another folder (--root or --out)",
+            )
+        for suffix, command in _RESUMED.items():
+            folder = self.root.with_name(self.root.name + suffix)
+            if suffix != self.suffix and (episodes := count_episodes(folder)):
+                raise DatasetError(
+                    f"An unfinished `{command}` waits to become this dataset.",
+                    got=f"{episodes} episodes in {folder}",
+                    allowed="one command for an output folder",
+                    hint=f"finish that `{command}` first; or another folder (--root or --out)",
+                )
+
+    def require_room(self, data_bytes: int = 0) -> None:
+        """Raises `DatasetError` if so much data does not fit on the disk."""
+        free, needed = shutil.disk_usage(self.work).free, data_bytes + MIN_FREE_BYTES
+        if free < needed:
+            raise DatasetError(
+                "There is not enough room on the disk.",
+                got=f"{free / 1e6:.0f} MB free at {self.root.parent}",
+                allowed=f"{needed / 1e6:.0f} MB or more",
+                hint="another disk (--root or --out)",
+            )
+
+    def publish(self, built: Path) -> None:
+        """Moves a finished dataset to ``root``, and removes the work folder."""
+        files.move_durably(built, self.root)
+        files.crash_point("dataset in place")
+        self.discard()
+
+    def discard(self) -> None:
+        """Removes the work folder; the episodes in it are published, or can be made again at any time."""
+        for name in WORK_FOLDERS[self.suffix]:
+            path = self.work / name
+            if path.is_dir():
+                files.remove_tree(path)
+                files.crash_point("shards partly removed")
+        files.remove_tree(self.work)
+        files.crash_point("cleaned")
+
+
+@contextlib.contextmanager
+def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
+    """Locks an output folder, makes its work folder, and probes that the finished dataset can be moved into place.
+
+    Args:
+        target: as the user gives it.
+        suffix: of the command's work folder, see `WORK_FOLDERS`.
+
+    Raises:
+        DatasetError: it cannot be written there, another command is at work there, or the work folder is not ours.
+    """
+    output = OutputFolder(resolve_output(target), suffix)
+    with _parents(output.root), lock_output(output.root):
+        with _clear_errors(output.root):
+            _require_ours(output.work, WORK_FOLDERS[suffix])
+            output.work.mkdir(exist_ok=True)
+        try:
+            with _clear_errors(output.root):
+                _probe(output)
+            files.crash_point("output claimed")
+            yield output
+        finally:
+            with contextlib.suppress(OSError):
+                output.work.rmdir()  # only if it is empty
+
+
+@contextlib.contextmanager
+def _parents(root: Path) -> Iterator[None]:
+    """Makes the folders above an output folder; removes those of them that are still empty afterwards."""
+    made = [folder for folder in root.parents if not folder.exists()]
+    with _clear_errors(root):
+        root.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            for folder in made:  # the innermost first
+                folder.rmdir()
+
+
+def resolve_output(target: str | Path) -> Path:
+    """Returns the folder that a path names, whatever links and ``..`` are in it; raises `DatasetError`."""
+    try:
+        root = Path(target).expanduser().resolve()
+    except (OSError, RuntimeError) as error:
+        raise _unwritable(target, error) from error
+    if not root.name:
+        raise _unwritable(target, "it is the root of the file system")
+    return root
+
+
+def is_free(root: Path) -> bool:
+    """Whether nothing is at a path, or an empty folder."""
+    return not root.exists() or (root.is_dir() and not any(root.iterdir()))
+
+
+def count_episodes(work: Path) -> int:
+    """Returns how many recorded episodes wait in a work folder."""
+    return sum(len(list((work / name).glob("*.safetensors"))) for name in _EPISODE_FOLDERS)
+
+
+def lock_path(root: Path) -> Path:
+    """Returns the lock file of an output folder: there while a command is at work, or after one was killed.
+
+    Not ``.<name>.lock``, which LeRobot locks itself.
+    """
+    return root.with_name(f".{root.name}.adamanip-lock")
+
+
+@contextlib.contextmanager
+def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
+    """Keeps every other command of ours away from an output folder.
+
+    The lock file is beside the folder, and is removed at the end. A process that dies leaves it unlocked.
+
+    Args:
+        root: resolved, see `resolve_output`.
+        optional: do without a lock where no file can be written beside the folder: nobody else can write there either.
+
+    Raises:
+        DatasetError: another process has the lock.
+    """
+    path = lock_path(root)
+    descriptor = None
+    try:
+        descriptor = _locked(path)
+        _held.add(descriptor)
+    except BlockingIOError as error:
+        raise DatasetError(
+            "Another command is at work in this folder.",
+            got=root,
+            allowed="one at a time",
+            hint="wait for its end, or another folder (--root or --out)",
+        ) from error
+    except OSError as error:
+        if not optional:
+            raise _unwritable(root, error) from error
+    try:
+        yield
+    finally:
+        if descriptor in _held:
+            path.unlink(missing_ok=True)
+            _held.discard(descriptor)
+            os.close(descriptor)
+
+
+def _locked(path: Path) -> int:
+    """Returns the descriptor of a locked file that is still at its path: whoever had it before has removed it."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.stat(path), os.fstat(descriptor)):
+                    return descriptor
+        except OSError:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _close_locks() -> None:
+    """For a forked process: an encoder of LeRobot's would hold them after its parent was killed."""
+    while _held:
+        os.close(_held.pop())
+
+
+_held: set[int] = set()
+os.register_at_fork(after_in_child=_close_locks)
+
+
+def require_not_written(root: Path) -> None:
+    """Raises `DatasetError` if another process has a file of a dataset open for writing (Linux; else does nothing)."""
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        try:
+            written = Path(os.readlink(link)).is_relative_to(root)
+            process = int(link.parts[2])
+            if not written or process == os.getpid():
+                continue
+            flags = (link.parent.parent / "fdinfo" / link.name).read_text().split("flags:")[1].split()[0]
+        except (OSError, IndexError, ValueError):  # it has ended, or belongs to another user
+            continue
+        if int(flags, 8) & os.O_ACCMODE != os.O_RDONLY:
+            raise DatasetError(
+                "Another process is writing this dataset.",
+                got=f"process {process}, {root}",
+                allowed="a dataset that nobody is writing",
+                hint="the same command when the recording has ended",
+            )
+
+
+def _require_ours(work: Path, names: tuple[str, ...]) -> None:
+    if work.is_symlink() or (work.exists() and not work.is_dir()):
+        foreign = [work.name]
+    else:
+        known = (*names, _PROBE)
+        found = sorted(path.name for path in work.iterdir()) if work.exists() else []
+        foreign = [name for name in found if name not in known and not (name[0] == "." and name.endswith(".tmp"))]
+    if foreign:
+        raise DatasetError(
+            "There is something else in the folder for unfinished output.",
+            got=f"{work}: {', '.join(foreign[:3])}",
+            allowed="a folder that does not exist, or that this command has made",
+            hint="move it away, or another folder (--root or --out)",
+        )
+
+
+def _probe(output: OutputFolder) -> None:
+    """Raises `OSError` if a folder in the work folder cannot become ``root`` later: a mount, another file system."""
+    probe = output.work / _PROBE
+    moved = output.root if output.root.is_dir() else output.root.with_name(f".{output.root.name}.{_PROBE}")
+    if is_free(moved):
+        probe.mkdir(exist_ok=True)
+        os.replace(probe, moved)
+    if moved != output.root:
+        moved.rmdir()
+
+
+@contextlib.contextmanager
+def _clear_errors(root: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise _unwritable(root, error) from error
+
+
+def _unwritable(root: str | Path, error: object) -> DatasetError:
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+    return DatasetError(
+        "A dataset cannot be written there.",
+        got=f"{root}: {reason}",
+        allowed="a folder that can be made and renamed, no mount point",
+        hint="another folder (--root or --out)",
+    )

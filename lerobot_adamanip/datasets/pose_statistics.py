@@ -1,0 +1,55 @@
+"""Statistics that leave rotation and gripper unscaled, for the columns that hold poses by name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POSE_NAMES, STATE, Statistics, fix_pose_statistics
+from lerobot_adamanip.util import files
+
+
+def flat_names(feature: Mapping[str, Any] | None) -> list[str]:
+    """Returns the names of a feature's numbers, which LeRobot keeps as a list or in groups; [] for none."""
+    names = (feature or {}).get("names")
+    return [name for group in names.values() for name in group] if isinstance(names, Mapping) else list(names or ())
+
+
+def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics:
+    """Returns dataset statistics with fixed ranges of rotation and gripper, see `schema.fix_pose_statistics`.
+
+    Args:
+        stats: of the dataset.
+        features: of the dataset. State and action change where their names begin with those of a pose.
+    """
+    poses = {
+        key: stats[key]
+        for key in (STATE, ACTION)
+        if key in stats and flat_names(features.get(key))[:ACTION_DIM] == list(POSE_NAMES)
+    }
+    return {**stats, **fix_pose_statistics(poses)}
+
+
+def leave_poses_unscaled(root: Path | str) -> None:
+    """Fixes the ranges of rotation and gripper in ``meta/stats.json``, for every training on a dataset. Idempotent.
+
+    LeRobot makes a policy's normalizer from that file. `adamanip check` accepts both kinds of ranges.
+
+    Args:
+        root: folder of the dataset; its rows stay as they are.
+
+    Raises:
+        OSError: there is no ``meta/stats.json`` or no ``meta/info.json``.
+    """
+    meta = Path(root) / "meta"
+    path = meta / "stats.json"
+    measured = json.loads(path.read_text(encoding="utf-8"))
+    features = json.loads((meta / "info.json").read_text(encoding="utf-8"))["features"]
+    fixed = unscaled_poses(measured, features)
+    plain = {key: {name: np.asarray(value).tolist() for name, value in each.items()} for key, each in fixed.items()}
+    if plain != measured:
+        files.write_atomically(path, (json.dumps(plain, indent=4) + "\n").encode())

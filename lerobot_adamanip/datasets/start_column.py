@@ -1,0 +1,33 @@
+"""Column ``start`` of an episode: at rest, or the actions that led to where its recording begins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.schema import ACTION_DIM
+from lerobot_adamanip.util.json_fields import listing, number, parse, table
+
+RESET = "reset"
+"""Value of an episode that starts at rest."""
+_MAX_ACTIONS = 64
+_PREFIX = table({"actions": listing(listing(number(-10.0, 10.0), ACTION_DIM, ACTION_DIM), 1, _MAX_ACTIONS)})
+
+Actions = NDArray[np.float32]
+
+
+def start_column(actions: Actions) -> Any:
+    """Returns what column ``start`` holds, before it becomes JSON: `RESET`, or the actions that led there."""
+    return {"actions": [[float(value) for value in row] for row in actions]} if len(actions) else RESET
+
+
+def read_start(value: str) -> Actions:
+    """Returns the (n, 10) actions that column ``start`` tells of; raises ValueError for anything else."""
+    content = parse(value)
+    if content == RESET:
+        return np.zeros((0, ACTION_DIM), np.float32)
+    fields: Mapping[str, Any] = _PREFIX("start", content)
+    return np.asarray(fields["actions"], np.float32)

@@ -1,0 +1,205 @@
+"""An episode of a dataset, read for people to look at."""
+
+from __future__ import annotations
+
+import enum
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.catalog import is_asset_id, make_object
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Outcome, Phase
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.datasets.editing.source import Rows, Source
+from lerobot_adamanip.datasets.reading import load_check, open_dataset
+from lerobot_adamanip.mechanisms import make_mechanism
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.util.json_fields import parse
+
+Array = NDArray[np.float32]
+CLOSED = 0.5
+"""Gripper opening below which a hand is told to close."""
+
+
+@dataclass(frozen=True)
+class Try:
+    """A key frame that tried to move a joint.
+
+    Attributes:
+        key_frame: its number, from 0.
+        joint: name of the joint.
+        failed: whether it covered less than half of its way.
+        progress: how far the joint moved, in the direction it was sent [rad or m].
+        recovers: whether it worked, and the try before had failed.
+    """
+
+    key_frame: int
+    joint: str
+    failed: bool
+    progress: float
+    recovers: bool
+
+
+@dataclass(frozen=True)
+class ViewedEpisode:
+    """What there is to see of an episode of T rows. A row is what was seen before the key frame of its number.
+
+    Attributes:
+        title: one line on what happened.
+        clouds: (T, N, 3) points, robot base frame [m].
+        tools: (T, 10) poses of the tool, as in the contract's action.
+        goals: (T - 1, 10) poses it was sent to.
+        effort: (T, 7) external joint torque [N m]; empty if it was not recorded.
+        phases: of each key frame; None where nobody has labelled it.
+        outcomes: of each key frame; None where it was not recorded.
+        tries: in their order.
+        seconds: (T,) time of each row [s].
+        camera: (4, 4) pose of the camera in the robot's base frame [m], z ahead and y down; None if unknown.
+        images: (T, H, W, 3) RGB; None if there are none.
+    """
+
+    title: str
+    clouds: Array
+    tools: Array
+    goals: Array
+    effort: Array
+    phases: tuple[Phase | None, ...]
+    outcomes: tuple[Outcome | None, ...]
+    tries: tuple[Try, ...]
+    seconds: Array
+    camera: NDArray[np.float64] | None
+    images: NDArray[np.uint8] | None
+
+    @property
+    def key_frames(self) -> int:
+        """How many actions were sent."""
+        return len(self.goals)
+
+    def phase_runs(self) -> Iterator[tuple[Phase | None, int, int]]:
+        """Yields phases, None for unlabelled ones, with the first key frame of each and that after its last."""
+        place = 0
+        for phase, run in itertools.groupby(self.phases):
+            end = place + len(list(run))
+            yield phase, place, end
+            place = end
+
+
+def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpisode:
+    """Reads an episode of any dataset that has a cloud, a state and actions as the contract has them.
+
+    Args:
+        root: of the dataset.
+        number: of the episode, from 0.
+        images: whether to decode pictures, if there are any.
+
+    Raises:
+        DatasetError: the dataset is missing, half written or damaged.
+        ConfigurationError: it has no such episode.
+    """
+    source = Source(root.absolute(), load_check(root))
+    total = source.info["total_episodes"]
+    if not 0 <= number < total:
+        raise ConfigurationError("No such episode.", got=number, allowed=f"0 to {total - 1}", hint="--episode 0")
+    row = source.row(number)
+    table = Rows().of(source, row)
+    columns = {name: np.asarray(table[name].to_pylist()) for name in table.column_names if name in _READ}
+    length = len(table)
+    sent = length - 1 if columns.get(schema.DONE, np.zeros(1))[-1] else length
+    pictures = _images(root, number) if images and schema.FRONT_IMAGE in source.info["features"] else None
+    tries = tuple(_tries(columns, sent, _joint_names(row.get("object_id"))))
+    return ViewedEpisode(
+        title=_title(number, row, tries),
+        clouds=as_points(columns[schema.POINT_CLOUD]).astype(np.float32),
+        tools=columns[schema.STATE][:, : schema.ACTION_DIM].astype(np.float32),
+        goals=columns.get(schema.EXECUTED, columns[schema.ACTION])[:sent].astype(np.float32),
+        effort=columns.get(schema.EFFORT, np.zeros((length, 0))).astype(np.float32),
+        phases=_labels(Phase, columns.get(schema.PHASE), sent),
+        outcomes=_labels(Outcome, columns.get(schema.OUTCOME), sent),
+        tries=tries,
+        seconds=columns["timestamp"].astype(np.float32),
+        camera=_camera(row.get("camera")),
+        images=pictures,
+    )
+
+
+_READ = (
+    schema.POINT_CLOUD, schema.STATE, schema.ACTION, schema.EXECUTED, schema.EFFORT, schema.PHASE, schema.OUTCOME,
+    schema.TRIED, schema.FAILED, schema.PROGRESS, schema.DONE, "timestamp",
+)  # fmt: skip
+
+
+def _labels[Label: enum.IntEnum](
+    kind: type[Label], column: NDArray[Any] | None, count: int
+) -> tuple[Label | None, ...]:
+    """Returns the labels of the first rows; None where there is no column, or no label of this kind in it."""
+    if column is None:
+        return (None,) * count
+    known = {int(label): label for label in kind}
+    return tuple(known.get(value) for value in column[:count].astype(int).tolist())
+
+
+def _tries(columns: Mapping[str, NDArray[Any]], sent: int, names: tuple[str, ...]) -> Iterator[Try]:
+    if schema.TRIED not in columns:
+        return
+    failed_before = False
+    for number, joint in enumerate(columns[schema.TRIED][:sent].astype(int).tolist()):
+        if joint >= 0:
+            failed = bool(columns[schema.FAILED][number])
+            name = names[joint] if joint < len(names) else f"joint {joint}"
+            progress = float(columns[schema.PROGRESS][number])
+            yield Try(number, name, failed, progress, recovers=failed_before and not failed)
+            failed_before = failed
+
+
+def _joint_names(identifier: object) -> tuple[str, ...]:
+    """Returns names of the joints of a generated object, the one that opens first; nothing for other objects."""
+    if not isinstance(identifier, str) or is_asset_id(identifier):
+        return ()
+    try:
+        return make_mechanism(make_object(identifier)).joints
+    except AdaManipError:
+        return ()
+
+
+def _camera(text: object) -> NDArray[np.float64] | None:
+    try:
+        pose = np.asarray(parse(text)["extrinsics"], np.float64) if isinstance(text, str) else None
+    except (ValueError, KeyError, TypeError):
+        return None
+    sound = pose is not None and pose.shape == (4, 4) and bool(np.isfinite(pose).all())
+    return pose if sound else None
+
+
+def _images(root: Path, number: int) -> NDArray[np.uint8]:
+    dataset = open_dataset(root, episodes=[number], video_backend="pyav", return_uint8=True)
+    frames = [dataset[place][schema.FRONT_IMAGE].numpy() for place in range(len(dataset))]
+    return np.stack(frames).transpose(0, 2, 3, 1).astype(np.uint8)
+
+
+def _title(number: int, row: Mapping[str, Any], tries: tuple[Try, ...]) -> str:
+    failed = sum(each.failed for each in tries)
+    success = row.get("success")
+    ended = "" if success is None else "success" if success else "no success"
+    counted = f"{failed} failed {'try' if failed == 1 else 'tries'}" if tries else ""
+    told = (" after " if success else ", ").join(filter(None, (ended, counted)))
+    parts = [f"episode {number}", str(row.get("object_id") or ", ".join(row["tasks"])), _hidden(row), told]
+    return " · ".join(part for part in parts if part)
+
+
+def _hidden(row: Mapping[str, Any]) -> str:
+    try:
+        hidden = parse(row["hidden_state"])
+        told = [f"{name} {_shown(value)}" for name, value in sorted(hidden.items())]
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return ""
+    return f"hidden: {', '.join(told)}" if told else ""
+
+
+def _shown(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,184 @@
+"""An episode in rerun's viewer. rerun comes with ``lerobot[viz]`` and is imported when it is needed."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
+from lerobot_adamanip.datasets.view.episode import ViewedEpisode
+from lerobot_adamanip.util.errors import ConfigurationError
+
+APPLICATION = "adamanip"
+KEY_FRAME, SECONDS = "key_frame", "time"
+"""The timelines: number of the key frame, and seconds since the start."""
+_TOOL, _GOAL, _FAILED, _WORKED = (31, 78, 156), (90, 90, 90), (198, 40, 40), (46, 125, 50)
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+_AXIS = 0.05
+"""Length of the axes of a pose [m]."""
+_AXES = np.array([(220, 60, 60), (60, 160, 60), (70, 90, 220)], np.uint8)
+
+
+def save(episode: ViewedEpisode, path: Path) -> None:
+    """Writes a recording, which `rerun FILE.rrd` shows; half of one is never at ``path``. Needs no display."""
+    rr = _rerun()
+    recording = rr.RecordingStream(APPLICATION)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    half = path.with_name(f".{path.name}.writing")
+    try:
+        recording.save(half, default_blueprint=_blueprint(episode))
+        log_episode(recording, episode)
+        recording.flush()
+        recording.disconnect()
+        os.replace(half, path)
+    finally:
+        half.unlink(missing_ok=True)
+
+
+def spawn(episode: ViewedEpisode) -> None:
+    """Opens rerun's own window with the episode; raises `ConfigurationError` if it does not open."""
+    recording = _rerun().RecordingStream(APPLICATION)
+    try:
+        recording.spawn(default_blueprint=_blueprint(episode))
+        log_episode(recording, episode)
+        recording.flush()
+    except (RuntimeError, OSError) as error:
+        raise no_display(str(error).partition("\n")[0][:200]) from error
+
+
+def require_display() -> None:
+    """Raises `ConfigurationError` where rerun's window cannot open: on Linux, without X11 and Wayland."""
+    if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
+        raise no_display(f"neither {' nor '.join(_DISPLAYS)} is set")
+
+
+def no_display(reason: str) -> ConfigurationError:
+    """Returns the error for a machine on which rerun's window does not open."""
+    return ConfigurationError(
+        "rerun's window does not open here.",
+        got=reason,
+        allowed="a desktop; or --image FILE.png, --save FILE.rrd or --web, which need none",
+        hint="--image episode.png",
+    )
+
+
+def serve(episode: ViewedEpisode, port: int) -> str:
+    """Serves the episode to browsers for as long as this process lives; returns the page's address on this machine.
+
+    rerun listens on every address of this machine; it has no option for less.
+    """
+    rr = _rerun()
+    recording = rr.RecordingStream(APPLICATION)
+    data = recording.serve_grpc(default_blueprint=_blueprint(episode))
+    log_episode(recording, episode)
+    rr.serve_web_viewer(web_port=port, open_browser=False, connect_to=data)
+    return f"http://127.0.0.1:{port}/?url={data}"
+
+
+def log_episode(recording: Any, episode: ViewedEpisode) -> None:
+    """Logs an episode, row by row.
+
+    Args:
+        recording: a stream of rerun's.
+        episode: to be shown.
+    """
+    rr = _rerun()
+    _log_names(recording, episode)
+    path = episode.tools[:, :3]
+    for row in range(len(episode.tools)):
+        recording.set_time(KEY_FRAME, sequence=row)
+        recording.set_time(SECONDS, duration=float(episode.seconds[row]))
+        cloud = episode.clouds[row]
+        recording.log("world/cloud", rr.Points3D(cloud, colors=_by_height(cloud), radii=0.003))
+        recording.log("world/tool/path", rr.LineStrips3D([path[: row + 1]], colors=[_TOOL], radii=0.0015))
+        _log_pose(recording, "world/tool/pose", episode.tools[row])
+        recording.log("gripper", rr.Scalars([float(episode.tools[row, schema.GRIPPER_DIM])]))
+        if episode.effort.size:
+            recording.log("effort", rr.Scalars(episode.effort[row]))
+        if episode.images is not None:
+            recording.log("camera", rr.Image(episode.images[row]))
+        if row < episode.key_frames:
+            _log_key_frame(recording, episode, row)
+    recording.log("world/goal", rr.Clear(recursive=True))
+
+
+def _log_names(recording: Any, episode: ViewedEpisode) -> None:
+    rr = _rerun()
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    recording.log("log", rr.TextLog(episode.title, level="INFO"), static=True)
+    names = [f"joint {number + 1} [N m]" for number in range(episode.effort.shape[1])]
+    recording.log("effort", rr.SeriesLines(names=names), static=True)
+    recording.log("gripper", rr.SeriesLines(names=["gripper (0 closed, 1 open)"]), static=True)
+
+
+def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
+    """Logs where the tool is sent, and what comes of it."""
+    rr = _rerun()
+    goal, phase, outcome = episode.goals[number], episode.phases[number], episode.outcomes[number]
+    _log_pose(recording, "world/goal/pose", goal)
+    doing, ended = ("not labelled" if label is None else label.name.lower() for label in (phase, outcome))
+    recording.log("world/goal/point", rr.Points3D([goal[:3]], colors=[_GOAL], radii=0.008, labels=[doing]))
+    level = "INFO" if outcome in (Outcome.REACHED, None) else "WARN"
+    recording.log("log", rr.TextLog(f"{number}: {doing}, {ended}", level=level))
+    for each in episode.tries:
+        if each.key_frame == number:
+            told = "failed" if each.failed else "worked, after one that failed" if each.recovers else "worked"
+            text = f"{number}: try at the {each.joint} {told} (moved {each.progress:+.3f} rad or m)"
+            recording.log("log", rr.TextLog(text, level="ERROR" if each.failed else "INFO"))
+            color = _FAILED if each.failed else _WORKED
+            where = episode.tools[min(number + 1, len(episode.tools) - 1), :3]
+            # Each under a name of its own: tries stay to be seen.
+            recording.log(
+                f"world/tries/{number}",
+                rr.Points3D([where], colors=[color], radii=0.01, labels=[f"{number} {each.joint} {told}"]),
+            )
+
+
+def _log_pose(recording: Any, name: str, pose: NDArray[Any]) -> None:
+    """Logs a pose of the contract, (10,), as its three axes."""
+    rr = _rerun()
+    axes = matrix_from_rotation_6d(pose[schema.ROTATION_DIMS]).T * _AXIS
+    recording.log(name, rr.Arrows3D(origins=np.tile(pose[:3], (3, 1)), vectors=axes, colors=_AXES, radii=0.002))
+
+
+def _by_height(cloud: NDArray[Any]) -> NDArray[np.uint8]:
+    """Returns (N, 3) colours: dark and blue below, yellow above."""
+    from matplotlib import colormaps
+
+    heights = cloud[:, 2]
+    span = max(float(np.ptp(heights)), 1e-6)
+    colors: NDArray[np.uint8] = colormaps["viridis"]((heights - heights.min()) / span, bytes=True)[:, :3]
+    return colors
+
+
+def _blueprint(episode: ViewedEpisode) -> Any:
+    import rerun.blueprint as rrb
+
+    series = [rrb.TimeSeriesView(origin="effort", name="effort"), rrb.TimeSeriesView(origin="gripper", name="gripper")]
+    camera = [rrb.Spatial2DView(origin="camera", name="camera")] if episode.images is not None else []
+    told = rrb.Vertical(*camera, *series, rrb.TextLogView(origin="log", name="what happened"))
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Spatial3DView(origin="world", name="scene"), told, column_shares=[3, 2]),
+        rrb.TimePanel(timeline=KEY_FRAME),
+        collapse_panels=True,
+    )
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            "rerun is not installed.",
+            got=f"no module {error.name}",
+            allowed="rerun-sdk, which LeRobot's viewer needs too",
+            hint="pip install 'lerobot[viz]'; or --image episode.png, which needs none",
+        ) from error
+    return rerun

@@ -1,0 +1,106 @@
+"""Create a LeRobotDataset with this project's columns, and add columns to its episodes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, video_encoder
+from lerobot_adamanip.datasets.statistics import write_episodes
+
+_VIDEO_FILE_MB = 25
+"""LeRobot copies the whole video file to append an episode: small files keep that cheap."""
+
+
+def create_dataset(
+    root: Path,
+    repo_id: str,
+    *,
+    num_points: int,
+    image_size: int | None,
+    intrinsics: list[list[float]] | None,
+    workspace: Workspace | None = None,
+) -> Any:
+    """Returns an empty LeRobotDataset of the contract, whoever demonstrates: the one place that describes its columns.
+
+    Args:
+        root: a folder that does not exist.
+        repo_id: for LeRobot.
+        num_points: points per cloud.
+        image_size: height and width of the front image [px]; None for no images.
+        intrinsics: (3, 3) of the front camera for that size [px], if known.
+        workspace: box of the clouds, where no manifest tells it and it is not the default one.
+    """
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    _quieten()
+    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=image_size is not None)
+    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **_box(workspace)}
+    if image_size is not None:
+        features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
+    return LeRobotDataset.create(
+        repo_id=repo_id,
+        fps=schema.FPS,
+        features=features,
+        root=root,
+        robot_type="panda",
+        rgb_encoder=video_encoder(),
+        encoder_threads=ENCODER_THREADS,
+        video_backend="pyav",
+        video_files_size_in_mb=_VIDEO_FILE_MB,
+    )
+
+
+def _quieten() -> None:
+    import av
+    import datasets
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+
+
+def _box(workspace: Workspace | None) -> dict[str, Any]:
+    if workspace is None:
+        return {}
+    return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
+
+
+def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
+    """Adds per-episode columns to a finalised dataset: readable as ``ds.meta.episodes[i][name]``.
+
+    LeRobot has no call for this; its reader takes whatever columns ``meta/episodes`` has.
+
+    Args:
+        root: of the dataset.
+        columns: name -> one value per episode, by episode index.
+    """
+    for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
+        table = pq.read_table(path)
+        indices = table["episode_index"].to_pylist()
+        for name, values in columns.items():
+            table = table.append_column(name, pa.array([values[index] for index in indices]))
+        write_episodes(path, table)
+
+
+def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
+    """Returns ``meta/cameras.json``: what is the same in all episodes, and what their column has."""
+    fixed = {key: value for key, value in cameras[0].items() if all(camera.get(key) == value for camera in cameras)}
+    content = {
+        "front": {
+            "constant": fixed,
+            "per_episode": sorted(set(cameras[0]) - set(fixed)),
+            "where": "column `camera` of meta/episodes holds every episode's parameters as JSON",
+        }
+    }
+    return (to_json(content, indent=2) + "\n").encode()
+
+
+def to_json(value: Any, indent: int | None = None) -> str:
+    """Returns JSON with sorted keys, so that equal values are equal bytes."""
+    return json.dumps(value, sort_keys=True, indent=indent)

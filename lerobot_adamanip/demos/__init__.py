@@ -1,1 +1,0 @@
-"""Demonstrations: recorded by an observer, durable per episode, published as LeRobotDatasets."""

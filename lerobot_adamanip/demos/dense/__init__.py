@@ -1,1 +1,0 @@
-"""Dense recordings of a robot, one row per tick of its recorder, and the key frames that are in them."""

@@ -1,0 +1,1 @@
+"""Options, rollout loop and contact labels of one simulated episode."""

@@ -1,0 +1,214 @@
+"""Labels of key frames: which joint a key frame tried, how far it moved, and whether the try failed. Pure functions.
+
+One definition for simulator, datasets, logs and reports. A *try* is a key frame before which the hand was closed and at
+a part, that kept it closed, and that sent it far enough along one of the part's joints. A hand closed on nothing can
+only push. Approaches, grasps and releases are no tries, nor is backing off from a button.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND, FOLLOWED, Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.rotations import angle_between
+from lerobot_adamanip.objects import ArticulatedObject, Motion, PartAnnotation
+
+Pose = NDArray[np.float64]
+
+NEAR_PART = 0.06
+"""A tool within this distance of a part's grasp is at the part [m]."""
+FAR_ENOUGH_DISTANCE, FAR_ENOUGH_ANGLE = 0.008, 0.1
+"""A motion that takes the tool at least this far along a joint is a try, not just a grip that settles [m, rad]."""
+GAVE = {"revolute": 0.01, "prismatic": 0.0005}
+"""A joint that moved by less than this did not give, however short the way it was sent [rad, m]."""
+CLOSED = 0.5
+"""A gripper commanded below this opening is closed."""
+RADIAN = 0.1
+"""Metres that one radian counts as much as, where a goal is compared with what a joint allows."""
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """What anybody may know of a joint: its kind and its nominal limits, nothing hidden [rad or m]."""
+
+    kind: str
+    lower: float
+    upper: float
+
+    def room(self, position: float, sent: float) -> float:
+        """Returns ``sent``, cut to what the nominal range leaves from ``position`` on."""
+        return float(np.clip(position + sent, min(self.lower, position), max(self.upper, position)) - position)
+
+
+@dataclass(frozen=True)
+class KeyFrameMotion:
+    """One key frame as it is watched.
+
+    Attributes:
+        before: what was felt when it began.
+        was_closed: whether the gripper had been commanded to close before it.
+        goal: (4, 4) commanded tool pose, robot base frame [m].
+        gripper: commanded opening.
+    """
+
+    before: Feedback
+    was_closed: bool
+    goal: Pose
+    gripper: float
+
+
+@dataclass(frozen=True)
+class Try:
+    """A motion of a hand at a part that was meant to move a joint of it.
+
+    Attributes:
+        part: name of the part.
+        joint: name of the joint.
+        kind: of the joint.
+        sent: how far the hand was sent along the joint, signed [rad or m].
+        way: the same, cut to the joint's nominal range: a button is pushed past its stop, and goes as far as it goes.
+    """
+
+    part: str
+    joint: str
+    kind: str
+    sent: float
+    way: float
+
+    def progress(self, before: float, after: float) -> float:
+        """Returns how far the joint moved in the direction it was sent, by its positions [rad or m]."""
+        return float(np.sign(self.sent)) * (after - before)
+
+    def failed(self, progress: float) -> bool:
+        """Returns whether less than half of the way was covered, or next to nothing."""
+        return progress < max(FOLLOWED * abs(self.way), GAVE[self.kind])
+
+
+def joint_ranges(obj: ArticulatedObject) -> dict[str, JointRange]:
+    """Returns joint name -> nominal range, of the joints that can move."""
+    joints = [link.joint for link in obj.links if link.joint is not None and link.joint.kind != "fixed"]
+    return {joint.name: JointRange(joint.kind, *joint.limits) for joint in joints}
+
+
+def present_motions(part: PartAnnotation, joints: Mapping[str, float]) -> list[Motion]:
+    """Returns a part's motions with their axes where the joints before them have taken them [rad or m]."""
+    frame, motions = np.eye(4), []
+    for motion in part.motions:
+        motions.append(motion.in_frame(frame))
+        frame = frame @ motion.applied(np.eye(4), joints.get(motion.joint, 0.0))
+    return motions
+
+
+def meant(motions: Sequence[Motion], start: Pose, goal: Pose) -> Motion:
+    """Returns the motion that leads a hand from ``start`` nearest to ``goal``, (4, 4) both."""
+
+    def missed(motion: Motion) -> float:
+        there = motion.applied(start, motion.followed(start, goal))
+        return float(np.linalg.norm(there[:3, 3] - goal[:3, 3])) + RADIAN * angle_between(there[:3, :3], goal[:3, :3])
+
+    return min(motions, key=missed)
+
+
+def part_at(tool: Pose, parts: Mapping[str, PartAnnotation], joints: Mapping[str, float]) -> PartAnnotation | None:
+    """Returns the part that a tool (4, 4) is at, where the parts are now; None if it is at none."""
+    away = [(float(np.linalg.norm(tool[:3, 3] - part.moved(joints)[:3, 3])), name) for name, part in parts.items()]
+    distance, nearest = min(away, default=(np.inf, ""))
+    return parts[nearest] if distance < NEAR_PART else None
+
+
+def find_try(
+    frame: KeyFrameMotion,
+    parts: Mapping[str, PartAnnotation],
+    ranges: Mapping[str, JointRange],
+    joints: Mapping[str, float],
+) -> Try | None:
+    """Returns what a key frame tried; None if it tried nothing.
+
+    Args:
+        frame: the key frame.
+        parts: annotations, robot base frame, joints at zero.
+        ranges: nominal, by joint.
+        joints: positions before the key frame [rad or m].
+    """
+    start = frame.before.tcp_in_base
+    part = part_at(start, parts, joints) if frame.was_closed and frame.gripper < CLOSED else None
+    if part is None:
+        return None
+    motion = meant(present_motions(part, joints), start, frame.goal)
+    sent = motion.followed(start, frame.goal)
+    if not _far_enough(frame.before, motion.applied(start, sent)):
+        return None
+    joint, position = ranges[motion.joint], joints[motion.joint]
+    way, gave = joint.room(position, sent), GAVE[joint.kind]
+    if abs(way) < gave and abs(position) < gave:
+        return None  # who closes what is shut tries nothing
+    return Try(part.name, motion.joint, joint.kind, sent, way)
+
+
+def _far_enough(before: Feedback, there: Pose) -> bool:
+    """Whether a hand sent ``there`` along a joint would move it: far enough, and forward if it holds nothing."""
+    start = before.tcp_in_base
+    shift = there[:3, 3] - start[:3, 3]
+    if before.gripper < EMPTY_HAND:
+        return float(shift @ start[:3, 2]) > FAR_ENOUGH_DISTANCE
+    turn = angle_between(there[:3, :3], start[:3, :3])
+    return bool(np.linalg.norm(shift) > FAR_ENOUGH_DISTANCE or turn > FAR_ENOUGH_ANGLE)
+
+
+class TryLabeler:
+    """Labels the key frames of one episode, one after the other.
+
+    Args:
+        obj: the object.
+        joints: names, the one that opens first: `Mechanism.joints`.
+        parts: annotations, robot base frame, joints at zero.
+        start: what was felt at the episode's start.
+        positions: of the joints at the start [rad or m].
+
+    Attributes:
+        labels: of the latest key frame.
+        history: of all so far.
+        first_part: name of the part of the first try; None before it.
+    """
+
+    def __init__(
+        self,
+        obj: ArticulatedObject,
+        joints: Sequence[str],
+        parts: Mapping[str, PartAnnotation],
+        start: Feedback,
+        positions: Mapping[str, float],
+    ) -> None:
+        self._ranges, self._joints, self._parts = joint_ranges(obj), tuple(joints), parts
+        self._felt, self._positions, self._was_closed = start, dict(positions), False
+        self.labels = KeyFrameLabels()
+        self.history: list[KeyFrameLabels] = []
+        self.first_part: str | None = None
+
+    def after_key_frame(
+        self, goal: Pose, gripper: float, feedback: Feedback, positions: Mapping[str, float]
+    ) -> KeyFrameLabels:
+        """Labels a key frame that has ended.
+
+        Args:
+            goal: (4, 4) commanded tool pose, robot base frame [m].
+            gripper: commanded opening.
+            feedback: what was felt at its end.
+            positions: of the joints at its end [rad or m].
+        """
+        trial = self.labels.trial + self.labels.failed
+        frame = KeyFrameMotion(self._felt, self._was_closed, goal, gripper)
+        tried = find_try(frame, self._parts, self._ranges, self._positions)
+        self.labels = KeyFrameLabels(trial=trial)
+        if tried is not None:
+            self.first_part = self.first_part or tried.part
+            progress = tried.progress(self._positions[tried.joint], positions[tried.joint])
+            joint, failed = self._joints.index(tried.joint), tried.failed(progress)
+            self.labels = KeyFrameLabels(joint, failed, progress, trial, tried.sent)
+        self.history.append(self.labels)
+        self._felt, self._positions, self._was_closed = feedback, dict(positions), gripper < CLOSED
+        return self.labels

@@ -1,0 +1,157 @@
+"""The options of an environment: one frozen object from a command line or config to the simulator and the manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any
+
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
+from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+
+POSES = ("randomized", "fixed")
+"""``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as upstream's code has them."""
+RENDER_BACKENDS = ("auto", "cuda", "cpu")
+"""``auto``: the first of the others that renders on this machine."""
+CLOUD_SOURCES = ("raycast", "render")
+"""``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
+IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
+"""Least and largest."""
+
+
+@dataclass(frozen=True)
+class EnvironmentOptions:
+    """What decides an environment, apart from an episode's seed. Checked when it is made; can be pickled.
+
+    Attributes:
+        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`.
+        objects: which ones: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's is drawn from its seed.
+        assets: folder of external assets to use instead of generated objects; then ``seen`` means all of them.
+        num_points: points per cloud.
+        image_size: side of the front image [px].
+        observe_images: whether observations hold the image.
+        poses: see `POSES`.
+        mechanism_preset: see `lerobot_adamanip.mechanisms.MECHANISM_PRESETS`.
+        max_key_frames: per episode.
+        hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
+        split: whose scenes seeds stand for, see `contract.seeds.SPLITS`; a seed of another is mapped into it.
+        seed_offset: added to seeds, so that the suite's categories have scenes of their own.
+        cloud_source: see `CLOUD_SOURCES`.
+        render_backend: see `RENDER_BACKENDS`.
+        episode_log: a file to which each ended episode's record is appended as a line of JSON.
+        run_id: of the evaluation that those records belong to; drawn anew if left out.
+        run_label: what to call it in reports, for instance the policy.
+        logged_seeds: log only episodes whose given seed is in this half-open range, first and end; all if left out.
+        workspace: the box of which the cloud keeps the points, robot base frame [m].
+
+    Raises:
+        ConfigurationError: a value cannot work.
+    """
+
+    category: str = "safe"
+    objects: str = "seen"
+    assets: str | None = None
+    num_points: int = DEFAULT_NUM_POINTS
+    image_size: int = IMAGE_SIZE
+    observe_images: bool = True
+    poses: str = "randomized"
+    mechanism_preset: str = "paper"
+    max_key_frames: int = MAX_KEY_FRAMES
+    hidden_overrides: Mapping[str, Any] = MappingProxyType({})
+    split: str = "validation"
+    seed_offset: int = 0
+    cloud_source: str = "raycast"
+    render_backend: str = "auto"
+    episode_log: str | None = None
+    run_id: str | None = None
+    run_label: str | None = None
+    logged_seeds: tuple[int, int] | None = None
+    workspace: Workspace = DEFAULT_WORKSPACE
+
+    def __post_init__(self) -> None:
+        """Rejects what cannot work, before a simulator starts."""
+        object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides or {})))
+        for name in ("assets", "episode_log"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, None if value is None else str(value))
+        require_choice("category", self.category, CATEGORIES)
+        # Here, because whoever only registers the plugin shall not wait for them.
+        from lerobot_adamanip.catalog import select_objects
+        from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+
+        select_objects(self.category, self.objects, self.assets)
+        require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
+        require_choice("mechanism preset", self.mechanism_preset, MECHANISM_PRESETS)
+        require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
+        require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
+        require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
+        check_num_points(self.num_points)
+        _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
+        _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
+        _check_range("seed offset", self.seed_offset, (0, 2**31), "seed_offset=0")
+        _check_workspace(self.workspace)
+        if self.logged_seeds is not None and not 0 <= self.logged_seeds[0] < self.logged_seeds[1]:
+            raise ConfigurationError(
+                "No seed is logged.",
+                got=f"logged_seeds={tuple(self.logged_seeds)}",
+                allowed="a first seed and an end above it",
+                hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
+            )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles as values: a read-only mapping cannot be pickled as it is."""
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        return _restored, ({**values, "hidden_overrides": dict(self.hidden_overrides)},)
+
+    def changed(self, **values: Any) -> EnvironmentOptions:
+        """Returns a copy with other values; raises `ConfigurationError` for a name that is no option."""
+        require_known(values)
+        return replace(self, **values)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary of every option."""
+        plain = {name: getattr(self, name) for name in (item.name for item in fields(self)) if name != "workspace"}
+        return {**plain, "hidden_overrides": dict(self.hidden_overrides), "workspace": asdict(self.workspace)}
+
+
+def renamed_poses(value: object) -> ConfigurationError:
+    """Returns the error for whoever gives the option of version 0.1, ``pose_preset``."""
+    return ConfigurationError(
+        "pose_preset is called poses now.",
+        got=f"pose_preset={value!r}",
+        allowed="poses='randomized' (was default) or poses='fixed' (was paper)",
+        hint="--env.poses=fixed, adamanip collect --poses fixed",
+    )
+
+
+def require_known(values: Mapping[str, Any]) -> None:
+    """Raises `ConfigurationError` if a key is no option of `EnvironmentOptions`."""
+    known = [item.name for item in fields(EnvironmentOptions)]
+    for name in values:
+        if name == "pose_preset":
+            raise renamed_poses(values[name])
+        require_choice("option of an environment", name, known)
+
+
+def _restored(values: dict[str, Any]) -> EnvironmentOptions:
+    return EnvironmentOptions(**values)
+
+
+def _check_workspace(box: Workspace) -> None:
+    if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
+        raise ConfigurationError(
+            "Wrong workspace.",
+            got=f"lower {box.lower}, upper {box.upper}",
+            allowed="a lower corner below the upper one along x, y and z [m]",
+            hint=f"--env.workspace_lower={list(DEFAULT_WORKSPACE.lower)}",
+        )
+
+
+def _check_range(what: str, got: int, allowed: tuple[int, int], hint: str) -> None:
+    lowest, highest = allowed
+    if not lowest <= got <= highest:
+        raise ConfigurationError(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", hint=hint)

@@ -1,0 +1,163 @@
+"""The one loop that lets an expert work in an environment, and what it needs of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames
+from lerobot_adamanip.contract.observation import Observation
+from lerobot_adamanip.objects import PartAnnotation
+
+
+class KeyframeEnvironment(Protocol):
+    """One step is one key frame: `lerobot_env_adamanip.keyframe_env.KeyframeEnv`, a robot, or a fake."""
+
+    @property
+    def max_key_frames(self) -> int:
+        """Key frames per episode at most."""
+
+    @property
+    def task_description(self) -> str:
+        """The instruction in words."""
+
+    @property
+    def feedback(self) -> Feedback:
+        """What was felt after the latest key frame."""
+
+    @property
+    def labels(self) -> KeyFrameLabels:
+        """What the latest key frame tried: not for policies or experts."""
+
+    @property
+    def annotations(self) -> Mapping[str, PartAnnotation]:
+        """The annotated part poses an expert may know, robot base frame."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts the episode of ``seed`` on ``options["object_id"]``."""
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Drives the arm to one key frame, a (10,) action of the contract."""
+
+    def part_positions(self) -> dict[str, float]:
+        """Joint positions of the object as they stand now [rad or m]: what a camera sees of an open door."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the object's joints as `labels` counts them: the one that opens first."""
+
+    def fingerprint(self) -> dict[str, str]:
+        """Part -> hash or name of what decides how an episode comes out; see `lerobot_adamanip.util.fingerprint`."""
+
+    def hidden_state(self) -> dict[str, Any]:
+        """This episode's draw of the mechanism, JSON-able. Privileged."""
+
+    def episode_record(self) -> dict[str, Any]:
+        """What describes the episode, JSON-able."""
+
+    def camera_parameters(self) -> dict[str, Any]:
+        """Intrinsics and extrinsics of the front camera in this episode, JSON-able."""
+
+    def close(self) -> None:
+        """Releases the simulator."""
+
+
+class SimulatedEnvironment(KeyframeEnvironment, Protocol):
+    """One that knows where everything is, and can be looked at: what demonstrations are recorded in."""
+
+    def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
+        """As `step`, but nobody looks: returns whether the task is done, and whether the key frames are used up."""
+
+    def observe(self) -> Observation:
+        """What is seen and felt now."""
+
+    def joints(self) -> NDArray[np.float32]:
+        """Positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
+
+    def render(self) -> NDArray[np.uint8]:
+        """Picture (H, W, 3) of this moment."""
+
+    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say, at rest."""
+
+
+@dataclass(frozen=True)
+class KeyFrame:
+    """One key frame of a rollout, as an observer hears of it.
+
+    Attributes:
+        observation: before the action.
+        goal: what the expert asked for.
+        feedback: what was felt once the action had ended.
+        following: the observation after it.
+        success: whether the task is done by now.
+        labels: what it tried, and what came of that.
+        executed: (10,) action that was sent, if not the goal's: see `lerobot_adamanip.collection.corrections`.
+    """
+
+    observation: Observation
+    goal: Goal
+    feedback: Feedback
+    following: Observation
+    success: bool
+    labels: KeyFrameLabels
+    executed: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class RolloutResult:
+    """How a rollout went: whether the task was done, key frames used, and why it ended."""
+
+    success: bool
+    key_frames: int
+    reason: str
+
+
+def rollout(
+    env: KeyframeEnvironment,
+    observation: Observation,
+    expert: KeyFrames,
+    on_key_frame: Callable[[KeyFrame], None] | None = None,
+    *,
+    past_success: bool = False,
+) -> RolloutResult:
+    """Lets an expert work on a freshly reset environment until the task is done, time is up, or it has no more ideas.
+
+    Args:
+        env: reset; ``observation`` is what its reset returned.
+        observation: the first one.
+        expert: not yet primed; closed at the end.
+        on_key_frame: observer, told of every key frame.
+        past_success: go on beyond the success threshold until the expert ends, as demonstrations do: a door is then
+            pulled wide open, and not left at the angle that just counts.
+    """
+    success, reason, key_frames = False, "the expert ended without success", 0
+    try:
+        goal = next(expert, None)
+        while goal is not None and key_frames < env.max_key_frames:
+            following, _, terminated, truncated, info = env.step(goal.action())
+            key_frames += 1
+            success = success or bool(info["is_success"])
+            if on_key_frame is not None:
+                on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels))
+            if truncated or (terminated and not past_success):
+                break
+            observation = following
+            goal = next_goal(expert, env.feedback)
+        if goal is not None:
+            reason = "time limit"
+    finally:
+        expert.close()
+    return RolloutResult(success, key_frames, "success" if success else reason)
+
+
+def next_goal(expert: KeyFrames, feedback: Feedback) -> Goal | None:
+    """Tells an expert what was felt; returns where it wants to go next, None if it has no more ideas."""
+    try:
+        return expert.send(feedback)
+    except StopIteration:
+        return None

@@ -1,0 +1,77 @@
+"""Where a number comes from: commit, versions, kind of machine. Nothing here names a machine, a folder or a user."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from lerobot_adamanip import __version__
+from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util.fingerprint import versions
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What code a number is of.
+
+    Attributes:
+        commit: of the repository; None outside one. ``changed``: whether files differed from it.
+        version: of this package; ``versions`` of what else may decide.
+    """
+
+    commit: str | None
+    changed: bool
+    version: str
+    versions: Mapping[str, str]
+
+
+def present_origin() -> Origin:
+    """Returns what numbers that are made now are of."""
+    commit, changed = _commit()
+    return Origin(commit, changed, __version__, dict(versions()))
+
+
+def machine_class() -> dict[str, int | bool]:
+    """Returns how many cores this process may use and whether PyTorch has a GPU; nothing that names the machine."""
+    import torch
+
+    return {"cores": len(os.sched_getaffinity(0)), "gpu": torch.cuda.is_available()}
+
+
+def machine_text(machine: Mapping[str, int | bool]) -> str:
+    """Returns what `machine_class` tells in words: ``2 cores, no GPU``."""
+    cores = machine["cores"]
+    return f"{cores} {'core' if cores == 1 else 'cores'}, {'a GPU' if machine['gpu'] else 'no GPU'}"
+
+
+def _commit() -> tuple[str | None, bool]:
+    """Commit of the repository this file stands in, and whether its tracked files differ from it."""
+
+    def git(*words: str) -> str | None:
+        here = Path(__file__).parent
+        try:
+            done = subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=False, timeout=20)
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    commit = git("rev-parse", "HEAD")
+    if commit is None or git("ls-files", "--error-unmatch", Path(__file__).name) is None:
+        return None, False  # installed, perhaps inside somebody else's repository
+    return commit, bool(git("status", "--porcelain", "--untracked-files=no"))
+
+
+HASH = checked_json.text(r"[0-9a-f]{8,64}", "a hash")
+LINE = checked_json.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
+ORIGIN: Mapping[str, checked_json.Check] = {
+    "commit": checked_json.optional(HASH),
+    "changed": checked_json.flag,
+    "version": checked_json.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version"),
+    "versions": checked_json.mapping(LINE, LINE, 30),
+}
+"""Checks of an `Origin`'s fields."""
+MACHINE = checked_json.table({"cores": checked_json.integer(1, 10**5), "gpu": checked_json.flag})
+"""Check of what `machine_class` returns."""

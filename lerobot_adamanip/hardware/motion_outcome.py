@@ -1,0 +1,103 @@
+"""How a key frame ended, told from what a compliant arm feels: reached, stalled, or out of time. Pure.
+
+An arm that is a spring (stiffness K) and is held back by a force F lags F / K behind its target. So the lag at which a
+motion is given up follows from the force that is meant, and is another one for every stiffness.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
+from lerobot_adamanip.contract.rotations import Array, rotation_vector_from_matrix
+
+
+@dataclass(frozen=True)
+class StallRule:
+    """When a motion is blocked.
+
+    Attributes:
+        force: that the tool may pull with [N]: what two fingers hold, and the simulated arm gives up at.
+        torque: likewise about any axis [N m].
+        stiffness: of the arm's controller [N/m].
+        rotational_stiffness: likewise [N m/rad].
+        ticks: for how many ticks in a row.
+    """
+
+    force: float = 30.0
+    torque: float = 1.1
+    stiffness: float = 1000.0
+    rotational_stiffness: float = 40.0
+    ticks: int = DEFAULT_MOTION.stall_ticks
+
+    @property
+    def position_lag(self) -> float:
+        """Of a blocked tool behind its target [m]."""
+        return self.force / self.stiffness
+
+    @property
+    def rotation_lag(self) -> float:
+        """Likewise [rad]."""
+        return self.torque / self.rotational_stiffness
+
+
+def pose_error(tcp_in_base: Array, goal_in_base: Array) -> tuple[float, float]:
+    """Returns how far two (4, 4) poses are apart [m, rad]."""
+    turn = rotation_vector_from_matrix(tcp_in_base[:3, :3].T @ goal_in_base[:3, :3])
+    return math.dist(tcp_in_base[:3, 3], goal_in_base[:3, 3]), math.sqrt(float(turn @ turn))
+
+
+class OutcomeWatch:
+    """Looks at one key frame, tick by tick, until it has ended.
+
+    Args:
+        goal_in_base: (4, 4) goal of the tool.
+        rule: when it is blocked.
+        began: the arm's own clock [s].
+        time_limit: for the motion [s].
+    """
+
+    SETTLE = 0.5
+    """An arm whose target has arrived gets this long to follow [s]."""
+    RESTS = 0.01
+    """Fastest joint of an arm that has come to rest [rad/s]."""
+    SNUG = (0.002, 0.01)
+    """Error within which nobody waits for more [m, rad]."""
+
+    def __init__(self, goal_in_base: Array, rule: StallRule, began: float, time_limit: float) -> None:
+        self._goal, self._rule = goal_in_base, rule
+        self._until, self._strained = began + time_limit, 0
+        self._arrived: float | None = None
+
+    def look(
+        self, tcp_in_base: Array, desired_in_base: Array, *, running: bool, speed: float, now: float
+    ) -> Outcome | None:
+        """Returns how the motion ended; None while it is under way.
+
+        Args:
+            tcp_in_base: (4, 4) measured.
+            desired_in_base: (4, 4) where the arm's controller wants the tool at this moment.
+            running: whether that still changes.
+            speed: of the fastest joint [rad/s].
+            now: the arm's own clock [s].
+        """
+        lag, turned = pose_error(tcp_in_base, desired_in_base)
+        strained = lag > self._rule.position_lag or turned > self._rule.rotation_lag
+        self._strained = self._strained + 1 if strained else 0
+        if self._strained >= self._rule.ticks:
+            return Outcome.STALLED
+        if now > self._until:
+            return Outcome.TIMEOUT
+        if running:
+            self._arrived = None
+            return None
+        self._arrived = now if self._arrived is None else self._arrived
+        return self._settled(pose_error(tcp_in_base, self._goal), speed, now - self._arrived)
+
+    def _settled(self, error: tuple[float, float], speed: float, waited: float) -> Outcome | None:
+        snug = error[0] < self.SNUG[0] and error[1] < self.SNUG[1] and speed < self.RESTS
+        if not snug and waited < self.SETTLE:
+            return None
+        reached = error[0] <= DEFAULT_MOTION.reached_position and error[1] <= DEFAULT_MOTION.reached_rotation
+        return Outcome.REACHED if reached else Outcome.STALLED

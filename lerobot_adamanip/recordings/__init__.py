@@ -1,0 +1,1 @@
+"""Dense recordings of a robot, and the key frames chosen from them."""

@@ -1,0 +1,293 @@
+"""Dense recordings to a dataset of demonstrations, alone or mixed with simulated ones.
+
+Episodes become shards and are assembled by the code that assembles simulated demonstrations, so that a dataset's
+description is the same whoever demonstrated.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lerobot_adamanip
+from lerobot_adamanip.collection.assemble import append_shards
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.datasets.merge import merge_into, one_workspace
+from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
+from lerobot_adamanip.datasets.reading import load_check, read_back, read_info
+from lerobot_adamanip.datasets.repository_names import require_repo_id
+from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
+from lerobot_adamanip.datasets.statistics import sort_statistics
+from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.features import FRONT_CAMERA
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode, KeyFrameOptions, choose_key_frames
+from lerobot_adamanip.recordings.recording import INTERVENTION, DenseRecording
+from lerobot_adamanip.recordings.rows import (
+    Camera,
+    RowOptions,
+    camera_record,
+    demonstration_columns,
+)
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+
+Progress = Callable[[str, int, int], None]
+"""Told of stage (``convert``, ``assemble``, ``merge``), episodes done, and all."""
+_LEAST_TICKS = 2
+
+
+@dataclass(frozen=True)
+class ConvertOptions:
+    """How recordings become demonstrations.
+
+    Attributes:
+        key_frames: what counts as one.
+        rows: what the columns are; of simulated datasets in the mix, whatever these have.
+        camera: whose depth becomes the cloud.
+        calibration: file that says where it stood; None for the one in each recording.
+        successful: whether episodes of roll-outs, which do not tell, count as successes from their last row on.
+        skip_still: leave episodes out in which nothing moves, instead of ending with an error.
+        repo_id: ``local/<folder name>`` by default.
+    """
+
+    key_frames: KeyFrameOptions = field(default_factory=KeyFrameOptions)
+    rows: RowOptions = field(default_factory=RowOptions)
+    camera: str = FRONT_CAMERA
+    calibration: Path | None = None
+    successful: bool = False
+    skip_still: bool = False
+    repo_id: str | None = None
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What was made.
+
+    Attributes:
+        episodes: from recordings.
+        ticks: that these had.
+        key_frames: that they have.
+        simulated: episodes of simulated datasets beside them.
+        skipped: episodes without motion that were left out, as ``recording:episode``.
+    """
+
+    episodes: int
+    ticks: int
+    key_frames: int
+    simulated: int
+    skipped: tuple[str, ...]
+
+
+def convert(
+    sources: Sequence[Path],
+    out: Path,
+    options: ConvertOptions | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> Converted:
+    """Writes one dataset: the key frames of dense recordings, and then the episodes of simulated datasets.
+
+    Half of a dataset is never at ``out``; the recordings are read only.
+
+    Args:
+        sources: dense recordings, one or more, and any datasets of the contract.
+        out: a folder that does not exist.
+        options: how.
+        progress: told of what is done.
+
+    Raises:
+        DatasetError: a source is missing, damaged or of another kind, an episode has no motion, or ``out`` is taken.
+        ConfigurationError: there is no dense recording among the sources.
+    """
+    require_repo_id(options.repo_id if options else None)
+    with owned_output(out, CONVERTING) as output:
+        output.require_free()
+        output.require_room()
+        simulated = [each for each in sources if _is_demonstrations(each)]
+        chosen = _fitting(options or ConvertOptions(), simulated)
+        recordings = _recordings(sources, simulated, chosen)
+        output.fresh("episodes").mkdir()
+        conversion = _Conversion(output.work, chosen, progress)
+        shards = list(conversion.shards(recordings))
+        repo_id = chosen.repo_id or f"local/{output.root.name}"
+        built, merged = _assembled(output.fresh("dataset"), shards, chosen, repo_id, progress), 0
+        if simulated:
+            parts, built = [built, *simulated], output.fresh("merged")
+            merged = merge_into(built, parts, repo_id, functools.partial(progress, "merge")).episodes - len(shards)
+        output.publish(built)
+    return Converted(len(shards), conversion.ticks, conversion.key_frames, merged, tuple(conversion.skipped))
+
+
+def _recordings(sources: Sequence[Path], simulated: Sequence[Path], options: ConvertOptions) -> list[DenseRecording]:
+    found = [DenseRecording.open(each, options.camera) for each in sources if each not in simulated]
+    if found:
+        return found
+    raise ConfigurationError(
+        "There is no dense recording.",
+        got=", ".join(each.name for each in sources) or "nothing",
+        allowed="one or more of `lerobot-record`",
+        hint="use a dataset of key frames as it is; adamanip merge puts several together",
+    )
+
+
+def _is_demonstrations(root: Path) -> bool:
+    try:
+        return schema.POINT_CLOUD in read_info(root.absolute())["features"]
+    except (OSError, ValueError):
+        return False  # `DenseRecording.open` says what is wrong
+
+
+def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptions:
+    """Columns like those of the simulated datasets, if there are any."""
+    if not simulated:
+        return options
+    box = one_workspace(simulated)
+    if options.rows.workspace not in (box, DEFAULT_WORKSPACE):
+        raise ConfigurationError(
+            "The clouds of a mix need one workspace.",
+            got=f"{options.rows.workspace}",
+            allowed=f"{box}, as in {simulated[0].name}",
+            hint="leave out --workspace-lower and --workspace-upper",
+        )
+    features = load_check(simulated[0])["features"]
+    image = features.get(schema.FRONT_IMAGE)
+    rows = replace(
+        options.rows,
+        workspace=box,
+        num_points=int(features[schema.POINT_CLOUD]["shape"][0]) // 3,
+        image_size=None if image is None else int(image["shape"][0]),
+    )
+    return replace(options, rows=rows)
+
+
+@dataclass
+class _Conversion:
+    """Recordings on their way into shards, and what was counted so far."""
+
+    work: Path
+    options: ConvertOptions
+    progress: Progress
+    ticks: int = 0
+    key_frames: int = 0
+    skipped: list[str] = field(default_factory=list)
+
+    def shards(self, recordings: Sequence[DenseRecording]) -> Iterator[Path]:
+        """Writes the shards of all recordings, and yields them in order."""
+        done, total = 0, sum(map(len, recordings))
+        for recording in recordings:
+            calibration = recording.calibration(self.options.calibration)
+            for number in range(len(recording)):
+                for part, (begin, episode) in enumerate(_parts(recording.episode(number))):
+                    path = self.work / "episodes" / f"{done:06d}-{part:03d}.safetensors"
+                    converted = self._converted(_Place(recording, number, begin, calibration), episode)
+                    if converted is not None:
+                        write_shard(path, converted)
+                        yield path
+                done += 1
+                self.progress("convert", done, total)
+
+    def _converted(self, place: _Place, episode: DenseEpisode) -> RecordedEpisode | None:
+        try:
+            chosen = choose_key_frames(episode, place.recording.fps, self.options.key_frames)
+        except DatasetError as error:
+            if not self.options.skip_still:
+                what = f"{place.name} cannot be converted."
+                raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
+            self.skipped.append(place.name)
+            return None
+        camera = Camera(place.pictures, place.calibration)
+        if self.options.successful and not place.recording.tells_success:
+            episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
+        columns = demonstration_columns(episode, chosen, camera, self.options.rows)
+        self.ticks += len(episode)
+        self.key_frames += len(chosen.rows) - 1
+        record = {
+            "task": episode.task,
+            "success": bool(columns[schema.SUCCESS].any()),
+            "key_frames": len(chosen.rows) - 1,
+            "camera": camera_record(place.calibration, self.options.rows.image_size),
+            "recorded": {**place.origin(), "ticks": (place.begin + chosen.rows).tolist()},
+        }
+        return RecordedEpisode(columns, record)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """An episode, or a part of it that begins at a tick."""
+
+    recording: DenseRecording
+    number: int
+    begin: int
+    calibration: CameraCalibration
+
+    @property
+    def name(self) -> str:
+        return f"{self.recording.root.name}:{self.number}"
+
+    def pictures(self, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
+        return self.recording.pictures(self.number, self.begin + tick)
+
+    def origin(self) -> dict[str, Any]:
+        """What an episode says of where it comes from."""
+        return {
+            "recording": self.recording.root.name,
+            "episode": self.number,
+            "robot_type": self.recording.info.get("robot_type"),
+            "fps": self.recording.fps,
+            "corrections": INTERVENTION in self.recording.info["features"],
+            "plugin": lerobot_adamanip.__version__,
+        }
+
+
+def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
+    """Returns what of an episode was demonstrated: all, or from each take-over until the policy is left alone again."""
+    if episode.corrected is None:
+        return [(0, episode)]
+    edges = np.flatnonzero(np.diff(np.r_[False, episode.corrected, False]))
+    parts = []
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if end - begin >= _LEAST_TICKS:
+            span = slice(begin, end)
+            arrays = {
+                name: getattr(episode, name)[span]
+                for name in ("state", "effort", "sent", "stamp", "outcome", "success", "asked", "corrected")
+            }
+            parts.append((begin, replace(episode, **arrays)))
+    return parts
+
+
+def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:
+    """Writes a dataset of these episodes, syncs it and reads it back."""
+    if not shards:
+        raise DatasetError(
+            "No episode was converted.", got="0 episodes", allowed="1 or more", hint="adamanip check RECORDING"
+        )
+    first = read_record(shards[0]) or {}
+    dataset = create_dataset(
+        root,
+        repo_id,
+        num_points=options.rows.num_points,
+        image_size=options.rows.image_size,
+        intrinsics=first["camera"]["intrinsics"],
+        workspace=None if options.rows.workspace == DEFAULT_WORKSPACE else options.rows.workspace,
+    )
+    records, lengths = append_shards(dataset, shards, lambda done, total: progress("assemble", done, total))
+    sort_statistics(root)
+    add_episode_columns(root, {name: [record[name] for record in records] for name in ("success", "key_frames")})
+    texts: dict[str, list[Any]] = {
+        name: [json.dumps(record[name], sort_keys=True) for record in records] for name in ("camera", "recorded")
+    }
+    add_episode_columns(root, texts)
+    files.write_atomically(root / "meta" / "cameras.json", cameras_json([record["camera"] for record in records]))
+    files.remove_tree(root / "images")
+    files.sync_tree(root)
+    read_back(root, lengths)
+    return root

@@ -1,0 +1,231 @@
+"""Which ticks of a dense episode are key frames, and which accepted target each of them ended.
+
+Pure: `lerobot_adamanip.recordings.recording` reads episodes, `lerobot_adamanip.recordings.convert` writes rows.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.hardware.motion_outcome import pose_error
+from lerobot_adamanip.recordings.sparsify import DenseTrajectory, SparsifyOptions, distance, sparsify
+from lerobot_adamanip.util.errors import DatasetError
+
+_SHORTEST = 1e-3
+"""Stamps nearer to each other than this are one moment [s]: a recorder may ask faster than an arm tells."""
+_FINGERS_BEGIN, _FINGERS_REST = 0.3, 0.01
+"""Fingers that were sent somewhere have begun to move after this [s]; slower than this per tick, they rest on a part
+that is wider than half way."""
+
+
+@dataclass(frozen=True)
+class DenseEpisode:
+    """What a robot told, tick by tick.
+
+    Attributes:
+        state: (T, 24) float32 of the contract.
+        effort: (T, 7) float32 [N m].
+        sent: (T, 10) float32: the last target that the arm had accepted when the row was read.
+        stamp: (T,) when the state was measured [s].
+        outcome: (T,) `lerobot_adamanip.contract.keyframes.Outcome` of the latest whole motion; -1 for none.
+        success: (T,) whether the task was done by then.
+        task: the instruction.
+        asked: (T, 10) float32: what the teleoperator or policy asked for in answer to the row.
+        corrected: (T,) whether a person or an expert had taken over; None where nobody could.
+    """
+
+    state: NDArray[np.float32]
+    effort: NDArray[np.float32]
+    sent: NDArray[np.float32]
+    stamp: NDArray[np.float64]
+    outcome: NDArray[np.int64]
+    success: NDArray[np.bool_]
+    task: str
+    asked: NDArray[np.float32]
+    corrected: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """(T, 10) measured: position [m], rotation 6D, gripper opening."""
+        return self.state[:, : schema.ACTION_DIM].astype(np.float64)
+
+
+@dataclass(frozen=True)
+class KeyFrameOptions:
+    """What counts as what.
+
+    Attributes:
+        sparsify: where the arm stood still, or gave up.
+        reached_position: a target this close was reached [m].
+        reached_rotation: likewise [rad].
+    """
+
+    sparsify: SparsifyOptions = field(default_factory=SparsifyOptions)
+    reached_position: float = DEFAULT_MOTION.reached_position
+    reached_rotation: float = DEFAULT_MOTION.reached_rotation
+
+
+@dataclass(frozen=True)
+class ChosenKeyFrames:
+    """The key frames of an episode: one row of a demonstration each, the last one terminal.
+
+    Attributes:
+        rows: (K,) ticks at which they are observed, ascending.
+        accepted: (K - 1,) ticks whose `DenseEpisode.sent` is the action of each row but the last.
+        actions: (K, 10) float32; the last stays where the tool is.
+        outcomes: (K,) `lerobot_adamanip.contract.keyframes.Outcome` of the actions.
+    """
+
+    rows: NDArray[np.int64]
+    accepted: NDArray[np.int64]
+    actions: NDArray[np.float32]
+    outcomes: NDArray[np.int64]
+
+
+def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions | None = None) -> ChosenKeyFrames:
+    """Returns the key frames of an episode.
+
+    Row k is observed at key frame k; its action is the accepted target that was in force when key frame k + 1 was
+    reached or given up, its gripper made 0 or 1.
+
+    Args:
+        episode: two ticks or more.
+        fps: of the recording [Hz], for episodes whose stamps stand still.
+        options: what counts as what.
+
+    Raises:
+        DatasetError: nothing moves in the episode.
+    """
+    chosen = options or KeyFrameOptions()
+    grips = _grips(episode, fps)
+    rows = _sent_for(episode, grips, _key_rows(episode, grips, fps, chosen))
+    if len(rows) < 2:
+        raise DatasetError(
+            "There is nothing to learn from in an episode.",
+            got=f"{len(episode)} ticks, in which the arm stays in one place",
+            allowed="two key frames or more",
+            hint="--skip-still, or lerobot-edit-dataset --operation.type=delete_episodes",
+        )
+    spans = itertools.pairwise(rows.tolist())
+    stands = _stands(episode, fps, chosen)
+    usable = stands & ((episode.sent[:, schema.GRIPPER_DIM] > 0.5) == grips)
+    places = [_accepted(episode, usable & (grips == grips[last]), first, last, chosen) for first, last in spans]
+    accepted = np.array(places, np.int64)
+    stay = np.concatenate([episode.state[rows[-1], : schema.GRIPPER_DIM], [episode.sent[accepted[-1], -1]]])
+    actions = np.concatenate([episode.sent[accepted], stay[None]]).astype(np.float32)
+    actions[:, schema.GRIPPER_DIM] = actions[:, schema.GRIPPER_DIM] > 0.5
+    told = [_outcome(episode, at, target, chosen) for at, target in zip(rows[1:], actions[:-1], strict=True)]
+    return ChosenKeyFrames(rows, accepted, actions, np.array([*told, Outcome.REACHED], np.int64))
+
+
+def trajectory_of(
+    episode: DenseEpisode, grips: NDArray[np.bool_], fps: int
+) -> tuple[DenseTrajectory, NDArray[np.int64]]:
+    """Returns what `sparsify` looks at, and the ticks that it consists of: each reading of the arm once."""
+    moments = _moments(episode, fps)
+    ticks = np.flatnonzero(np.r_[True, np.diff(moments) > _SHORTEST])
+    pose = episode.pose[ticks]
+    pose[:, schema.GRIPPER_DIM] = grips[ticks]
+    way = np.array([distance(a, b) for a, b in itertools.pairwise(pose)])
+    speed = np.r_[way / np.diff(moments[ticks]), 0.0]
+    # In force after a reading is what the next one tells.
+    command = episode.sent[np.r_[ticks[1:], len(episode) - 1]].astype(np.float64)
+    return DenseTrajectory(pose, speed, command), ticks
+
+
+def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
+    """Returns whether the hand is open, (T,): as it was sent, once the fingers are half way, or rest before that.
+
+    Fingers that close on a bottle's cap stay open by more than half.
+    """
+    wanted, opening = episode.sent[:, schema.GRIPPER_DIM] > 0.5, episode.state[:, schema.GRIPPER_DIM]
+    moments, found = _moments(episode, fps), np.empty(len(episode), bool)
+    now, since = bool(opening[0] > 0.5), 0
+    for tick in range(len(episode)):
+        since = tick if tick and wanted[tick] != wanted[tick - 1] else since
+        crossed = (opening[tick] > 0.5) == wanted[tick]
+        begun = moments[tick] - moments[since] >= _FINGERS_BEGIN
+        rests = begun and abs(opening[tick] - opening[tick - 1]) < _FINGERS_REST
+        now = bool(wanted[tick]) if crossed or rests else now
+        found[tick] = now
+    return found
+
+
+def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Leaves out key frames to which the hand was never sent as it is: fingers on their way, where the arm stands.
+
+    After a blocked pull a hand is opened where it is: it gives way, stands, and opens, all for one target.
+    """
+    wanted = episode.sent[:, schema.GRIPPER_DIM] > 0.5
+    kept = [int(rows[0])]
+    for row in rows[1:].tolist():
+        if row == rows[-1] or (wanted[kept[-1] + 2 : row + 1] == grips[row]).any():
+            kept.append(row)
+    return np.array(kept, np.int64)
+
+
+def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
+    """Returns when each row was measured (T,) [s]; by the rate, where the stamps tell nothing."""
+    told = episode.stamp
+    if np.isfinite(told).all() and told[-1] - told[0] > _SHORTEST:
+        return told
+    return np.arange(len(episode)) / fps
+
+
+def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArray[np.bool_]:
+    """Returns for each tick whether the accepted target stood still since the reading before it, (T,)."""
+    moments, sent = _moments(episode, fps), episode.sent.astype(np.float64)
+    stands, before = np.ones(len(episode), bool), 0
+    for tick in range(1, len(episode)):
+        while moments[tick] - moments[before + 1] > _SHORTEST and before + 1 < tick:
+            before += 1
+        elapsed = max(_SHORTEST, float(moments[tick] - moments[before]))
+        stands[tick] = distance(sent[before], sent[tick]) <= options.sparsify.stopped * elapsed
+    return stands
+
+
+def _key_rows(episode: DenseEpisode, grips: NDArray[np.bool_], fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
+    trajectory, ticks = trajectory_of(episode, grips, fps)
+    kept = sparsify(trajectory, options.sparsify)
+    # An arm that waits before it begins is in one place twice: in the first sample, and at the end of the wait.
+    waits = len(kept) > 1 and _same_place(trajectory, kept[0], kept[1], options)
+    return ticks[kept[1:] if waits else kept]
+
+
+def _same_place(trajectory: DenseTrajectory, first: int, last: int, options: KeyFrameOptions) -> bool:
+    between = trajectory.pose[first : last + 1]
+    gripper = between[:, schema.GRIPPER_DIM] > 0.5
+    near = all(distance(between[0], pose) <= options.sparsify.same_place for pose in between)
+    return bool(near and (gripper == gripper[0]).all())
+
+
+def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions) -> int:
+    """Returns the tick whose ``sent`` is the target that key frame ``last`` ended, of those after ``first``.
+
+    By then the target of the next key frame may have been accepted: the arm, and fingers, take a while to begin. So it
+    is the first that stands still while the arm is where it ends, with the fingers sent to where they then are.
+    """
+    begin, here = last, episode.pose[last]
+    while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.sparsify.same_place:
+        begin -= 1
+    found = [tick for tick in range(begin, last + 1) if usable[tick]]
+    return found[0] if found else last
+
+
+def _outcome(episode: DenseEpisode, tick: int, target: NDArray[np.float32], options: KeyFrameOptions) -> int:
+    """How the motion to a target had ended by a tick: as the arm says, or else by how far it was off."""
+    if episode.outcome[tick] >= 0:
+        return int(episode.outcome[tick])
+    far, turned = pose_error(*(pose_from_vector(each)[0] for each in (episode.pose[tick], target)))
+    reached = far <= options.reached_position and turned <= options.reached_rotation
+    return int(Outcome.REACHED if reached else Outcome.STALLED)

@@ -1,0 +1,206 @@
+"""A dense recording as LeRobot's recorder wrote it: its columns by name, its episodes, and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.reading import read_info
+from lerobot_adamanip.hardware.calibration.file import read_calibrations
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.features import (
+    CALIBRATIONS,
+    DEPTH_SUFFIX,
+    FRONT_CAMERA,
+    LABEL_NAME,
+    OUTCOME_NAME,
+    SAFETY,
+    SENT_NAMES,
+    STAMP_NAME,
+    is_dense,
+    names_of,
+)
+from lerobot_adamanip.hardware.safety import accepted
+from lerobot_adamanip.hardware.safety_limits import limits_from_json
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+
+INTERVENTION = "intervention"
+"""Column of LeRobot's DAgger recordings: whether a person, or an expert, had taken over."""
+_IMAGES = "observation.images."
+_ROTATION_OFF = 0.05
+"""A target's rotation this far from a rotation is none: what a robot tells before it has accepted one."""
+
+
+@dataclass(frozen=True)
+class DenseRecording:
+    """A dataset that `lerobot-record`, or `lerobot-rollout`, made of one of our robots.
+
+    Attributes:
+        root: its folder.
+        info: its ``meta/info.json``.
+        camera: whose depth becomes the cloud.
+    """
+
+    root: Path
+    info: dict[str, Any]
+    camera: str = FRONT_CAMERA
+
+    @classmethod
+    def open(cls, root: Path, camera: str = FRONT_CAMERA) -> DenseRecording:
+        """Returns a recording; raises `DatasetError` if there is none, or it is of another robot, or has no depth."""
+        folder = root.absolute()
+        try:
+            info = read_info(folder)
+        except (OSError, ValueError) as error:
+            raise _unusable(folder, str(error), "a dataset that can be read", f"adamanip repair {root}") from error
+        if not is_dense(info["features"]):
+            raise _unusable(
+                folder,
+                "columns " + ", ".join(sorted(info["features"])),
+                "observation.state with the names of `lerobot_adamanip.hardware.features.SCALAR_NAMES`",
+                "lerobot-record --robot.type=adamanip_franka",
+            )
+        depth = f"{_IMAGES}{camera}{DEPTH_SUFFIX}"
+        if depth not in info["features"]:
+            pictures = [key for key in info["features"] if key.startswith(_IMAGES)]
+            hint = "--camera with a camera that told depth"
+            if not pictures:
+                hint = "adamanip collect without --dense, or lerobot-record with a camera that tells depth"
+            raise _unusable(folder, f"pictures {pictures}", depth, hint)
+        return cls(folder, info, camera)
+
+    @property
+    def fps(self) -> int:
+        """Ticks per second."""
+        return int(self.info["fps"])
+
+    @cached_property
+    def dataset(self) -> Any:
+        """LeRobot's, whole."""
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+        return LeRobotDataset(f"local/{self.root.name}", root=self.root, video_backend="pyav")
+
+    def calibration(self, path: Path | None = None) -> CameraCalibration:
+        """Returns the calibration of the camera, of a file, or of the one that was recorded with the episodes.
+
+        Raises:
+            DatasetError: none was recorded, and none is given, or it is of other cameras.
+            ConfigurationError: the file is none of calibrations.
+        """
+        chosen = path or self.root / CALIBRATIONS
+        if path is None and not chosen.exists():
+            got, hint = f"no {CALIBRATIONS} in {self.root.name}", "adamanip keyframes --calibration FILE"
+            raise _unusable(self.root, got, "the calibration that the robot had", hint)
+        known = read_calibrations(chosen)
+        if self.camera not in known:
+            raise _unusable(self.root, f"calibrations of {', '.join(known)}", self.camera, "--camera, --calibration")
+        return known[self.camera]
+
+    def __len__(self) -> int:
+        return int(self.info["total_episodes"])
+
+    @cached_property
+    def _rows(self) -> pa.Table:
+        wanted = [schema.STATE, schema.ACTION, "index", "episode_index", "task_index"]
+        wanted += [INTERVENTION] * (INTERVENTION in self.info["features"])
+        paths = sorted((self.root / "data").glob("*/*.parquet"))
+        try:
+            tables = [pq.read_table(path, columns=wanted) for path in paths]
+        except (OSError, pa.ArrowException) as error:
+            raise _unusable(self.root, str(error), "whole files", f"adamanip repair {self.root.name}") from error
+        return pa.concat_tables(tables).sort_by("index")
+
+    def episode(self, number: int) -> DenseEpisode:
+        """Returns an episode's columns; raises `DatasetError` for values that no robot tells."""
+        table = self._rows.filter(pc.equal(self._rows["episode_index"], number))
+        states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
+        names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
+
+        def told(wanted: Sequence[str], otherwise: float) -> NDArray[np.float32]:
+            if not set(wanted) <= set(names):
+                return np.full((len(states), len(wanted)), otherwise, np.float32)
+            return states[:, [names.index(name) for name in wanted]]
+
+        state = told(schema.STATE_NAMES, np.nan)
+        if not np.isfinite(state).all() or len(state) < 2:
+            found = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
+            raise _unusable(self.root, found, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
+        asked = asked[:, [asked_names.index(name) for name in schema.POSE_NAMES]]
+        sent = told(SENT_NAMES, np.nan) if self._tells(SENT_NAMES) else self._accepted(asked, state[0, :10])
+        return DenseEpisode(
+            state=state,
+            effort=told(schema.EFFORT_NAMES, 0.0),
+            sent=_targets(sent, state),
+            stamp=told([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
+            outcome=np.rint(told([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
+            success=told([LABEL_NAME], 0.0)[:, 0] > 0.5,
+            task=str(self.dataset.meta.tasks.index[table["task_index"][0].as_py()]),
+            asked=asked,
+            corrected=np.asarray(table[INTERVENTION].to_pylist()).reshape(-1).astype(bool)
+            if INTERVENTION in table.column_names
+            else None,
+        )
+
+    def _accepted(self, asked: NDArray[np.float32], first: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns what the arm had accepted at each tick of a roll-out, which tells only what was asked for, (T, 10).
+
+        It is what was asked for a tick earlier, as the robot's safety filter lets it through; recordings of before the
+        filter's limits were kept have it unfiltered.
+        """
+        path = self.root / SAFETY
+        if not path.exists():
+            return np.concatenate([first[None], asked[:-1]])
+        try:
+            limits = limits_from_json(path.read_bytes())
+        except (OSError, ValueError, ConfigurationError) as error:
+            raise _unusable(
+                self.root, f"{SAFETY}: {error}", "the file that the recorder wrote", f"rm {path}"
+            ) from error
+        sent = [first]
+        for target in asked[:-1]:
+            let_through = accepted(target, limits)
+            sent.append(sent[-1] if let_through is None else let_through)
+        return np.stack(sent)
+
+    def _tells(self, wanted: Sequence[str]) -> bool:
+        return set(wanted) <= set(names_of(self.info["features"][schema.STATE]))
+
+    @property
+    def tells_success(self) -> bool:
+        """Whether it says when the task was done; roll-outs do not."""
+        return self._tells([LABEL_NAME])
+
+    def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
+        """Returns colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""
+        begin = int(self.dataset.meta.episodes[number]["dataset_from_index"])
+        item = self.dataset[begin + tick]
+        depth = np.asarray(item[f"{_IMAGES}{self.camera}{DEPTH_SUFFIX}"]).squeeze()
+        key = f"{_IMAGES}{self.camera}"
+        if key not in item:
+            return None, depth.round().astype(np.uint16)
+        colour = np.asarray(item[key]).transpose(1, 2, 0)
+        return np.rint(colour * 255.0).astype(np.uint8), depth.round().astype(np.uint16)
+
+
+def _targets(sent: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Returns accepted targets, where the tool is before the first was accepted."""
+    rotation = sent[:, schema.ROTATION_DIMS].reshape(-1, 2, 3)
+    known = np.isfinite(sent).all(axis=1) & (np.abs(np.linalg.norm(rotation, axis=2) - 1.0) < _ROTATION_OFF).all(axis=1)
+    return np.where(known[:, None], sent, state[:, : schema.ACTION_DIM]).astype(np.float32)
+
+
+def _unusable(root: Path, got: str, allowed: str, hint: str) -> DatasetError:
+    what = f"{root.name} cannot be made into key frames."
+    return DatasetError(what, got=got, allowed=allowed, hint=hint)

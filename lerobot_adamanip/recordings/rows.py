@@ -1,0 +1,151 @@
+"""From the key frames of a dense episode to the columns of a demonstration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.depth_cloud import depth_cloud
+from lerobot_adamanip.hardware.features import UNLABELLED
+from lerobot_adamanip.recordings.keyframe_choice import ChosenKeyFrames, DenseEpisode
+from lerobot_adamanip.util.errors import DatasetError
+
+Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
+"""Tick -> colour (H, W, 3), if there is any, and depth (H, W) [mm]."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """What a camera saw in an episode, and where it stood: the calibration turns its depth into points."""
+
+    pictures: Pictures
+    calibration: CameraCalibration
+
+
+_OPEN_FINGER = 0.04
+"""Way of each finger of an open hand [m]."""
+
+
+@dataclass(frozen=True)
+class RowOptions:
+    """What the columns are to be.
+
+    Attributes:
+        num_points: per cloud.
+        image_size: height and width of the front image [px]; None for none.
+        workspace: box of the clouds.
+    """
+
+    num_points: int = schema.DEFAULT_NUM_POINTS
+    image_size: int | None = schema.IMAGE_SIZE
+    workspace: Workspace = DEFAULT_WORKSPACE
+
+
+def demonstration_columns(
+    episode: DenseEpisode, chosen: ChosenKeyFrames, camera: Camera, options: RowOptions
+) -> dict[str, NDArray[Any]]:
+    """Returns one (K, ...) array per column of the contract, for the K key frames of an episode.
+
+    Nobody has labelled what was tried: phase and trial are -1, and no row tells of a try. Object joints are not known
+    either, and 0. Where a person or an expert corrected, ``action`` is what they asked for; always,
+    ``complementary_info.executed`` is what the arm accepted.
+
+    Raises:
+        DatasetError: pictures are wanted, and there are none.
+    """
+    rows, count = chosen.rows, len(chosen.rows)
+    success = np.maximum.accumulate(episode.success[np.r_[rows[1:], rows[-1:]]])
+    labels: dict[str, NDArray[Any]] = {
+        schema.PHASE: np.full(count, UNLABELLED),
+        schema.TRIAL: np.full(count, UNLABELLED),
+        schema.OUTCOME: chosen.outcomes,
+        schema.TRIED: np.full(count, -1),
+        schema.FAILED: np.zeros(count, bool),
+        schema.PROGRESS: np.zeros(count),
+        schema.SUCCESS: success,
+        schema.DONE: np.arange(count) == count - 1,
+    }
+    state = episode.state[rows]
+    return {
+        **_seen(episode, rows, camera, options),
+        schema.STATE: state,
+        schema.EFFORT: episode.effort[rows],
+        schema.ACTION: _asked(episode, chosen),
+        **{key: values[:, None].astype(schema.LABEL_DTYPES[key]) for key, values in labels.items()},
+        schema.EXECUTED: chosen.actions,
+        schema.JOINTS: _joints(state),
+    }
+
+
+def _asked(episode: DenseEpisode, chosen: ChosenKeyFrames) -> NDArray[np.float32]:
+    if episode.corrected is None:
+        return chosen.actions
+    # What was asked for in answer to a row is, after the safety filter, what the next row tells as sent.
+    asked = episode.asked[np.maximum(chosen.accepted - 1, 0)].copy()
+    asked[:, schema.GRIPPER_DIM] = asked[:, schema.GRIPPER_DIM] > 0.5
+    return np.asarray(np.concatenate([asked, chosen.actions[-1:]]), np.float32)
+
+
+def _seen(
+    episode: DenseEpisode, rows: NDArray[np.int64], camera: Camera, options: RowOptions
+) -> dict[str, NDArray[Any]]:
+    clouds, images = [], []
+    for row in rows.tolist():
+        colour, depth = camera.pictures(row)
+        tcp_in_base = pose_from_vector(episode.pose[row])[0]
+        clouds.append(depth_cloud(depth, camera.calibration, options.num_points, options.workspace, tcp_in_base))
+        if options.image_size is not None:
+            if colour is None:
+                raise DatasetError(
+                    "The recording has no pictures.", got="depth alone", allowed="colour too", hint="--no-images"
+                )
+            images.append(square_image(colour, options.image_size))
+    found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds).reshape(len(clouds), -1)}
+    return found | ({schema.FRONT_IMAGE: np.stack(images)} if images else {})
+
+
+def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+    """Returns the middle square of a picture (H, W, 3), as (size, size, 3)."""
+    height, width = picture.shape[:2]
+    side = min(height, width)
+    left, top = (width - side) // 2, (height - side) // 2
+    image = Image.fromarray(picture[top : top + side, left : left + side])
+    how = Image.Resampling.BOX if side > size else Image.Resampling.BILINEAR
+    return np.asarray(image if side == size else image.resize((size, size), how))
+
+
+def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str, Any]:
+    """Returns what a demonstration says of its front camera, JSON-able: see the simulator's ``camera`` column.
+
+    Args:
+        calibration: of the camera; what is told is of colour, if that was calibrated, as the image shows it.
+        size: of the front image [px]; None without images: then it is of the depth picture's middle square.
+    """
+    imager = calibration.color or calibration.depth
+    side = min(imager.width, imager.height)
+    left, top = (imager.width - side) // 2, (imager.height - side) // 2
+    matrix = imager.matrix - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
+    scale = (size or side) / side
+    matrix = np.diag([scale, scale, 1.0]) @ matrix
+    depth_pose = calibration.depth_in_base if calibration.depth_in_base is not None else calibration.depth_in_tcp
+    pose = np.eye(4) if depth_pose is None else depth_pose
+    if calibration.color is not None and calibration.depth_in_color is not None:
+        pose = pose @ np.linalg.inv(calibration.depth_in_color)
+    told = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": size or side, "height": size or side}
+    return told if calibration.depth_in_base is not None else {**told, "frame": "tcp"}
+
+
+def _joints(state: NDArray[np.float32]) -> NDArray[np.float32]:
+    finger = _OPEN_FINGER * state[:, schema.GRIPPER_DIM : schema.GRIPPER_DIM + 1]
+    arm = state[:, schema.ACTION_DIM : schema.ACTION_DIM + schema.NUM_JOINTS]
+    unknown = np.zeros((len(state), schema.MAX_OBJECT_JOINTS))
+    return np.asarray(np.concatenate([arm, finger, finger, unknown], axis=1), np.float32)

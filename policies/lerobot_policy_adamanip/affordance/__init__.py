@@ -1,0 +1,1 @@
+"""What vat_mart, adaafford and sampling share: networks, options, plans, contact labels."""

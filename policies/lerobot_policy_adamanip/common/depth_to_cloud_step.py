@@ -1,0 +1,181 @@
+"""Clouds from depth at run time: a robot's cameras deliver pictures, and policies here look at clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.configs.types import PipelineFeatureType, PolicyFeature
+from lerobot.lerobot_types import EnvTransition, TransitionKey
+from lerobot.processor import (
+    ProcessorStep,
+    ProcessorStepRegistry,
+    make_default_policy_processor_steps,
+    make_policy_processor_pipelines,
+)
+from torch import Tensor
+
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, FRONT_CAMERA
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.contract import Pipelines
+
+IMAGES = "observation.images."
+
+
+@ProcessorStepRegistry.register("adamanip_depth_to_cloud")
+@dataclass
+class DepthToCloudStep(ProcessorStep):
+    """Makes ``observation.point_cloud`` of a camera's depth, and drops the pictures.
+
+    What has a cloud already, as demonstrations and simulation have, passes as it is; so does what has neither. The
+    calibration is read from ``calibration`` if that is given, else it is what the connected robot tells
+    (`lerobot_adamanip.hardware.robot_registry`): a checkpoint does not know where a camera stands.
+
+    Attributes:
+        num_points: of the cloud.
+        lower, upper: corners of the workspace, robot base frame [m].
+        camera: key of the camera in the robot's configuration.
+        calibration: path of a calibration file; None asks the robot.
+    """
+
+    num_points: int = DEFAULT_NUM_POINTS
+    lower: tuple[float, float, float] = DEFAULT_WORKSPACE.lower
+    upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
+    camera: str = FRONT_CAMERA
+    calibration: str | None = None
+    _read: CameraCalibration | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuses a number of points that no cloud has."""
+        check_num_points(self.num_points)
+
+    def __call__(self, transition: EnvTransition) -> EnvTransition:
+        """Returns a transition with the cloud (B, N, 3), or the one given.
+
+        Raises:
+            ConfigurationError: nobody knows where the camera is, or its picture is of another size or kind.
+        """
+        observation = transition.get(TransitionKey.OBSERVATION)
+        key = f"{IMAGES}{self.camera}{DEPTH_SUFFIX}"
+        if observation is None or observation.get(POINT_CLOUD) is not None or observation.get(key) is None:
+            return transition
+        picture = observation[key]
+        cloud = self._clouds(picture, observation.get(STATE))
+        kept = {name: value for name, value in observation.items() if not name.startswith(IMAGES)}
+        kept[POINT_CLOUD] = cloud.to(picture.device)
+        return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: kept})
+
+    def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
+        """Depth (..., H, W, 1) or (..., 1, H, W) [mm] -> (..., N, 3) [m], with a batch of one where it has none."""
+        from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # brings scipy's rotations
+
+        depth = picture.detach().cpu().numpy()
+        depth = _without_channel(depth)
+        leading = depth.shape[:-2]
+        poses = self._tool_poses(state, int(np.prod(leading)))
+        calibration, workspace = self._calibration(), Workspace(_corner(self.lower), _corner(self.upper))
+        clouds = [
+            depth_cloud(each, calibration, self.num_points, workspace, pose)
+            for each, pose in zip(depth.reshape(-1, *depth.shape[-2:]), poses, strict=True)
+        ]
+        return torch.from_numpy(np.stack(clouds).reshape(*(leading or (1,)), self.num_points, 3))
+
+    def _tool_poses(self, state: Tensor | None, count: int) -> list[np.ndarray[Any, np.dtype[np.float64]] | None]:
+        """``count`` poses (4, 4) of the tool, of the state's first numbers; None where it does not tell them."""
+        from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, transform
+
+        if state is None or state.numel() // state.shape[-1] != count:
+            return [None] * count
+        numbers = state.detach().cpu().double().numpy().reshape(count, -1)
+        return [transform(row[POSITION_DIMS], matrix_from_rotation_6d(row[ROTATION_DIMS])) for row in numbers]
+
+    def _calibration(self) -> CameraCalibration:
+        from lerobot_adamanip.hardware.calibration.file import read_calibrations
+        from lerobot_adamanip.hardware.robot_registry import BOARD
+
+        if self.calibration is not None:
+            if self._read is None:
+                found = read_calibrations(Path(self.calibration))
+                if self.camera not in found:
+                    raise self._unknown(f"{self.calibration} knows {', '.join(found) or 'no camera'}")
+                self._read = found[self.camera]
+            return self._read
+        session = BOARD.find()
+        if session is None:
+            raise self._unknown("no file, and not one connected robot to ask")
+        told: CameraCalibration | None = session.calibrations.get(self.camera)
+        if told is None:
+            known = ", ".join(session.calibrations) or "none"
+            raise self._unknown(f"no file, and a robot that knows the calibration of these cameras: {known}")
+        return told
+
+    def _unknown(self, got: str) -> ConfigurationError:
+        return ConfigurationError(
+            f"Nobody tells where camera {self.camera} is, so its depth makes no cloud.",
+            got=got,
+            allowed=f"a calibration file of the robot with camera {self.camera}, or one named in the checkpoint's "
+            "policy_preprocessor.json, step adamanip_depth_to_cloud, field calibration",
+            hint="adamanip calibrate",
+        )
+
+    def get_config(self) -> dict[str, Any]:
+        """JSON-able options."""
+        return {
+            "num_points": self.num_points,
+            "lower": list(self.lower),
+            "upper": list(self.upper),
+            "camera": self.camera,
+            "calibration": self.calibration,
+        }
+
+    def transform_features(
+        self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
+    ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
+        """Datasets have clouds: features stay."""
+        return features
+
+
+def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:
+    """Three numbers, which JSON gives back as a list."""
+    x, y, z = numbers
+    return x, y, z
+
+
+def _without_channel(depth: np.ndarray[Any, np.dtype[Any]]) -> np.ndarray[Any, np.dtype[Any]]:
+    """(..., H, W, 1) or (..., 1, H, W), uint16 or float -> (..., H, W)."""
+    if depth.ndim >= 3 and depth.shape[-1] == 1:
+        depth = depth[..., 0]
+    elif depth.ndim >= 3 and depth.shape[-3] == 1:
+        depth = depth[..., 0, :, :]
+    else:
+        raise _no_depth(depth)
+    if depth.dtype != np.uint16 and depth.dtype.kind != "f":
+        raise _no_depth(depth)
+    return depth
+
+
+def _no_depth(picture: np.ndarray[Any, np.dtype[Any]]) -> ConfigurationError:
+    return ConfigurationError(
+        "A depth picture is none.",
+        got=f"{picture.dtype} of shape {picture.shape}",
+        allowed="uint16 or float32 [mm], of shape (H, W, 1) or (1, H, W), with a batch or without",
+        hint="a camera with use_depth=true",
+    )
+
+
+def make_pipelines_with_depth(
+    config: PreTrainedConfig, num_points: int, dataset_stats: dict[str, dict[str, Tensor]] | None
+) -> Pipelines:
+    """Returns LeRobot's default pipelines, with clouds from depth before the observation goes to its device."""
+    steps = make_default_policy_processor_steps(config, dataset_stats)
+    depth = DepthToCloudStep(num_points)
+    inputs = [steps.rename_observations, steps.add_batch_dim, depth, steps.to_device, steps.normalize]
+    return cast(Pipelines, make_policy_processor_pipelines(inputs, [steps.unnormalize, steps.to_cpu]))
