@@ -223,11 +223,7 @@ class Hand:
         return opening
 
     def regrasp(self, part: PartAnnotation) -> Attempt:
-        """Lets go of a part, or of nothing, and takes hold of it where it is. True if there is something in the hand.
-
-        It is where it was felt last, or, if the grip was torn off on the way to a goal, anywhere up to there; or it has
-        gone back to rest. Only a hand that closes on it tells.
-        """
+        """Lets go, and takes hold of a part where it is. True if there is something in the hand then."""
         felt, torn = dict(self.positions), self.empty
         yield from self.release()
         return (yield from self._find(part, felt, torn))
