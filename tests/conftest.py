@@ -87,6 +87,35 @@ def refuses() -> Callable[[type[AdaManipError], Callable[[], Any]], str]:
     return check
 
 
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A complete dataset of the fake environment, recorded by one worker without interruption. Not to be written to."""
+    return _collected(tmp_path_factory.mktemp("finished") / "dataset")
+
+
+@pytest.fixture(scope="session")
+def unpictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As `finished`, without pictures. Not to be written to."""
+    return _collected(tmp_path_factory.mktemp("unpictured") / "dataset", observe_images=False)
+
+
+def _collected(root: Path, **options: Any) -> Path:
+    from demos_helpers import fakes, make_spec, patiently
+
+    from lerobot_adamanip.collection.collect import collect
+
+    collect(root, make_spec(**options), fakes(), patiently())
+    return root
+
+
+@pytest.fixture(scope="session")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A complete dataset with late starts and attempts that failed. Not to be written to."""
+    from sound_demos import collect_sound
+
+    return collect_sound(tmp_path_factory.mktemp("published") / "dataset")
+
+
 @pytest.fixture
 def no_vulkan(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine without any Vulkan device: for this process and those that it starts."""

@@ -12,7 +12,6 @@ from typing import Any
 import loopback_guard
 import pytest
 from loopback_hub import TOKEN, LoopbackHub
-from sound_demos import collect_sound
 from tiny_training import TINY
 
 from lerobot_adamanip.hub.staging import Staged, stage_dataset
@@ -20,12 +19,6 @@ from lerobot_adamanip.hub.staging import Staged, stage_dataset
 ROOT = Path(__file__).resolve().parents[2]
 GUARD = Path(__file__).with_name("guard")
 Run = Callable[..., subprocess.CompletedProcess[str]]
-
-
-@pytest.fixture(scope="session")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A complete dataset with late starts and attempts that failed. Not to be written to."""
-    return collect_sound(tmp_path_factory.mktemp("published") / "dataset")
 
 
 @pytest.fixture(autouse=True)

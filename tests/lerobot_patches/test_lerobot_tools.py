@@ -23,7 +23,7 @@ from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.editing.source import Source
 from lerobot_adamanip.datasets.reading import open_dataset, read_back
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 UPSTREAM = ROOT / "docs" / "upstream"
 DELETED = (1, 4)
 

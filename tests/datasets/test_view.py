@@ -32,7 +32,7 @@ SAFE = Path(__file__).with_name("safe_episode")
 """A dataset of one episode, of `adamanip collect`: a locked safe, a pull that fails, the knob turned the wrong way, the
 other way, and a pull that opens. Its statistics per episode are left out."""
 PICTURE = ROOT / "docs" / "images" / "view.png"
-"""Made by ``adamanip view tests/demos/safe_episode --image docs/images/view.png``."""
+"""Made by ``adamanip view tests/datasets/safe_episode --image docs/images/view.png``."""
 MOST_BYTES = 300_000
 SIMILAR = 4.0
 """Mean difference of a pixel, of 255, that other versions of fonts make."""
@@ -103,7 +103,7 @@ def test_marks_stand_where_the_tool_was(safe: ViewedEpisode) -> None:
 
 
 def test_the_picture_in_the_documents_is_up_to_date(safe: ViewedEpisode, tmp_path: Path) -> None:
-    """If not: `adamanip view tests/demos/safe_episode --image docs/images/view.png`."""
+    """If not: `adamanip view tests/datasets/safe_episode --image docs/images/view.png`."""
     write_still(safe, tmp_path / "view.png")
     with Image.open(tmp_path / "view.png") as made, Image.open(PICTURE) as stored:
         assert made.size == stored.size == (1100, 780)
