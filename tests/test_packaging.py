@@ -182,9 +182,8 @@ def test_every_extra_is_imported_by_something() -> None:
     }  # fmt: skip
     packages = ("lerobot_adamanip", "envs", "policies")
     text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
-    assert 'WHEEL = "pyk4a-bundle"' in text  # whose libraries are loaded, and whose module is not imported
     assert "deepdiff" in inspect.getsource(importlib.import_module(RESUMES))  # LeRobot's, of which no extra brings it
-    for extra in set(extras) - {"dev", "docs", "k4a"}:
+    for extra in set(extras) - {"dev", "docs"}:
         for name in {Requirement(line).name for line in extras[extra]} - {"deepdiff"}:
             assert re.search(rf"\b(import|from) {modules.get(name, name)}\b", text), f"{extra}: {name}"
 

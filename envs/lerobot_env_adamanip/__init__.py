@@ -10,7 +10,6 @@ from lerobot_adamanip import NO_PLUGIN, __version__, lerobot_patches
 if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware import ON_CREATION
     from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-    from lerobot_adamanip.hardware.cameras.config_adamanip_k4a import AdamanipK4aConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
     from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
@@ -56,7 +55,6 @@ __all__ = [
     "AdamanipFrankaConfig",
     "AdamanipFrankaSimConfig",
     "AdamanipGamepadConfig",
-    "AdamanipK4aConfig",
     "AdamanipKeyboardConfig",
     "AdamanipPhoneConfig",
     "AdamanipRealsenseConfig",

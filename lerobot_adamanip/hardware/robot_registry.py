@@ -44,7 +44,7 @@ class RobotSession:
     episodes: int = 0
 
 
-class SessionBoard:
+class RobotRegistry:
     """Robot id -> `RobotSession`, of this process. Safe to use from several threads."""
 
     def __init__(self) -> None:
@@ -70,5 +70,5 @@ class SessionBoard:
             self._sessions.pop(robot_id, None)
 
 
-BOARD = SessionBoard()
+ROBOTS = RobotRegistry()
 """Of this process."""

@@ -43,7 +43,7 @@ from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
-from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, replace
 from lerobot_adamanip.util import files
@@ -202,7 +202,7 @@ def mend(root: Path) -> None:
 
 def _keep_calibrations(root: Path) -> None:
     """Writes where the connected robot's cameras stand beside its first episode: the pictures alone do not tell."""
-    session = BOARD.find()
+    session = ROBOTS.find()
     if session is None or (root / CALIBRATIONS).exists():
         return
     for key, calibration in session.calibrations.items():
@@ -211,6 +211,6 @@ def _keep_calibrations(root: Path) -> None:
 
 def _keep_safety(root: Path) -> None:
     """Writes the limits of the connected robot's safety filter: a roll-out does not tell which target was accepted."""
-    session = BOARD.find()
+    session = ROBOTS.find()
     if session is not None and isinstance(session.safety, SafetyLimits) and not (root / SAFETY).exists():
         files.write_atomically(root / SAFETY, session.safety.to_json().encode())

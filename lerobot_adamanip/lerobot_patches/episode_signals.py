@@ -24,7 +24,7 @@ from collections.abc import Callable, MutableMapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
 
 RECORDER = "lerobot.scripts.lerobot_record"
@@ -101,6 +101,6 @@ def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
 
 def _count(robot: Any) -> None:
     """Whoever integrates a goal for this robot starts anew."""
-    session = BOARD.find(getattr(robot, "id", None)) or BOARD.find()
+    session = ROBOTS.find(getattr(robot, "id", None)) or ROBOTS.find()
     if session is not None:
         session.episodes += 1

@@ -27,7 +27,7 @@ from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
 
 BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
@@ -127,7 +127,7 @@ def test_a_hand_outside_the_box_is_refused_and_nothing_is_left_running(make: Cal
     with pytest.raises(RobotError, match="outside the box"):
         robot.connect()
     assert not robot.is_connected
-    assert BOARD.find("test") is None
+    assert ROBOTS.find("test") is None
 
 
 def test_the_first_action_of_a_stream_does_not_move_it_the_next_only_so_far(
@@ -278,9 +278,9 @@ def test_nothing_is_answered_before_connecting_or_after_disconnecting(make: Call
     robot.connect()
     with pytest.raises(RobotError, match="connected already"):
         robot.connect()
-    assert BOARD.find("test") is robot.session
+    assert ROBOTS.find("test") is robot.session
     robot.disconnect()
-    assert BOARD.find("test") is None
+    assert ROBOTS.find("test") is None
 
 
 @pytest.mark.parametrize("loop", ["Record", "Control"])

@@ -22,7 +22,7 @@ from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.repair import repair
 from lerobot_adamanip.datasets.reading import episode_table, open_dataset, read_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
-from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import accepted
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_json
 from lerobot_adamanip.lerobot_patches.durable_recording import _keep_safety
@@ -165,9 +165,9 @@ def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_p
     root = write_recording(tmp_path / "rollout", corrected)
     highest = float(max(stop.goal[2] for stop in STOPS))
     limits = SafetyLimits((-2.0, -2.0, -2.0), (2.0, 2.0, highest - 0.05))
-    BOARD.open("arm").safety = limits
+    ROBOTS.open("arm").safety = limits
     _keep_safety(root)  # as the recorder does
-    BOARD.close("arm")
+    ROBOTS.close("arm")
     assert limits_from_json((root / SAFETY).read_bytes()) == limits
     assert check(root).findings == ()
     recording = DenseRecording.open(root)

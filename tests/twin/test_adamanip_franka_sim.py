@@ -19,7 +19,7 @@ from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
 from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
-from lerobot_adamanip.hardware.robot_registry import BOARD, OPERATOR_SUCCESS, RESET_WANTED
+from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, ROBOTS
 from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
@@ -147,7 +147,7 @@ def test_an_episode_has_the_seed_of_its_number_whatever_came_between(make: Any, 
     assert process.resets == [1000]  # recorded again
     robot.begin_episode(7)  # a session that goes on
     assert process.resets == [1000, 1007]
-    session = BOARD.find("twin")
+    session = ROBOTS.find("twin")
     assert session is not None
     assert session.details["seed"] == 1007
     assert session.calibrations["front"].depth.width == 16

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lerobot_adamanip.hardware.robot_registry import BOARD, RobotSession
+from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
 from lerobot_adamanip.lerobot_patches import episode_signals
 
 
@@ -40,8 +40,8 @@ def loop(robot: Any, events: dict[str, Any], fps: int, dataset: Any = None, cont
 
 @pytest.fixture
 def session() -> Iterator[RobotSession]:
-    yield BOARD.open("twin")
-    BOARD.close("twin")
+    yield ROBOTS.open("twin")
+    ROBOTS.close("twin")
 
 
 def test_a_decorator_that_hides_its_function_hides_nothing(session: RobotSession) -> None:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
-from lerobot_adamanip.hardware.robot_registry import BOARD, RobotSession
+from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.teleoperators.adamanip_gamepad import AdamanipGamepad
@@ -62,7 +62,7 @@ class Robot:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self.session: RobotSession = BOARD.open("arm")
+        self.session: RobotSession = ROBOTS.open("arm")
         self.session.safety = LIMITS
         self.at(0.5, 0.0, 0.7)
 
@@ -99,7 +99,7 @@ def clock() -> Clock:
 @pytest.fixture
 def robot(clock: Clock) -> Iterator[Robot]:
     yield Robot(clock)
-    BOARD.close("arm")
+    ROBOTS.close("arm")
 
 
 def call(teleop: Any, robot: Robot, *, follows: bool = True) -> Any:

@@ -24,7 +24,7 @@ from lerobot_adamanip.hardware.arm_process.options import ServerOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.robot_registry import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, SUCCESS, RobotSession
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, ROBOTS, SUCCESS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import Corner, SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
@@ -129,7 +129,7 @@ class AdamanipFranka(Robot):
 
     def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
         self._connected_at = time.perf_counter()
-        self._session = BOARD.open(self._board_id)
+        self._session = ROBOTS.open(self._registry_id)
         self._session.safety, self._session.details = limits, dict(details)
         assert self._client is not None
         if (fps := self._client.server.lockstep_fps) is not None:
@@ -194,7 +194,7 @@ class AdamanipFranka(Robot):
             return
         client.close()
         self._slow_loop.remove()
-        BOARD.close(self._board_id)
+        ROBOTS.close(self._registry_id)
         for key, camera in self.cameras.items():
             if self._skews[key].skewed:
                 _logger.warning("camera %s: %s", key, self._skews[key].told())
@@ -202,7 +202,7 @@ class AdamanipFranka(Robot):
                 camera.disconnect()
 
     @property
-    def _board_id(self) -> str:
+    def _registry_id(self) -> str:
         return self.id or self.name
 
     @property
@@ -223,7 +223,7 @@ class AdamanipFranka(Robot):
         Raises:
             RobotError: the arm has a fault (see ``auto_recover``), its process or a camera does not answer.
         """
-        reading = self._motion.well()
+        reading = self._motion.read_or_raise()
         seen: dict[str, Any] = dict(self._scalars(reading))
         in_steps = LOCKSTEP_DT in self._session.details  # then nothing moves between the state and its picture
         for key, camera in self.cameras.items():
@@ -248,7 +248,7 @@ class AdamanipFranka(Robot):
             ConfigurationError: a name of the action is missing.
         """
         wanted = action_vector(action)
-        reading = self._motion.well()
+        reading = self._motion.read_or_raise()
         sent = self._motion.send(wanted, reading)
         return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
 

@@ -88,7 +88,7 @@ class MotionDriver:
 
     # Faults -----------------------------------------------------------------------------------------------------------
 
-    def well(self) -> ArmReading:
+    def read_or_raise(self) -> ArmReading:
         """Returns the reading of an arm that can be moved, recovered if that is allowed. Raises `RobotError`."""
         status = self._arm.status()
         if status.fault is not None and not status.lost and self._rules.auto_recover:
@@ -123,7 +123,7 @@ class MotionDriver:
 
         Args:
             wanted: (10,) target.
-            reading: of this moment, from `well`.
+            reading: of this moment, from `read_or_raise`.
 
         Returns:
             (10,) float32, what was sent: the session's ``sent``.
@@ -162,7 +162,7 @@ class MotionDriver:
             except RobotError:
                 if not self._arm.is_connected or self._arm.status().fault is None:
                     raise
-                self.well()  # recovers and goes on, or raises what is wrong
+                self.read_or_raise()  # recovers and goes on, or raises what is wrong
                 return sent
             self._session.reading, self._goal = ended.reading, wanted.tobytes()
             self.rested_at, self._faults = time.perf_counter(), 0

@@ -76,7 +76,7 @@ class ArmServer:
         self._arrival = self._advanced = time.perf_counter()
         self._holding = self._lost = False
         self._fault: str | None = None
-        self._owed = 0.0
+        self._backlog_s = 0.0
 
     def run(self) -> None:
         """Ticks until the recorder is gone, then stops the arm and waits until it rests. Never raises `RobotError`."""
@@ -135,7 +135,7 @@ class ArmServer:
         """Passes a new target on, to an arm that is well at this moment."""
         found = self._command.read()
         if found is None or found[0] == self._accepted:
-            self._hold_if_forgotten()
+            self._stop_on_command_timeout()
             return
         if self._fault is not None or not self._try(self._read) or self._fault is not None:
             return
@@ -149,7 +149,7 @@ class ArmServer:
         if self._try(lambda: begin(target)):
             self._accepted, self._target = found[0], target
 
-    def _hold_if_forgotten(self) -> None:
+    def _stop_on_command_timeout(self) -> None:
         streamed = self._target is not None and self._target.execution is Execution.STREAM
         if streamed and not self._holding and time.perf_counter() - self._arrival > self._options.command_age:
             self._hold({})
@@ -221,7 +221,7 @@ class ArmServer:
             told = handler(values)
             self._advanced += time.perf_counter() - began  # the arm could not move on
             if ask == RESET:
-                self._owed = 0.0
+                self._backlog_s = 0.0
             self._look()
             return told
 
@@ -253,14 +253,14 @@ class ArmServer:
         self._accept()
         period = self._backend.period
         if self._target is not None and self._target.execution is Execution.KEYFRAME:
-            self._owed = KEYFRAME_LIMIT
+            self._backlog_s = KEYFRAME_LIMIT
         else:
-            self._owed += 1.0 / fps
-        while self._owed >= period * (1 - 1e-9) and self._fault is None:
-            self._owed -= period
+            self._backlog_s += 1.0 / fps
+        while self._backlog_s >= period * (1 - 1e-9) and self._fault is None:
+            self._backlog_s -= period
             self._tick()
             if self._ended_keyframe():
-                self._owed = 0.0
+                self._backlog_s = 0.0
         self._publish()
         return {}
 

@@ -55,7 +55,7 @@ def camera_of(robot: Any, key: str) -> FrameReader:
         raise ConfigurationError(
             f"The robot has no camera {key} that can be calibrated.",
             got=", ".join(f"{name}: {type(each).__name__}" for name, each in cameras.items()) or "no cameras",
-            allowed="one of this project's cameras: adamanip_realsense, adamanip_k4a",
+            allowed="one of this project's cameras: adamanip_realsense",
             hint="--key, or another camera in the robot's file",
         )
     return camera

@@ -12,7 +12,7 @@ from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, pose_from_vector, pose_vector
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.robot_registry import BOARD, LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, RobotSession
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
@@ -29,7 +29,7 @@ class TcpTeleop(Teleoperator):
 
     The goal begins at the measured pose of the first reading that is newer than the latest reset, and does so again
     when an episode begins or is given up, and after a second without calls. LeRobot connects a teleoperator before
-    the robot and shows it no observation: all that it knows of the arm stands on the `SessionBoard`.
+    the robot and shows it no observation: all that it knows of the arm stands on the `RobotRegistry`.
 
     Args:
         config: see `TcpTeleopConfig`.
@@ -123,7 +123,7 @@ class TcpTeleop(Teleoperator):
     def _robot(self) -> tuple[RobotSession, ArmReading]:
         if not self._connected:
             raise RobotError(f"Teleoperator {self.name} is not connected.")
-        session = BOARD.find(self.config.robot_id)
+        session = ROBOTS.find(self.config.robot_id)
         if session is None or session.reading is None:
             raise RobotError(
                 f"Teleoperator {self.name} knows no robot.",

@@ -99,7 +99,7 @@ class DepthToCloudStep(ProcessorStep):
 
     def _calibration(self) -> CameraCalibration:
         from lerobot_adamanip.hardware.calibration.file import read_calibrations
-        from lerobot_adamanip.hardware.robot_registry import BOARD
+        from lerobot_adamanip.hardware.robot_registry import ROBOTS
 
         if self.calibration is not None:
             if self._read is None:
@@ -108,7 +108,7 @@ class DepthToCloudStep(ProcessorStep):
                     raise self._unknown(f"{self.calibration} knows {', '.join(found) or 'no camera'}")
                 self._read = found[self.camera]
             return self._read
-        session = BOARD.find()
+        session = ROBOTS.find()
         if session is None:
             raise self._unknown("no file, and not one connected robot to ask")
         told: CameraCalibration | None = session.calibrations.get(self.camera)

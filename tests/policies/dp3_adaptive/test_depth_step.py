@@ -24,7 +24,7 @@ from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.robot_registry import BOARD
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep
 
@@ -44,10 +44,10 @@ def depth() -> np.ndarray[Any, np.dtype[np.uint16]]:
 
 @pytest.fixture
 def session() -> Iterator[Any]:
-    made = BOARD.open("arm")
+    made = ROBOTS.open("arm")
     made.calibrations["front"] = FRONT
     yield made
-    BOARD.close("arm")
+    ROBOTS.close("arm")
 
 
 def given(**observation: Any) -> dict[Any, Any]:
@@ -130,10 +130,10 @@ def test_a_missing_calibration_is_one_error_that_names_both_places(depth: Any) -
     assert "calibration file of the robot" in told
     assert "field calibration" in told
     assert "adamanip calibrate" in told
-    BOARD.open("arm").calibrations["wrist"] = FRONT
+    ROBOTS.open("arm").calibrations["wrist"] = FRONT
     with pytest.raises(ConfigurationError, match="knows the calibration of these cameras: wrist"):
         made(DepthToCloudStep(POINTS), picture)
-    BOARD.close("arm")
+    ROBOTS.close("arm")
 
 
 def test_a_camera_on_the_hand_asks_the_state_where_the_tool_is(session: Any, depth: Any) -> None:
