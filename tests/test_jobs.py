@@ -105,7 +105,7 @@ def test_the_environment_of_the_parent_is_as_before(tmp_path: Path) -> None:
 
 WHO = """
 import functools, json, pathlib, sys
-from lerobot_adamanip import jobs
+from lerobot_adamanip.util import jobs
 if __name__ == "__main__":
     if sys.argv[1] == "copied":
         jobs.preload("jobs_helpers")
@@ -118,7 +118,7 @@ if __name__ == "__main__":
 def test_a_copy_has_imported_what_was_named_and_counts_with_one_thread(tmp_path: Path, start: str) -> None:
     script = tmp_path / "who.py"
     script.write_text(WHO)
-    path = os.pathsep.join([str(Path(__file__).parent / "demos"), *sys.path])
+    path = os.pathsep.join(sys.path)
     line = [sys.executable, str(script), start, str(tmp_path)]
     done = subprocess.run(line, env={**os.environ, "PYTHONPATH": path}, check=True, capture_output=True, text=True)
     ((imported_itself, threads),) = json.loads(done.stdout)

@@ -33,9 +33,7 @@ import signal, sys
 sys.path.insert(0, sys.argv.pop(1))
 from demos_helpers import fakes
 from lerobot_adamanip.cli import collect as command
-from lerobot_adamanip.cli import pictures
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.cli.picture_choice import resolve_images
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     command.factories = lambda: fakes(delay=0.1)
