@@ -1,9 +1,7 @@
 """Writes docs/results.md and the README's results from results/*.json: ``python scripts/make_results.py [--check]``.
 
-What policies draw is in results/choices and results/motions, a file for each category (scripts/check_choices.py and
-check_motions.py with --out). Results of `adamanip benchmark` are those of results/benchmark/SCALE/*.json; they have
-their part of docs/results.md. Numbers of another fingerprint than the present code's do not reach the README;
-docs/results.md marks them.
+Results of `adamanip benchmark` are those of results/benchmark/SCALE/*.json; they have their part of docs/results.md.
+Numbers of another fingerprint than the present code's do not reach the README; docs/results.md marks them.
 """
 
 from __future__ import annotations
@@ -18,7 +16,6 @@ from lerobot_adamanip.benchmark.declaration import read_declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import read_cells
-from lerobot_adamanip.evaluation.draws import CHOICES, MOTIONS, choices_page, motions_page, read_reports
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
 from lerobot_env_adamanip.fingerprint import present_fingerprints
@@ -41,14 +38,6 @@ def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[Benchm
             yield make_report(results, declaration, scale, present)
 
 
-def drawn_pages(folder: Path, present: Collection[str]) -> Iterator[str]:
-    """Yields the parts of docs/results.md that tell what policies draw, where there are reports."""
-    if choices := read_reports(folder / "choices", CHOICES):
-        yield choices_page(choices, present)
-    if motions := read_reports(folder / "motions", MOTIONS):
-        yield motions_page(motions, present)
-
-
 def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     """Returns document -> what it has to say."""
     results = read_results(folder)
@@ -57,7 +46,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     means = map(means_line, reports)
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, means))
     pages = (benchmark_page(report, level=2) for report in reports)
-    parts = (results_page(results, present), *drawn_pages(folder, present), *pages)
+    parts = (results_page(results, present), *pages)
     return {PAGE: "\n".join(parts), README: readme}
 
 

@@ -52,7 +52,6 @@ part "robustness" "$python" scripts/check_robustness.py --category all --seeds 2
 rm -rf "$out/no_vulkan"
 part "no Vulkan device" env VK_ICD_FILENAMES=/nonexistent.json VK_DRIVER_FILES=/nonexistent.json \
     OUT="$out/no_vulkan" SAFES=0:2 EPISODES=5 STEPS=60 EVALUATE=4 bash scripts/demo.sh
-part "dataset validators" "$python" scripts/check_validators.py "$out/no_vulkan/demos" --out "$out/validators"
 part "clouds without one" env VK_ICD_FILENAMES=/nonexistent.json VK_DRIVER_FILES=/nonexistent.json \
     "$python" -m pytest -m "not nightly" -k "not test_images" tests/envs/test_raycast.py tests/envs/test_clouds.py \
     tests/envs/test_hidden_state.py

@@ -19,7 +19,7 @@ SMALLEST = {
     "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1", "--env.episode_length": "2"},
 }  # fmt: skip
 """Options of commands, instead of what the documents say."""
-ELSEWHERE = ("USER/", "--policy.preset=paper", "--resume=true", "check_choices")
+ELSEWHERE = ("USER/", "--policy.preset=paper", "--resume=true")
 """Words of commands that need the Hub, a GPU or more steps; what other tests run."""
 PICTURES = ("VISUAL", "--sheet", "outputs/act/")
 """Words of commands that need pictures, and of those that come after them."""
