@@ -1,21 +1,36 @@
-"""The fingerprint of simulated episodes: the core's parts and the simulator's code. No simulator is started."""
+"""The fingerprint of simulated episodes: hashes of the code that decides them. No simulator is started."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from pathlib import Path
 
-from lerobot_adamanip.util.fingerprint import code_hash, combined, core_fingerprint
+from lerobot_adamanip.evaluation.provenance import equivalent_fingerprints
+from lerobot_adamanip.util.fingerprint import code_closure, code_hash, combined
+from lerobot_adamanip.util.import_graph import is_within
+
+ENVIRONMENT = ("lerobot_env_adamanip.keyframe_env", "lerobot_env_adamanip.sim.tasks")
+"""Modules that an episode starts from, whoever acts in it."""
+EXPERTS = ("lerobot_adamanip.experts", "lerobot_adamanip.episode.rollout")
+"""Modules that an expert's episode starts from besides."""
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "mechanisms": ("lerobot_adamanip.mechanisms",),
+    "objects": ("lerobot_adamanip.objects", "lerobot_adamanip.assets", "lerobot_adamanip.catalog"),
+    "simulator": ("lerobot_env_adamanip",),
+}
+"""Part of the environment's fingerprint -> packages it is about; the part ``contract`` has all others."""
 
 
 @functools.cache
 def code_fingerprint() -> Mapping[str, str]:
-    """Returns part -> hash of all code that decides how a simulated episode comes out."""
-    here = Path(__file__).parent
-    # The twin of a robot drives scenes in ways of its own; no simulated episode passes through it.
-    simulator = code_hash([here / "sim", here / "keyframe_env.py"], but=[here / "sim" / "twin"])
-    return {**core_fingerprint(), "simulator": simulator}
+    """Returns part -> hash of all code that decides how a simulated episode comes out, an expert's too."""
+    environment = code_closure(*ENVIRONMENT)
+    parts = {
+        name: frozenset(each for each in environment if is_within(each, packages)) for name, packages in PARTS.items()
+    }
+    parts["contract"] = environment.difference(*parts.values())
+    parts["experts"] = code_closure(*EXPERTS) - environment
+    return {name: code_hash(modules) for name, modules in parts.items()}
 
 
 def present_fingerprint() -> str:
@@ -29,5 +44,5 @@ def environment_fingerprint() -> str:
 
 
 def present_fingerprints() -> frozenset[str]:
-    """Returns what results of the present code carry, those of experts and those of policies."""
-    return frozenset((present_fingerprint(), environment_fingerprint()))
+    """Returns what results of the present code carry, of experts and of policies, and what was shown to equal it."""
+    return equivalent_fingerprints({present_fingerprint(), environment_fingerprint()})

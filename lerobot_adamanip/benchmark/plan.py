@@ -24,6 +24,8 @@ FOLDERS: Mapping[str, str] = {COLLECT: "demonstrations", TRAIN: "trainings", EVA
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
 """Of an evaluation's first scene, and of a policy's draws in it: the same for all methods and trainings."""
+NUMBERS = ("lerobot_adamanip.evaluation.metrics", "lerobot_adamanip.evaluation.log")
+"""Modules that count an evaluation's episodes."""
 _ATTEMPTS = 25
 """Of an episode of demonstrations: with six failed trials each, safes that take many key frames run out of time."""
 _KEY = "{key}"
@@ -35,14 +37,16 @@ class Code:
     """Hashes of the code that decides results.
 
     Attributes:
-        demonstrations: simulator, mechanisms, objects and experts.
-        episodes: the same without the experts.
+        demonstrations: simulator, mechanisms, objects, experts and what records them.
+        episodes: simulator, mechanisms and objects.
         policies: by method.
+        numbers: what counts an evaluation's episodes.
     """
 
     demonstrations: str = ""
     episodes: str = ""
     policies: Mapping[str, str] = field(default_factory=dict)
+    numbers: str = ""
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,8 @@ def _evaluation(
         *method.evaluate,
     )
     # A policy that is not trained has its code told here, for it has no training whose key would tell it.
-    told = code.episodes if training else f"{code.episodes} {code.policies.get(cell.method, '')}"
+    policy = "" if training else code.policies.get(cell.method, "")
+    told = f"{code.episodes} {code.numbers} {policy}".strip()
     # A policy that looks at pictures has been trained with them; without, evaluating is faster, and the same.
     named = any(word.startswith("--env.observe_images=") for word in command)
     observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)

@@ -16,7 +16,8 @@ from typing import Any
 
 from lerobot_adamanip.benchmark.declaration import Method
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_adamanip.util.fingerprint import code_hash
+from lerobot_adamanip.util.fingerprint import DECIDES_NOTHING, code_hash
+from lerobot_adamanip.util.import_graph import ImportGraph, is_within, our_import_graph
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ def find_policies(methods: Mapping[str, Method]) -> Policies:
 
     register_third_party_plugins()
     known: Mapping[str, type[Any]] = PreTrainedConfig.get_known_choices()
+    hashes = {name: policy_hash(known[name]) for name in {method.policy for method in methods.values()} & known.keys()}
     code, unavailable = dict[str, str](), dict[str, str]()
     for name, method in methods.items():
         if method.policy not in known:
@@ -47,20 +49,22 @@ def find_policies(methods: Mapping[str, Method]) -> Policies:
         elif reason := _refusal(known[method.policy], method.options):
             unavailable[name] = reason
         else:
-            code[name] = policy_hash(Path(inspect.getfile(known[method.policy])))
+            code[name] = hashes[method.policy]
     return Policies(code, unavailable)
 
 
-def policy_hash(configuration: Path) -> str:
-    """Returns a hash of a policy's code: the folder of its configuration, and what its package's policies share.
+def policy_hash(configuration: type[Any]) -> str:
+    """Returns a hash of the code that decides what a policy learns and does.
 
-    Args:
-        configuration: file that the policy's configuration is in.
+    It is the import closure of the folder of its configuration, in this project's packages and in the package that the
+    folder is in. That package's own ``__init__``, which grows with each policy, does not count.
     """
-    folder = configuration.parent
-    shared = folder.parent.glob("*.py") if (folder.parent / "__init__.py").exists() else ()
-    # What a package's __init__ imports grows with each policy, and decides nothing of the others.
-    return code_hash([folder, *(path for path in shared if path.name != "__init__.py")])
+    folder, package = Path(inspect.getfile(configuration)).parent, configuration.__module__.rpartition(".")[0]
+    ours, parent = our_import_graph(), package.rpartition(".")[0]
+    own = {parent: folder.parent} if parent else {package: folder}
+    graph = ours if is_within(package, ours.roots) else ImportGraph({**ours.roots, **own})
+    entries = [name for name in graph.modules if is_within(name, (package,))]
+    return code_hash(graph.closure(entries, DECIDES_NOTHING), graph)
 
 
 def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:

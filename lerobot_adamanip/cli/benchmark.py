@@ -18,7 +18,7 @@ import tyro
 from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
-from lerobot_adamanip.benchmark.plan import Code
+from lerobot_adamanip.benchmark.plan import NUMBERS, Code
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
@@ -26,12 +26,14 @@ from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
 from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.collection.fingerprint import recording_hash
 from lerobot_adamanip.collection.ray_cluster import require_usable
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate, success_summary
 from lerobot_adamanip.evaluation.text_format import counted, interval_text
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
+from lerobot_adamanip.util.fingerprint import code_closure, code_hash, combined
 
 DEFAULT_SCALE = "cpu"
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
@@ -146,14 +148,19 @@ class Benchmark:
         )
 
     def _benchmark(self, declaration: Declaration) -> BenchmarkRun:
-        from lerobot_env_adamanip.fingerprint import environment_fingerprint, present_fingerprint
+        from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 
         policies = find_policies(declaration.methods)
         return BenchmarkRun(
             declaration=declaration,
             scale=self.chosen_scale,
             folder=BenchmarkFolder((self.out / self.chosen_scale).absolute()),
-            code=Code(present_fingerprint(), environment_fingerprint(), policies.code),
+            code=Code(
+                demonstrations=combined({**code_fingerprint(), "recording": recording_hash()}),
+                episodes=environment_fingerprint(),
+                policies=policies.code,
+                numbers=code_hash(code_closure(*NUMBERS)),
+            ),
             origin=present_origin(),
             machine=machine_class(),
             unavailable=policies.unavailable,

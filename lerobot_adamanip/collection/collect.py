@@ -12,6 +12,7 @@ from pathlib import Path
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.collection.executors import Crews, open_crews
+from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.folder_identity import is_own_partial, prepare_partial, require_finished
 from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
 from lerobot_adamanip.collection.parts import Part, adopt, belongs, failed_attempts, given_up
@@ -152,7 +153,7 @@ def _collected(
 def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
     env = factories.environment(spec.environment_of(spec.categories[0]))
     try:
-        return dict(env.fingerprint())
+        return collection_fingerprint(env)
     finally:
         env.close()
 

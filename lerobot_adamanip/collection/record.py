@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
+from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
 from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
 from lerobot_adamanip.collection.recorder import EpisodeRecorder
@@ -118,7 +119,7 @@ def writing_session(job: RecordingJob, paths: CollectionPaths) -> Iterator[Calla
 
 
 def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
-    found = env.fingerprint()
+    found = collection_fingerprint(env)
     if parts := differing_parts(found, job.fingerprint):
         raise DatasetError(
             f"A worker has another fingerprint than the collection: {', '.join(parts)} differ.",
@@ -214,7 +215,7 @@ def _facts(
         "task": env.task_description,
         "episode_record": env.episode_record(),
         "versions": {**versions(), "cpu": cpu_model()},
-        "fingerprint": combined(env.fingerprint()),
+        "fingerprint": combined(collection_fingerprint(env)),
     }
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
+from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.record import EnvFactory
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
@@ -222,7 +223,7 @@ def _pictured(stored: _Stored, make_env: EnvFactory) -> Manifest:
     spec = replace(stored.manifest.spec, environment=environment)
     env = make_env(spec.environment_of(spec.categories[0]))
     try:
-        found = env.fingerprint()
+        found = collection_fingerprint(env)
     finally:
         env.close()
     changed = [part for part in differing_parts(stored.manifest.fingerprint, found) if part != "renderer"]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.record import EnvFactory
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import observation_columns
@@ -107,7 +108,7 @@ def replay(
         _require_content(manifest, recording.object_id, assets)
     env = make_env(manifest.spec.environment_of(category_of(recording.object_id)))
     try:
-        changed = differing_parts(manifest.fingerprint, env.fingerprint())
+        changed = differing_parts(manifest.fingerprint, collection_fingerprint(env))
         seen, pictures, success = _run(env, recording, progress, look=video is not None)
     finally:
         env.close()

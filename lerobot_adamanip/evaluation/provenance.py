@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.util import json_fields as checked_json
 from lerobot_adamanip.util.fingerprint import versions
+
+EQUIVALENT = Path(__file__).with_name("equivalent_fingerprints.json")
+"""Changes of code that changed no result; scripts/equivalent_fingerprint.py adds to it."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,20 @@ def machine_text(machine: Mapping[str, int | bool]) -> str:
     """Returns what `machine_class` tells in words: ``2 cores, no GPU``."""
     cores = machine["cores"]
     return f"{cores} {'core' if cores == 1 else 'cores'}, {'a GPU' if machine['gpu'] else 'no GPU'}"
+
+
+def equivalent_fingerprints(present: Collection[str], table: Path = EQUIVALENT) -> frozenset[str]:
+    """Returns fingerprints, and all that ``table`` says are of code with the same results.
+
+    Args:
+        present: fingerprints of the present code.
+        table: rows of ``old`` and ``new``, with the command ``shown_by`` that gave the same bytes under both.
+    """
+    rows = json.loads(table.read_text(encoding="utf-8"))
+    found = set(present)
+    while more := {row["old"] for row in rows if row["new"] in found} - found:
+        found |= more
+    return frozenset(found)
 
 
 def _commit() -> tuple[str | None, bool]:

@@ -1,7 +1,7 @@
-"""What made an episode: hashes of the code that decides how it comes out, and the versions beside it.
+"""Fingerprints: hashes of the code that decides a result, and the versions installed beside it.
 
-A hash is taken of the code's syntax tree without docstrings, so comments, layout and documentation leave it as it is,
-and any change of what is computed changes it.
+The code is the import closure of named modules, so a new module is in it as soon as one that counts imports it. A hash
+is taken of the syntax tree without docstrings: comments, layout and documentation leave it as it is.
 """
 
 from __future__ import annotations
@@ -11,43 +11,49 @@ import functools
 import hashlib
 import importlib.metadata
 import platform
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+
+from lerobot_adamanip.util.import_graph import ImportGraph, our_import_graph
 
 VERSIONED = ("lerobot", "mani_skill", "sapien", "numpy", "torch", "fpsample", "scipy")
 """Distributions whose version may decide how an episode comes out."""
-CORE_PARTS: Mapping[str, tuple[str, ...]] = {
-    "contract": ("contract", "episode/rollout.py"),
-    "mechanisms": ("mechanisms",),
-    "objects": ("objects", "assets", "catalog.py"),
-    "experts": ("experts",),
+DECIDES_NOTHING: Mapping[str, str] = {
+    "lerobot_adamanip.util.errors": "texts of errors",
+    "lerobot_adamanip.util.fingerprint": "tells what decides",
+    "lerobot_adamanip.util.import_graph": "tells what decides",
+    "lerobot_adamanip.util.jobs": "processes that do the work",
+    "lerobot_adamanip.collection.executors": "processes and machines that do the work",
+    "lerobot_adamanip.datasets.cards": "texts beside a dataset",
+    "lerobot_adamanip.hub": "what is published",
+    "lerobot_adamanip.lerobot_patches.durable_recording": "recordings of robots",
+    "lerobot_adamanip.lerobot_patches.episode_signals": "recordings of robots",
+    "lerobot_adamanip.lerobot_patches.ordered_depth": "recordings of robots",
+    "lerobot_env_adamanip.fingerprint": "tells what decides",
+    "lerobot_policy_adamanip.common.publishing": "a model's card",
 }
-"""Part -> files and folders of this package."""
+"""Module or package that code which decides imports -> why it is in no fingerprint. There are no other exceptions."""
 _LENGTH = 16
 
 
-def code_hash(paths: Iterable[Path], but: Collection[Path] = ()) -> str:
-    """Returns a short hash of Python files and folders, by content and relative name, whatever their order.
+@functools.cache
+def code_closure(*entries: str) -> frozenset[str]:
+    """Returns the modules of this project that decide what ``entries``, names of modules, come to."""
+    return our_import_graph().closure(entries, DECIDES_NOTHING)
+
+
+def code_hash(modules: Iterable[str], graph: ImportGraph | None = None) -> str:
+    """Returns a short hash of modules, by name and content, whatever their order.
 
     Args:
-        paths: files, and folders with all below them ...
-        but: ... except these folders.
+        modules: dotted names.
+        graph: of the packages they are in; left out for this project's.
     """
-    made = hashlib.sha256()
-    for root in sorted(paths):
-        for path in sorted(root.rglob("*.py")) if root.is_dir() else [root]:
-            if any(path.is_relative_to(folder) for folder in but):
-                continue
-            name = path.relative_to(root.parent).as_posix()
-            made.update(f"{name}\n{ast.dump(_without_docstrings(path.read_text(encoding='utf-8')))}\n".encode())
+    files, made = (graph or our_import_graph()).modules, hashlib.sha256()
+    for module in sorted(modules):
+        tree = _without_docstrings(files[module].read_text(encoding="utf-8"))
+        made.update(f"{module}\n{ast.dump(tree)}\n".encode())
     return made.hexdigest()[:_LENGTH]
-
-
-@functools.cache
-def core_fingerprint() -> Mapping[str, str]:
-    """Returns part -> hash of this package's code that decides episodes; see `CORE_PARTS`."""
-    here = Path(__file__).parents[1]
-    return {part: code_hash(here / name for name in names) for part, names in CORE_PARTS.items()}
 
 
 @functools.cache
@@ -83,9 +89,8 @@ def _without_docstrings(source: str) -> ast.Module:
     tree = ast.parse(source)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
-        if not isinstance(body, list):
-            continue
-        node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
+        if isinstance(body, list):
+            node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
     return tree
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -269,24 +270,25 @@ def test_the_options_key_knows_no_code() -> None:
 # Code of policies -------------------------------------------------------------------------------------------------
 
 
-def test_a_policys_code_is_its_folder_and_what_its_package_shares(tmp_path: Path) -> None:
-    package = tmp_path / "policies"
-    files = ("__init__.py", "shared.py", "mine/__init__.py", "mine/configuration.py", "mine/model.py", "other/model.py")
-    for name in files:
+def test_a_policys_code_is_all_that_its_folder_imports_in_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "their_policies"
+    imports = {
+        "mine/configuration.py": "class Config: ...",
+        "mine/model.py": "from their_policies.shared import depth",
+        "shared.py": "from their_policies.deep import depth",
+    }
+    for name in ("__init__.py", "deep.py", "mine/__init__.py", "other/model.py", *imports):
         (package / name).parent.mkdir(parents=True, exist_ok=True)
-        (package / name).write_text("x = 1\n")
-    (tmp_path / "unrelated.py").write_text("x = 1\n")
-
-    def found() -> str:
-        return policy_hash(package / "mine" / "configuration.py")
-
-    before = found()
-    for name in ("policies/other/model.py", "policies/__init__.py", "unrelated.py"):
-        (tmp_path / name).write_text("x = 2\n")
-        assert found() == before, name
-    (package / "mine" / "model.py").write_text("x = 1  # a comment\n")
-    assert found() == before
-    for name in ("shared.py", "mine/model.py"):
+        (package / name).write_text(imports.get(name, "depth = 1") + "\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    config = importlib.import_module("their_policies.mine.configuration").Config
+    before = policy_hash(config)
+    for name in ("other/model.py", "__init__.py"):
+        (package / name).write_text("x = 2\n")
+        assert policy_hash(config) == before, name
+    for name in ("deep.py", "mine/model.py"):
         (package / name).write_text("x = 3\n")
-        assert found() != before, name
-        before = found()
+        assert policy_hash(config) != before, name
+        before = policy_hash(config)
