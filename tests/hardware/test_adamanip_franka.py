@@ -12,7 +12,7 @@ from typing import Any
 import draccus
 import numpy as np
 import pytest
-from arm_helpers import LOCKSTEP, PATIENT, eventually
+from arm_helpers import LOCKSTEP, PATIENT, eventually, fake_arm
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
@@ -22,7 +22,7 @@ from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
@@ -47,7 +47,7 @@ class FakeFranka(AdamanipFranka):
     options: dict[str, Any]
 
     def _make_client(self) -> ArmClient:
-        return ArmClient("fake", self.options, server=self.server, connect_time=60)
+        return fake_arm(self.server, **self.options)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -9,17 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fake_arm import START_ROTATION, FakeBackend, FakeOptions
 
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
-from lerobot_adamanip.hardware.arm_process.messages import Reply, Request, pack_reply, pack_request
-from lerobot_adamanip.hardware.arm_process.options import ServerOptions, Start, mailbox_capacities, parse_start
-from lerobot_adamanip.hardware.arm_process.served import Served
+from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
+from lerobot_adamanip.hardware.arm_process.messages import Reply, Request, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process.server import ArmServer
 from lerobot_adamanip.hardware.arm_process.watch import malformed
-from lerobot_adamanip.hardware.backends.fake import START_ROTATION, FakeBackend, FakeOptions
 
 OPTIONS = ServerOptions(box_lower=(0.2, -0.4, 0.0), box_upper=(0.8, 0.4, 0.7), jump=0.08, angular_jump=0.3)
 HERE = transform((0.5, 0.0, 0.4), START_ROTATION)
@@ -49,11 +48,6 @@ def test_the_server_bounds_jumps_and_the_hands_corners_itself(
     assert (problem is None) if message is None else (problem is not None and message in problem)
 
 
-def test_its_bounds_are_told_when_it_starts() -> None:
-    start = Start(3, 4, "fake", server=OPTIONS)
-    assert parse_start(start.to_json()).server.jump == 0.08
-
-
 class Flood:
     """A connection that has always one more request."""
 
@@ -63,21 +57,22 @@ class Flood:
     def poll(self, _: float = 0.0) -> bool:
         return self.asked < 100_000
 
-    def recv_bytes(self) -> bytes:
+    def recv(self) -> Any:
         self.asked += 1
-        return pack_request(Request(self.asked, "targets"))
+        return Request(self.asked, "targets")
 
-    def send_bytes(self, _: bytes) -> None:
+    def send(self, _: Reply) -> None:
         self.answered += 1
 
 
 @pytest.fixture
 def server() -> Any:
     backend, flood = FakeBackend(FakeOptions()), Flood()
-    boxes = SharedMailboxes(mailbox_capacities({}))
-    made = ArmServer(Served(backend, {"targets": backend.targets}), flood, boxes, Start(0, 0, "fake"))  # type: ignore[arg-type]
-    yield made, flood
-    boxes.close()
+    capacities = {"command": 1024, "status": 16384}
+    memory = create_memory(capacities)
+    boxes = map_mailboxes(memory, capacities)
+    os.close(memory)
+    return ArmServer(Served(backend, {"targets": backend.targets}), flood, boxes, ServerOptions()), flood  # type: ignore[arg-type]
 
 
 def test_a_flood_of_requests_leaves_the_ticks_their_time(server: tuple[ArmServer, Flood]) -> None:
@@ -95,12 +90,12 @@ class Replies:
     """The client's end of a connection on which one reply lies ready."""
 
     def __init__(self) -> None:
-        self.ready = [pack_reply(Reply(1, "it broke"))]
+        self.ready = [Reply(1, "it broke")]
 
     def poll(self, _: float = 0.0) -> bool:
         return bool(self.ready)
 
-    def recv_bytes(self) -> bytes:
+    def recv(self) -> Any:
         return self.ready.pop()
 
 
@@ -114,7 +109,7 @@ def in_another_thread(call: Callable[[], Any]) -> Any:
 
 
 def test_last_words_are_not_read_while_another_thread_waits_for_an_answer() -> None:
-    client = ArmClient("fake")
+    client = ArmClient("none")
     client._connection = replies = Replies()  # type: ignore[assignment]
     with client._lock:  # as `request` does while it waits
         assert "it broke" not in in_another_thread(lambda: client._last_words("has ended"))

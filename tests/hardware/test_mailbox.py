@@ -2,48 +2,54 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import threading
 
 import pytest
 
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.mailbox import HEADER_BYTES, Mailbox, create_memory, map_mailboxes
 from lerobot_adamanip.util.errors import RobotError
+
+CAPACITY = 2000
 
 
 @pytest.fixture
 def memory() -> bytearray:
-    return bytearray(Mailbox.size(1000))
+    return bytearray(Mailbox.size(CAPACITY))
+
+
+def box(memory: bytearray) -> Mailbox:
+    return Mailbox(memoryview(memory), CAPACITY)
 
 
 def test_the_newest_value_is_read_and_numbers_count_up(memory: bytearray) -> None:
-    writer, reader = Mailbox(memoryview(memory), 1000), Mailbox(memoryview(memory), 1000)
+    writer, reader = box(memory), box(memory)
     assert reader.read() is None
     for number in range(1, 6):
-        assert writer.write(bytes([number]) * (number * 100)) == number
-        assert reader.read() == (number, bytes([number]) * (number * 100))
-    with pytest.raises(ValueError, match="1001 bytes, more than 1000"):
-        writer.write(bytes(1001))
+        assert writer.write({"value": number * "x"}) == number
+        assert reader.read() == (number, {"value": number * "x"})
+    with pytest.raises(ValueError, match="more than 2000"):
+        writer.write(bytes(CAPACITY))
     assert reader.number == 5
 
 
 @pytest.mark.parametrize("written", [0, 1, 17])
 def test_a_writer_that_dies_in_the_middle_spoils_nothing(memory: bytearray, written: int) -> None:
-    Mailbox(memoryview(memory), 1000).write(b"whole" * 10)
-    stride = (len(memory) - 8) // 2
-    half_written = 8 + 0 * stride  # value 2 goes into slot 0
-    memory[half_written : half_written + written] = bytes([255]) * written
-    assert Mailbox(memoryview(memory), 1000).read() == (1, b"whole" * 10)
+    box(memory).write("whole")
+    memory[HEADER_BYTES : HEADER_BYTES + written] = bytes([255]) * written  # value 2 goes into slot 0
+    assert box(memory).read() == (1, "whole")
 
 
 def test_a_value_that_does_not_match_its_checksum_is_an_error(memory: bytearray) -> None:
-    Mailbox(memoryview(memory), 1000).write(b"whole" * 10)
-    memory[8 + (len(memory) - 8) // 2 + 24] ^= 1
+    box(memory).write("whole")
+    memory[HEADER_BYTES + CAPACITY + len(pickle.dumps("whole")) - 3] ^= 1
     with pytest.raises(RobotError, match="never whole"):
-        Mailbox(memoryview(memory), 1000).read()
+        box(memory).read()
 
 
 def test_a_reader_beside_a_busy_writer_sees_whole_values_in_order(memory: bytearray) -> None:
-    writer, reader, done = Mailbox(memoryview(memory), 1000), Mailbox(memoryview(memory), 1000), threading.Event()
+    writer, reader, done = box(memory), box(memory), threading.Event()
 
     def write() -> None:
         for number in range(1, 20_001):
@@ -64,12 +70,10 @@ def test_a_reader_beside_a_busy_writer_sees_whole_values_in_order(memory: bytear
 
 def test_names_share_one_memory_through_its_descriptor() -> None:
     capacities = {"command": 64, "status": 100, "front": 5000}
-    ours = SharedMailboxes(capacities)
-    theirs = SharedMailboxes(capacities, ours.descriptor)
-    for name, capacity in capacities.items():
-        ours[name].write(name.encode() * (capacity // len(name)))
-    for name, capacity in capacities.items():
-        assert theirs[name].read() == (1, name.encode() * (capacity // len(name)))
-    ours.close()
-    ours.close()
-    assert theirs["front"].read() is not None
+    memory = create_memory(capacities)
+    ours, theirs = map_mailboxes(memory, capacities), map_mailboxes(memory, capacities)
+    os.close(memory)
+    for name, each in ours.items():
+        each.write(name)
+    for name, each in theirs.items():
+        assert each.read() == (1, name)

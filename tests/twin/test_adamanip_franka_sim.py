@@ -16,8 +16,8 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
-from lerobot_adamanip.hardware.arm_process.messages import ArmStatus
-from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, ServerOptions
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, ROBOTS
 from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
@@ -25,15 +25,8 @@ from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_env_adamanip.twin.adamanip_franka_sim import AdamanipFrankaSim
-from lerobot_env_adamanip.twin.annotations import annotations_from_json, annotations_json
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
-from lerobot_env_adamanip.twin.frame_bytes import (
-    SUCCESS_BOX,
-    TwinFrame,
-    frame_capacity,
-    pack_frame,
-    unpack_frame,
-)
+from lerobot_env_adamanip.twin.process import SUCCESS_BOX
 
 PARTS = {
     "handle": PartAnnotation(
@@ -63,7 +56,7 @@ class FakeProcess:
 
     def told(self, seed: int) -> dict[str, Any]:
         camera = {"intrinsics": np.eye(3).tolist(), "extrinsics": np.eye(4).tolist(), "width": 16, "height": 16}
-        return {"seed": seed, "category": "microwave", "annotations": annotations_json(PARTS), "camera": camera}
+        return {"seed": seed, "category": "microwave", "annotations": PARTS, "camera": camera}
 
     def status(self) -> ArmStatus:
         return ArmStatus(0.0, self.reading, accepted=1)
@@ -87,11 +80,11 @@ class FakeProcess:
             self.success = False
         return self.told((values or {}).get("seed", 0)) if ask == "reset" else {"success": self.success}
 
-    def frame(self, name: str) -> tuple[int, bytes] | None:
+    def frame(self, name: str) -> tuple[int, Any]:
         if name == SUCCESS_BOX:
-            return 1, bytes([self.success])
+            return 1, self.success
         color = np.full((16, 16, 3), self.looks, np.uint8)
-        return self.looks, pack_frame(TwinFrame(0.0, self.looks, color, color[..., 0].astype(np.uint16)))
+        return self.looks, Frame(0.0, 0.0, color, color[..., 0].astype(np.uint16), self.looks)
 
     @property
     def resets(self) -> list[int]:
@@ -212,27 +205,3 @@ def test_key_frames_end_with_the_episode_and_so_does_the_command(
     robot.disconnect()
     robot.disconnect()
     assert [json.loads(line)["episode"] for line in log.read_text().splitlines()] == [None]
-
-
-def test_annotations_travel_as_json() -> None:
-    told = json.loads(json.dumps(annotations_json(PARTS)))
-    (part,) = annotations_from_json(told).values()
-    np.testing.assert_array_equal(part.grasp, PARTS["handle"].grasp)
-    np.testing.assert_allclose(part.moved({"door": 0.4}), PARTS["handle"].moved({"door": 0.4}))
-    assert part.rolls == PARTS["handle"].rolls
-    told["handle"]["motions"][0]["kind"] = "spherical"
-    with pytest.raises(ValueError, match="kind"):
-        annotations_from_json(told)
-
-
-def test_frames_travel_as_bytes() -> None:
-    rng = np.random.default_rng(0)
-    color, depth = rng.integers(0, 256, (8, 8, 3), np.uint8), rng.integers(0, 4000, (8, 8)).astype(np.uint16)
-    content = pack_frame(TwinFrame(1.5, 9, color, depth))
-    assert len(content) == frame_capacity(8)
-    found = unpack_frame(content)
-    assert (found.stamp, found.number) == (1.5, 9)
-    np.testing.assert_array_equal(found.color, color)
-    np.testing.assert_array_equal(found.depth, depth)
-    with pytest.raises(ValueError, match="no frame"):
-        unpack_frame(content[:-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -14,12 +15,11 @@ from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
-from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend, TwinOptions
+from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend
 from lerobot_env_adamanip.sim.twin.camera import Pair, TwinEye
-from lerobot_env_adamanip.twin.annotations import annotations_from_json
-from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity, unpack_frame
+from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions, frame_capacity
 
 pytestmark = pytest.mark.sim
 SEED, SIZE = 1000, 64
@@ -28,9 +28,10 @@ LOCKED = EnvironmentOptions(category="microwave", observe_images=False, hidden_o
 
 @pytest.fixture(scope="module")
 def boxes() -> Iterator[Any]:
-    shared = SharedMailboxes({FRONT_FRAMES: frame_capacity(SIZE), SUCCESS_BOX: 1})
-    yield {name: shared[name] for name in (FRONT_FRAMES, SUCCESS_BOX)}
-    shared.close()
+    capacities = {FRONT_FRAMES: frame_capacity(SIZE), SUCCESS_BOX: 64}
+    memory = create_memory(capacities)
+    yield map_mailboxes(memory, capacities)
+    os.close(memory)
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +117,8 @@ def test_time_goes_by_ticks_and_a_stream_is_followed(twin: SapienBackend) -> Non
 
 def test_a_pull_at_a_locked_door_stalls_under_bounded_strain(twin: SapienBackend) -> None:
     told = twin.reset({"seed": SEED})
-    handle = annotations_from_json(told["annotations"])["handle"]
-    expert = make_expert(
-        "microwave", "adaptive", {**annotations_from_json(told["annotations"])}, generator=np.random.default_rng(0)
-    )
+    handle = told["annotations"]["handle"]
+    expert = make_expert("microwave", "adaptive", told["annotations"], generator=np.random.default_rng(0))
     goal = next(expert)
     for _ in range(3):  # before it, at it, closed
         play_key_frame(twin, goal.action())
@@ -140,7 +139,7 @@ def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, bo
     number = twin.look({})["number"]
     found = boxes[FRONT_FRAMES].read()
     assert found is not None
-    frame = unpack_frame(found[1])
+    frame = found[1]
     assert frame.number == number
     assert frame.color.shape == (SIZE, SIZE, 3)
     assert frame.depth.shape == (SIZE, SIZE)
@@ -169,7 +168,7 @@ def test_a_picture_is_as_old_as_its_own_making(
             found = boxes[FRONT_FRAMES].read()
             assert found is not None
             before, last = begun[-2:]
-            assert before < unpack_frame(found[1]).stamp <= last
+            assert before < found[1].stamp <= last
     assert len(begun) == 6  # a scene's first picture, which takes ten times as long, is shown to nobody
 
 

@@ -12,16 +12,15 @@ from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.served import RESET
+from lerobot_adamanip.hardware.arm_process.messages import RESET
 from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.util import files
 from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin
 from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
-from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, frame_capacity
+from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TWIN, TwinOptions, frame_capacity
 
-TWIN_PROCESS = "lerobot_env_adamanip.sim.twin"
 START_TIME, RESET_TIME = 600.0, 300.0
 """The simulator may take this long to start, and a scene to be put up [s]."""
 
@@ -57,16 +56,11 @@ class AdamanipFrankaSim(AdamanipFranka):
     def _make_client(self) -> ArmClient:
         config = self.config
         lockstep = config.clock == "lockstep"
-        options = {
-            "environment": config.environment().to_json(), "seed": config.seed, "image_size": config.image_size,
-            "depth_source": config.depth_source, "lockstep": lockstep,
-        }  # fmt: skip
         return ArmClient(
-            "sapien",
-            options,
-            program=TWIN_PROCESS,
+            TWIN,
+            TwinOptions(config.environment(), config.seed, config.image_size, config.depth_source, lockstep),
             server=self._server_options(config.fps if lockstep else None),
-            frames={FRONT_FRAMES: frame_capacity(config.image_size), SUCCESS_BOX: 1},
+            frames={FRONT_FRAMES: frame_capacity(config.image_size), SUCCESS_BOX: 64},
             connect_time=START_TIME,
         )
 
@@ -129,7 +123,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     def _succeeded(self) -> bool:
         assert self._client is not None
         found = self._client.frame(SUCCESS_BOX)
-        return found is not None and found[1] == b"\x01"
+        return found is not None and bool(found[1])
 
     # Episodes --------------------------------------------------------------------------------------------------------
 

@@ -16,7 +16,6 @@ from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
 from lerobot_adamanip.lerobot_patches.episode_signals import end_episode
 from lerobot_adamanip.util.errors import RobotError
-from lerobot_env_adamanip.twin.annotations import annotations_from_json
 from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
 from lerobot_env_adamanip.twin.played_motion import PlayedMotion
 
@@ -75,11 +74,10 @@ class AdamanipScripted(TcpTeleop):
     def _expert(self, session: RobotSession) -> KeyFrames:
         told = session.details
         try:
-            parts = annotations_from_json(told["annotations"])
             return make_expert(
                 told["category"],
                 "adaptive",
-                parts,
+                told["annotations"],
                 generator=np.random.default_rng([self.config.seed, int(told["seed"])]),
                 trials=self.config.trials,
                 mechanism_preset=told["mechanism_preset"],

@@ -13,7 +13,7 @@ from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
-from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, unpack_frame
+from lerobot_env_adamanip.twin.process import FRONT_FRAMES
 
 CAMERA_HZ = 10
 """Default where time passes by itself."""
@@ -121,7 +121,7 @@ class AdamanipTwin(ThreadedCamera):
         found = self._client.frame(FRONT_FRAMES)
         if found is None:
             raise RobotError("The twin has taken no picture.")
-        frame = unpack_frame(found[1])
+        frame: Frame = found[1]
         arrival = time.perf_counter()
         color, depth = frame.color if self.use_rgb else None, frame.depth if self.use_depth else None
         return Frame(self._stamp(frame.stamp), arrival, color, depth, frame.number)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, Motio
 from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
@@ -29,6 +31,7 @@ from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import Corner, SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
+FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
 MAX_LEADS = 2.0
 """The arm's process bounds what leads the arm at this multiple of the filter's lead: its reading is a newer one."""
 
@@ -159,20 +162,10 @@ class AdamanipFranka(Robot):
         )
 
     def _make_client(self) -> ArmClient:
-        """Returns the arm's process, not yet started. Raises `ConfigurationError`. What a twin overrides."""
-        config = self.config
-        if not config.address or not config.model:
-            raise ConfigurationError(
-                "It is not said which arm this is.",
-                got=f"address={config.address!r}, model={config.model!r}",
-                allowed="the address of its controller; fr3 or panda",
-                hint="--robot.address=172.16.0.2 --robot.model=fr3",
-            )
-        shared = (
-            "address", "model", "dynamics", "stiffness", "rotational_stiffness", "stall_force", "stall_torque",
-            "collision_force", "collision_torque", "effort_sign", "realtime", "gripper", "gripper_speed", "grasp_force",
-        )  # fmt: skip
-        return ArmClient("franky", {name: getattr(config, name) for name in shared}, server=self._server_options())
+        """Returns the arm's process, not yet started. Raises `ConfigurationError`. A twin overrides it."""
+        options = FrankyOptions(**{each.name: getattr(self.config, each.name) for each in fields(FrankyOptions)})
+        options.check()
+        return ArmClient(FRANKY, options, server=self._server_options())
 
     def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:
         """What the arm's process watches."""

@@ -1,29 +1,79 @@
-"""The process of the real arm, and of a fake for tests. `ArmClient` starts it; it is no command for people."""
+"""Program of the arm's process: ``python -m lerobot_adamanip.hardware.arm_process SOCKET MEMORY``, by `ArmClient`."""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import os
+import pkgutil
+import signal
 import sys
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
 
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.program import run_server
-from lerobot_adamanip.hardware.arm_process.served import BackendFactory, Served
+from lerobot_adamanip.hardware.arm_process.mailbox import map_mailboxes
+from lerobot_adamanip.hardware.arm_process.messages import MAX_TEXT, BackendFactory, Reply, Start
+from lerobot_adamanip.hardware.arm_process.server import ArmServer
+from lerobot_adamanip.util.errors import AdaManipError
 
-
-def _fake(options: dict[str, Any], _: Mapping[str, Mailbox]) -> Served:
-    from lerobot_adamanip.hardware.backends.fake import serve_fake
-
-    return serve_fake(options)
+PR_SET_PDEATHSIG = 1
+"""Linux, `prctl(2)`."""
 
 
-def _franky(options: dict[str, Any], _: Mapping[str, Mailbox]) -> Served:
-    from lerobot_adamanip.hardware.backends.franky import serve_franky
+def main(socket: int, memory: int) -> int:
+    """Runs an arm's process to its end and returns its exit status; both arguments are inherited descriptors."""
+    connection = Connection(socket)
+    try:
+        start: Start = connection.recv()
+        boxes = map_mailboxes(memory, start.capacities)
+        factory: BackendFactory = pkgutil.resolve_name(start.factory)
+        served = factory(start.options, boxes)
+        with killed_with_parent():
+            served.backend.connect()
+    except Exception as error:
+        _tell(connection, Reply(0, _in_words(error)))
+        return 1
+    try:
+        _tell(connection, Reply(0, None, served.describe()))
+        ArmServer(served, connection, boxes, start.server).run()
+    except Exception as error:
+        _tell(connection, Reply(0, f"the arm's process failed: {_in_words(error)}"))
+        raise
+    finally:
+        served.backend.close()
+    return 0
 
-    return serve_franky(options)
+
+def _tell(connection: Connection, reply: Reply) -> None:
+    with contextlib.suppress(OSError):
+        connection.send(reply)
 
 
-BACKENDS: Mapping[str, BackendFactory] = {"fake": _fake, "franky": _franky}
+def _in_words(error: Exception) -> str:
+    told = str(error) if isinstance(error, AdaManipError) else f"{type(error).__name__}: {error}"
+    return told[:MAX_TEXT]
+
+
+@contextlib.contextmanager
+def killed_with_parent() -> Iterator[None]:
+    """Within it, the kernel kills this process when its parent dies.
+
+    For calls that may hang in a driver, where nothing checks the parent; the arm does not move yet.
+    """
+    parent = os.getppid()
+    _set_death_signal(signal.SIGKILL)
+    if os.getppid() != parent:  # it died before the kernel was told
+        os.kill(os.getpid(), signal.SIGKILL)
+    try:
+        yield
+    finally:
+        _set_death_signal(0)
+
+
+def _set_death_signal(number: int) -> None:
+    if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, number, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
+
 
 if __name__ == "__main__":
-    sys.exit(run_server(BACKENDS, sys.argv[1]))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2])))

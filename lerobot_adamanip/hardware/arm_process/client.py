@@ -18,58 +18,54 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, create_memory, map_mailboxes
 from lerobot_adamanip.hardware.arm_process.messages import (
     COMMAND,
     STATUS,
     ArmStatus,
+    Reply,
     Request,
-    pack_request,
-    pack_target,
-    unpack_reply,
-    unpack_status,
+    ServerOptions,
+    Start,
 )
-from lerobot_adamanip.hardware.arm_process.options import ServerOptions, Start, mailbox_capacities
 from lerobot_adamanip.util.errors import RobotError
 
-ARM_PROCESS = "lerobot_adamanip.hardware.arm_process"
-"""Program of the real arm and the fake."""
+PROGRAM = "lerobot_adamanip.hardware.arm_process"
+COMMAND_BYTES, STATUS_BYTES = 1024, 16384
 POLL = 0.002
-"""Between two looks at a key frame under way [s]."""
+"""Between two checks of a key frame under way [s]."""
 CLOSE_TIME = 1.8
-"""The arm's process has this long to stop the arm and end [s]; then it is killed, so that closing takes under 2 s."""
+"""Time for the process to stop the arm and end [s]; then it is killed, so that closing takes under 2 s."""
 LOCKSTEP_TIME = 600.0
-"""A step of a twin may take this long [s]."""
+"""Longest step of a twin [s]."""
 
 
 class ArmClient:
     """One arm's process, from `connect` to `close`. Targets and states may be used by one thread, frames by any.
 
     Args:
-        backend: name in the table of the program.
-        options: of that backend, JSON-able.
-        program: module that is run with ``python -m``: a constant of the program that calls this, never data.
-        server: what the process watches.
-        frames: name -> bytes of the mailboxes that the backend fills with frames.
-        connect_time: the process has this long to start and to connect [s].
+        factory: ``module:function`` of the backend, see `messages.BackendFactory`. A constant of the calling program.
+        options: of that backend, picklable.
+        server: watchdogs of the process.
+        frames: name -> bytes of further mailboxes, which the backend fills.
+        connect_time: for the process to start and to connect [s].
     """
 
     def __init__(
         self,
-        backend: str,
-        options: Mapping[str, Any] | None = None,
+        factory: str,
+        options: object = None,
         *,
-        program: str = ARM_PROCESS,
         server: ServerOptions | None = None,
         frames: Mapping[str, int] | None = None,
         connect_time: float = 30.0,
     ) -> None:
         self.server = server or ServerOptions()
-        self._backend, self._options, self._program = backend, dict(options or {}), program
-        self._frames, self._connect_time = dict(frames or {}), connect_time
+        capacities = {COMMAND: COMMAND_BYTES, STATUS: STATUS_BYTES, **(frames or {})}
+        self._first, self._connect_time = Start(factory, options, self.server, capacities), connect_time
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
-        self._boxes: SharedMailboxes | None = None
+        self._boxes: dict[str, Mailbox] = {}
         self._lock, self._asked = threading.RLock(), 0
 
     def __enter__(self) -> ArmClient:
@@ -87,7 +83,7 @@ class ArmClient:
         return self._process is not None and self._process.poll() is None
 
     def connect(self) -> dict[str, Any]:
-        """Starts the process, waits until its backend is connected, returns what the backend tells of itself.
+        """Starts the process, waits until its backend is connected, returns what the backend describes.
 
         Raises:
             RobotError: it is connected already, the backend cannot connect, or takes longer than ``connect_time``.
@@ -96,43 +92,47 @@ class ArmClient:
             raise RobotError("The arm's process was started already.")
         try:
             self._start()
-            told = self._receive(0, self._connect_time, "connect")
+            details = self._receive(0, self._connect_time, "connect")
             self._await_status()
         except BaseException:
             self.close()
             raise
-        return told
+        return details
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair()
-        with theirs:
-            self._boxes = SharedMailboxes(mailbox_capacities(self._frames))
-            start = Start(
-                theirs.fileno(), self._boxes.descriptor, self._backend, self._options, self.server, self._frames
-            )
+        memory = create_memory(self._first.capacities)
+        self._boxes = map_mailboxes(memory, self._first.capacities)
+        try:
             # A session of its own: Ctrl-C in the recorder's terminal must not reach the arm before the recorder does.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", self._program, start.to_json()],
+                [sys.executable, "-m", PROGRAM, str(theirs.fileno()), str(memory)],
                 stdin=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(), self._boxes.descriptor),
+                pass_fds=(theirs.fileno(), memory),
                 start_new_session=True,
-                env={**os.environ, NO_PLUGIN: "1"},  # it needs none of LeRobot, which takes seconds to import
+                # Without LeRobot, whose import takes seconds; with the modules that this process can import.
+                env={**os.environ, NO_PLUGIN: "1", "PYTHONPATH": os.pathsep.join(sys.path)},
             )
+        finally:
+            theirs.close()
+            os.close(memory)
         self._connection = Connection(ours.detach())
+        with contextlib.suppress(OSError):  # a process that has ended already is told by its exit status
+            self._connection.send(self._first)
 
     def _await_status(self) -> None:
         until = time.perf_counter() + self._connect_time
         while self._box(STATUS).number == 0:
             if time.perf_counter() > until or not self.is_connected:
-                raise RobotError(self._last_words("told no state"))
+                raise RobotError(self._last_words("published no state"))
             time.sleep(POLL)
 
     def close(self) -> None:
         """Ends the process, which stops the arm before; kills it after `CLOSE_TIME`. Idempotent, never raises."""
-        process, connection, boxes = self._process, self._connection, self._boxes
+        process, connection = self._process, self._connection
         if connection is not None:
             with contextlib.suppress(OSError):
-                connection.send_bytes(pack_request(Request(0, "shutdown")))
+                connection.send(Request(0, "shutdown"))
             connection.close()  # end of file, for a process that reads no messages
         if process is not None:
             try:
@@ -140,8 +140,6 @@ class ArmClient:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        if boxes is not None:
-            boxes.close()
         self._process = self._connection = None
 
     # States ----------------------------------------------------------------------------------------------------------
@@ -150,19 +148,16 @@ class ArmClient:
         """Returns the newest status, whatever it says.
 
         Raises:
-            RobotError: the process has ended, or has not told anything for `ServerOptions.state_age` seconds.
+            RobotError: the process has ended, or has published nothing for `ServerOptions.state_age` seconds.
         """
         found = self._box(STATUS).read()
         if not self.is_connected or found is None:
             raise RobotError(self._last_words("has ended"))
-        try:
-            status = unpack_status(found[1])
-        except ValueError as error:
-            raise RobotError(f"The arm's process told what is no status: {error}") from None
+        status: ArmStatus = found[1]
         age = time.perf_counter() - status.beat
         if self.server.lockstep_fps is None and age > self.server.state_age:
             raise RobotError(
-                "The arm's process tells no state any more; the arm is told to stop.",
+                "The arm's process publishes no state any more; the arm is asked to stop.",
                 got=f"a state that is {age:.2f} s old",
                 allowed=f"{self.server.state_age:g} s",
                 hint="is the robot reachable, and the machine not overloaded? Disconnect and connect anew",
@@ -178,8 +173,8 @@ class ArmClient:
             raise RobotError(status.fault, got=mode, allowed="no fault: nothing is accepted until then", hint=hint)
         return status
 
-    def frame(self, name: str) -> tuple[int, bytes] | None:
-        """Returns (number, content) of the newest frame of this name; None before the first. Any thread may ask."""
+    def frame(self, name: str) -> tuple[int, Any] | None:
+        """Returns (number, value) of the newest in a mailbox of the backend; None before the first. Thread-safe."""
         return self._box(name).read()
 
     # Targets ---------------------------------------------------------------------------------------------------------
@@ -195,7 +190,7 @@ class ArmClient:
             RobotError: the arm cannot be moved: see `healthy`.
         """
         self.healthy()
-        number = self._box(COMMAND).write(pack_target(ArmTarget(pose, execution, time.perf_counter())))
+        number = self._box(COMMAND).write(ArmTarget(pose, execution, time.perf_counter()))
         if self.server.lockstep_fps is not None:
             self.request("step", time_limit=LOCKSTEP_TIME)
         return number
@@ -218,7 +213,7 @@ class ArmClient:
     # Requests --------------------------------------------------------------------------------------------------------
 
     def request(self, ask: str, values: Mapping[str, Any] | None = None, *, time_limit: float = 10.0) -> dict[str, Any]:
-        """Asks the process for something and returns its answer: ``stop``, ``recover``, or what the backend knows.
+        """Sends ``stop``, ``recover`` or a request of the backend, and returns the answer.
 
         Raises:
             RobotError: it refuses, has ended, or does not answer within ``time_limit`` [s].
@@ -237,7 +232,7 @@ class ArmClient:
         try:
             if self._connection is None:
                 raise OSError("not connected")
-            self._connection.send_bytes(pack_request(request))
+            self._connection.send(request)
         except OSError as error:
             raise RobotError(self._last_words(f"cannot be asked for {request.ask!r} ({error})")) from None
 
@@ -248,8 +243,8 @@ class ArmClient:
             if not self._connection.poll(max(0.0, until - time.perf_counter())):
                 raise RobotError(f"The arm's process did not answer {ask!r} within {time_limit:g} s.")
             try:
-                reply = unpack_reply(self._connection.recv_bytes())
-            except (EOFError, OSError, ValueError) as error:
+                reply: Reply = self._connection.recv()
+            except (EOFError, OSError) as error:
                 self._await_end()
                 raise RobotError(self._last_words(f"broke off at {ask!r} ({type(error).__name__})")) from None
             if reply.number in (number, 0):
@@ -261,27 +256,27 @@ class ArmClient:
     # Help ------------------------------------------------------------------------------------------------------------
 
     def _box(self, name: str) -> Mailbox:
-        if self._boxes is None:
+        if not self._boxes:
             raise RobotError("The arm is not connected.")
         return self._boxes[name]
 
     def _await_end(self) -> None:
-        """Gives a process that closed its connection the time to end, so that its exit status can be told."""
+        """Waits a second for the exit status of a process that closed its connection."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             if self._process is not None:
                 self._process.wait(1.0)
 
     def _last_words(self, what: str) -> str:
-        """Returns a message with the error that the process sent before it ended, if it did.
+        """Returns a message with the error that the process sent before it ended.
 
-        A thread that waits for an answer at this moment reads it, and tells what it says.
+        If another thread waits for an answer, that thread reads and reports it.
         """
         told = ""
         if self._lock.acquire(blocking=False):
             try:
-                with contextlib.suppress(OSError, EOFError, ValueError):
+                with contextlib.suppress(OSError, EOFError):
                     while self._connection is not None and self._connection.poll(0):
-                        told = unpack_reply(self._connection.recv_bytes()).error or told
+                        told = self._connection.recv().error or told
             finally:
                 self._lock.release()
         code = None if self._process is None else self._process.poll()

@@ -1,61 +1,83 @@
-"""What the recorder's and the arm's process say to each other: numbers by position, the rest as strict JSON."""
+"""What the recorder's and the arm's process send each other: pickled, through pipes and memory that only they share."""
 
 from __future__ import annotations
 
-import json
-import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.contract.schema import ACTION_DIM
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.hardware.arm import ArmBackend, ArmReading
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
+from lerobot_adamanip.hardware.safety_limits import Corner
+from lerobot_adamanip.util.errors import ConfigurationError
 
 COMMAND, STATUS = "command", "status"
-"""Names of the two mailboxes that there always are; others hold frames."""
-COMMAND_BYTES, STATUS_BYTES = 64, 8192
-NO_OUTCOME = -1.0
+"""Mailboxes that there always are: an `ArmTarget`, an `ArmStatus`. Others are the backend's."""
+RESET = "reset"
+"""Request that puts scene and arm up anew: what is measured after it depends on nothing before it."""
+MAX_TEXT = 2000
+"""Characters of an error that are kept."""
 
-_COMMAND = struct.Struct(f"<Bd{ACTION_DIM}f")
-_EXECUTIONS = (Execution.KEYFRAME, Execution.STREAM)
-_NUMBERS = 5 + 16 + 7 + 7 + 7 + ACTION_DIM
-_STATUS = struct.Struct(f"<{_NUMBERS}d")
-_any = checked_json.mapping(checked_json.text(r".{1,64}", "a name"), lambda _, value: value, 1000)
-_text = checked_json.text(r"(?s).{0,4000}", "a text")
-_REQUEST = checked_json.table({"id": checked_json.integer(0, 2**53), "ask": _text, "values": _any})
-_REPLY = checked_json.table(
-    {"id": checked_json.integer(0, 2**53), "error": checked_json.optional(_text), "values": _any}
-)
-_TAIL = checked_json.table(
-    {
-        "reading": checked_json.flag,
-        "moved": checked_json.flag,
-        "accepted": checked_json.integer(0, 2**53),
-        "faults": checked_json.integer(0, 2**53),
-        "holding": checked_json.flag,
-        "lost": checked_json.flag,
-        "fault": checked_json.optional(_text),
-        "errors": checked_json.listing(_text, 0, 100),
-    }
-)
+
+@dataclass(frozen=True)
+class ServerOptions:
+    """Watchdogs of the arm's process, and how time passes.
+
+    Attributes:
+        state_age: a state that stands still for longer is a fault, which stops the arm [s].
+        command_age: a stream without a new target for longer is stopped [s]. The next target moves it on.
+        lockstep_fps: None: time passes by itself. A number: only targets advance the backend, each by 1/fps seconds, a
+            key frame to its end. For twins.
+        box_lower, box_upper: a target whose tool or hand is outside is a fault [m, base frame]; None checks nothing.
+        jump, angular_jump: a streamed target farther from the measured pose is a fault [m, rad]; None checks nothing.
+            Wider than the filter's lead, which was counted from an older reading.
+    """
+
+    state_age: float = 0.2
+    command_age: float = 0.5
+    lockstep_fps: float | None = None
+    box_lower: Corner | None = None
+    box_upper: Corner | None = None
+    jump: float | None = None
+    angular_jump: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("state_age", "command_age"):
+            if not 0.001 <= getattr(self, name) <= 3600:
+                raise ConfigurationError(f"{name} cannot be used.", got=getattr(self, name), allowed="0.001 ... 3600 s")
+
+
+@dataclass(frozen=True)
+class Start:
+    """First message to the arm's process.
+
+    Attributes:
+        factory: ``module:function`` that makes a `Served` of options and mailboxes.
+        options: of the backend.
+        server: what is watched.
+        capacities: name -> bytes of every mailbox, in their order in memory.
+    """
+
+    factory: str
+    options: Any
+    server: ServerOptions
+    capacities: dict[str, int]
 
 
 @dataclass(frozen=True)
 class ArmStatus:
-    """What the arm's process publishes after each of its ticks.
+    """Published by the arm's process after each tick.
 
     Attributes:
         beat: when it was published, `time.perf_counter()` [s].
         reading: the arm's state; None if it could not be read even once.
         accepted: number of the newest target that was passed to the backend; 0 before the first.
         sent: (10,) float32, that target; None before the first.
-        holding: nothing moves because targets of a stream stopped to come, or because it was asked to stop.
-        fault: why no target is accepted until `recover`, with the names of the flags; None if all is well.
+        holding: the arm was stopped: targets of a stream did not come, or `stop` was asked for.
+        fault: why no target is accepted until `recover`; None if all is well.
         lost: the fault is a lost connection: connect anew.
         faults: how many there were since the process began.
     """
@@ -72,7 +94,7 @@ class ArmStatus:
 
 @dataclass(frozen=True)
 class Request:
-    """Something asked of the arm's process beside targets. ``number`` 0 wants no reply."""
+    """A question or command beside targets; ``number`` 0 wants no reply."""
 
     number: int
     ask: str
@@ -81,94 +103,31 @@ class Request:
 
 @dataclass(frozen=True)
 class Reply:
-    """The answer to the request of the same number; ``error`` says why there is none."""
+    """Answer to the request of the same number; ``error`` says why there is none. Number 0: the process has ended."""
 
     number: int
     error: str | None = None
     values: dict[str, Any] = field(default_factory=dict)
 
 
-def pack_target(target: ArmTarget) -> bytes:
-    """Returns a target as the command mailbox holds it."""
-    return _COMMAND.pack(_EXECUTIONS.index(target.execution), target.stamp, *target.pose.astype(np.float32).tolist())
+Handler = Callable[[dict[str, Any]], dict[str, Any]]
+"""Answers a request, between two ticks: no watchdog runs meanwhile. Raises `AdaManipError` or ValueError to refuse."""
 
 
-def unpack_target(content: bytes) -> ArmTarget:
-    """Inverse of `pack_target`."""
-    execution, stamp, *pose = _COMMAND.unpack(content)
-    return ArmTarget(np.array(pose, np.float32), _EXECUTIONS[execution], stamp)
+@dataclass(frozen=True)
+class Served:
+    """A backend that is not yet connected, and the requests that it answers.
+
+    Attributes:
+        backend: moves the arm.
+        handlers: request -> handler, e.g. `RESET`. ``step``, ``stop``, ``recover``, ``shutdown`` are the server's own.
+        describe: called once after `connect`: what the recorder should know.
+    """
+
+    backend: ArmBackend
+    handlers: Mapping[str, Handler] = field(default_factory=dict)
+    describe: Callable[[], dict[str, Any]] = dict
 
 
-def pack_status(status: ArmStatus) -> bytes:
-    """Returns a status as its mailbox holds it: 52 doubles, then JSON."""
-    r = status.reading
-    numbers = np.zeros(_NUMBERS)
-    numbers[0] = status.beat
-    if r is not None:
-        outcome = NO_OUTCOME if r.outcome is None else float(r.outcome)
-        parts = ([r.stamp, r.robot_time, r.gripper, outcome], r.tcp_in_base.ravel(), r.qpos, r.qvel, r.effort)
-        numbers[1 : _NUMBERS - ACTION_DIM] = np.concatenate(parts)
-    if status.sent is not None:
-        numbers[-ACTION_DIM:] = status.sent
-    tail = {
-        "reading": r is not None, "moved": status.sent is not None, "accepted": status.accepted,
-        "faults": status.faults, "holding": status.holding, "lost": status.lost, "fault": _short(status.fault),
-        "errors": [] if r is None else [str(int(r.mode)), *r.errors],
-    }  # fmt: skip
-    return _STATUS.pack(*numbers.tolist()) + json.dumps(tail).encode()
-
-
-def unpack_status(content: bytes) -> ArmStatus:
-    """Inverse of `pack_status`. Raises ValueError for what is none."""
-    numbers = np.array(_STATUS.unpack(content[: _STATUS.size]))
-    tail = _TAIL("the arm's status", checked_json.parse(content[_STATUS.size :]))
-    sent = numbers[-ACTION_DIM:].astype(np.float32) if tail["moved"] else None
-    reading = _reading(numbers, tail["errors"]) if tail["reading"] else None
-    told = {name: tail[name] for name in ("accepted", "holding", "fault", "lost", "faults")}
-    return ArmStatus(float(numbers[0]), reading, sent=sent, **told)
-
-
-def _reading(numbers: NDArray[np.float64], errors: tuple[str, ...]) -> ArmReading:
-    stamp, robot_time, gripper, outcome = numbers[1:5].tolist()
-    return ArmReading(
-        stamp=stamp,
-        robot_time=robot_time,
-        tcp_in_base=numbers[5:21].reshape(4, 4),
-        gripper=gripper,
-        qpos=numbers[21:28],
-        qvel=numbers[28:35],
-        effort=numbers[35:42],
-        mode=ArmMode(int(errors[0])),
-        errors=errors[1:],
-        outcome=None if outcome == NO_OUTCOME else Outcome(int(outcome)),
-    )
-
-
-def pack_request(request: Request) -> bytes:
-    """Returns a request as JSON."""
-    return _json({"id": request.number, "ask": request.ask, "values": request.values})
-
-
-def unpack_request(content: bytes) -> Request:
-    """Inverse of `pack_request`. Raises ValueError for what is none."""
-    found = _REQUEST("a request", checked_json.parse(content))
-    return Request(found["id"], found["ask"], found["values"])
-
-
-def pack_reply(reply: Reply) -> bytes:
-    """Returns a reply as JSON."""
-    return _json({"id": reply.number, "error": _short(reply.error), "values": reply.values})
-
-
-def unpack_reply(content: bytes) -> Reply:
-    """Inverse of `pack_reply`. Raises ValueError for what is none."""
-    found = _REPLY("a reply", checked_json.parse(content))
-    return Reply(found["id"], found["error"], found["values"])
-
-
-def _short(text: str | None) -> str | None:
-    return text if text is None else text[:2000]
-
-
-def _json(values: Mapping[str, Any]) -> bytes:
-    return json.dumps(values, allow_nan=False).encode()
+BackendFactory = Callable[[Any, Mapping[str, Mailbox]], Served]
+"""(options, mailboxes by name) -> backend. Raises `ConfigurationError` for a wrong option."""

@@ -1,19 +1,14 @@
-"""What runs in the arm's process: targets in, states out, and what stops the arm when one of the two ends.
+"""Loop of the arm's process: targets in, states out; it stops the arm when the arm or the recorder fails.
 
-Begun by `program`. One thread does everything. A tick, every `ArmBackend.period` seconds:
+One thread does everything. A tick, every `ArmBackend.period` seconds: answer requests; pass a new target to a healthy
+arm; `ArmBackend.tick` and `ArmBackend.read`; check the watchdogs; publish the status.
 
-1. requests are answered (`OWN_REQUESTS` and the backend's handlers);
-2. the newest target, if there is a new one, is passed on to an arm that is well: `begin_keyframe` or `stream`;
-3. `ArmBackend.tick`, then `ArmBackend.read`; then the watchdogs;
-4. the status is published.
-
-In lockstep nothing happens by itself: each ``step`` request takes the newest target and then ticks. For a stream that
-is 1/fps seconds (the remainder of a tick is carried over, so that 30 Hz on 50 Hz ticks stays exact), for a key frame
-until its outcome is known.
+In lockstep only ``step`` requests advance time: each takes the newest target and ticks, for a stream 1/fps seconds (the
+rest of a tick is carried over, so that 30 Hz on 50 Hz ticks stays exact), for a key frame until its outcome.
 
 A fault (errors of the arm, a state that stands still, a malformed target, an exception of the backend) stops the arm
-and is kept: no target is accepted until ``recover``. The recorder's death (end of file, or another parent) stops the
-arm, waits until it rests and ends the process.
+and refuses targets until ``recover``. When the recorder dies (end of file, or another parent), the arm is stopped and,
+once it rests, the process ends.
 """
 
 from __future__ import annotations
@@ -22,53 +17,46 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
-from lerobot_adamanip.hardware.arm_process.mailbox import SharedMailboxes
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.arm_process.messages import (
     COMMAND,
+    MAX_TEXT,
+    RESET,
     STATUS,
     ArmStatus,
+    Handler,
     Reply,
     Request,
-    pack_reply,
-    pack_status,
-    unpack_request,
-    unpack_target,
+    Served,
+    ServerOptions,
 )
-from lerobot_adamanip.hardware.arm_process.options import Start
-from lerobot_adamanip.hardware.arm_process.served import RESET, Handler, Served
 from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
 from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 REST_SPEED = 0.005
-"""Fastest joint of an arm that rests [rad/s]."""
+"""Fastest joint of an arm at rest [rad/s]."""
 REST_WAIT = 2.0
-"""At most waited for it [s]."""
+"""Longest wait for rest [s]."""
 KEYFRAME_LIMIT = 120.0
-"""A key frame in lockstep ends by then [s of the backend]: a backend's own limit comes first."""
-OWN_REQUESTS = ("step", "stop", "recover", "shutdown")
+"""Longest key frame in lockstep [s of the backend]; the backend's own limit is shorter."""
 
 
 class ArmServer:
-    """Drives one backend for one recorder. `run` returns when the recorder has said or shown that it is gone.
+    """Drives one connected backend for one recorder; `run` returns when the recorder is gone."""
 
-    Args:
-        served: the backend, connected, and its handlers.
-        connection: to the recorder.
-        boxes: mailboxes shared with it.
-        start: what is watched, and whether time passes by itself.
-    """
-
-    def __init__(self, served: Served, connection: Connection, boxes: SharedMailboxes, start: Start) -> None:
-        self._backend, self._connection, self._options = served.backend, connection, start.server
+    def __init__(
+        self, served: Served, connection: Connection, boxes: Mapping[str, Mailbox], options: ServerOptions
+    ) -> None:
+        self._backend, self._connection, self._options = served.backend, connection, options
+        self._lockstep = options.lockstep_fps is not None
         self._command, self._status = boxes[COMMAND], boxes[STATUS]
         own: dict[str, Handler] = {"step": self._step, "stop": self._hold, "recover": self._recover}
-        asked = {name: self._followed(name, handler) for name, handler in served.handlers.items()}
-        self._handlers = {**asked, **own}
+        self._handlers = {**{name: self._observed(name, each) for name, each in served.handlers.items()}, **own}
         self._parent, self._ended = os.getppid(), False
         self._reading: ArmReading | None = None
         self._accepted = self._faults = 0
@@ -82,8 +70,7 @@ class ArmServer:
         """Ticks until the recorder is gone, then stops the arm and waits until it rests. Never raises `RobotError`."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder gets it as well, and ends this process in order
         signal.signal(signal.SIGTERM, lambda *_: self._end())
-        lockstep = self._options.lockstep_fps is not None
-        self._look()
+        self._observe()
         due = time.perf_counter()
         while not self._ended:
             due += self._backend.period
@@ -92,7 +79,7 @@ class ArmServer:
                 self._end()
             if self._ended:
                 break
-            if not lockstep:
+            if not self._lockstep:
                 self._accept()
                 self._tick()
             due = max(due, time.perf_counter() - self._backend.period)  # ticks that were missed are not made up for
@@ -107,18 +94,16 @@ class ArmServer:
         """Answers requests until the next tick is due; one at least, so that late ticks do not starve requests."""
         try:
             while self._connection.poll(max(0.0, due - time.perf_counter())):
-                request = unpack_request(self._connection.recv_bytes())
+                request: Request = self._connection.recv()
                 if request.ask == "shutdown":
                     self._end()
                 reply = self._answered(request)
                 if request.number:
-                    self._connection.send_bytes(pack_reply(reply))
+                    self._connection.send(reply)
                 if self._ended or time.perf_counter() >= due:
                     return
         except (EOFError, OSError):
             self._end()
-        except ValueError as error:
-            self._fail(f"The recorder sent what is no request: {error}")
 
     def _answered(self, request: Request) -> Reply:
         if request.ask == "shutdown":
@@ -129,17 +114,17 @@ class ArmServer:
         try:
             return Reply(request.number, None, handler(request.values))
         except (AdaManipError, ValueError) as error:
-            return Reply(request.number, str(error) or type(error).__name__)
+            return Reply(request.number, str(error)[:MAX_TEXT] or type(error).__name__)
 
     def _accept(self) -> None:
-        """Passes a new target on, to an arm that is well at this moment."""
+        """Passes a new target on, if the arm is healthy at this moment."""
         found = self._command.read()
         if found is None or found[0] == self._accepted:
             self._stop_on_command_timeout()
             return
         if self._fault is not None or not self._try(self._read) or self._fault is not None:
             return
-        target = unpack_target(found[1])
+        target: ArmTarget = found[1]
         assert self._reading is not None
         if problem := malformed(target, self._options, self._reading.tcp_in_base):
             self._fail(problem)
@@ -155,12 +140,10 @@ class ArmServer:
             self._hold({})
 
     def _tick(self) -> None:
-        """Advances the backend by a tick, and looks at it."""
         self._try(self._backend.tick)
-        self._look()
+        self._observe()
 
-    def _look(self) -> None:
-        """Reads the backend, looks for trouble, publishes."""
+    def _observe(self) -> None:
         self._try(self._read)
         self._publish()
 
@@ -169,29 +152,20 @@ class ArmServer:
         if before is None or reading.robot_time != before.robot_time:
             self._advanced = time.perf_counter()
         self._reading = reading
-        lockstep = self._options.lockstep_fps is not None
-        stood_still = 0.0 if lockstep else time.perf_counter() - self._advanced
+        stood_still = 0.0 if self._lockstep else time.perf_counter() - self._advanced
         if self._fault is None and (problem := trouble(reading, stood_still, self._options.state_age)):
             self._fail(problem)
 
     def _publish(self) -> None:
         sent = None if self._target is None else self._target.pose
-        status = ArmStatus(
-            time.perf_counter(),
-            self._reading,
-            self._accepted,
-            sent,
-            self._holding,
-            self._fault,
-            self._lost,
-            self._faults,
-        )
-        self._status.write(pack_status(status))
+        now = time.perf_counter()
+        state = (self._accepted, sent, self._holding, self._fault, self._lost, self._faults)
+        self._status.write(ArmStatus(now, self._reading, *state))
 
     # Faults ----------------------------------------------------------------------------------------------------------
 
     def _try(self, call: Callable[[], None]) -> bool:
-        """Returns whether a call of the backend went well; what it raised becomes the fault."""
+        """Calls the backend and returns whether it succeeded; its `RobotError` becomes the fault."""
         try:
             call()
         except RobotError as error:
@@ -200,10 +174,10 @@ class ArmServer:
         return True
 
     def _fail(self, what: str, *, lost: bool = False) -> None:
-        """Keeps the first fault, tells it, and stops the arm, which takes a second where the arm does not answer."""
+        """Publishes the first fault, then stops the arm, which takes a second if the arm does not answer."""
         self._lost = self._lost or lost
         if self._fault is None:
-            self._fault = what
+            self._fault = what[:MAX_TEXT]
             self._faults += 1
             self._publish()
             with contextlib.suppress(RobotError):
@@ -211,10 +185,8 @@ class ArmServer:
 
     # Requests --------------------------------------------------------------------------------------------------------
 
-    def _followed(self, ask: str, handler: Handler) -> Handler:
-        """Returns the handler of a backend, followed by a look at what it has changed: no tick may come before the next
-        observation.
-        """
+    def _observed(self, ask: str, handler: Handler) -> Handler:
+        """Returns a handler that publishes what it has changed: in lockstep no tick does so before it is observed."""
 
         def answer(values: dict[str, Any]) -> dict[str, Any]:
             began = time.perf_counter()
@@ -222,7 +194,7 @@ class ArmServer:
             self._advanced += time.perf_counter() - began  # the arm could not move on
             if ask == RESET:
                 self._backlog_s = 0.0
-            self._look()
+            self._observe()
             return told
 
         return answer
@@ -233,9 +205,9 @@ class ArmServer:
         return {}
 
     def _recover(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Clears a fault. Targets that were sent before it are not taken up again."""
+        """Clears a fault; targets from before it are not executed."""
         if self._lost:
-            raise RobotError("The connection to the arm is lost, which recovering does not mend: connect anew.")
+            raise RobotError("The connection to the arm is lost, which recovering does not repair: connect anew.")
         self._backend.recover()
         self._fault, self._holding, self._target = None, True, None
         self._accepted = self._command.number
@@ -246,7 +218,7 @@ class ArmServer:
         return {}
 
     def _step(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Takes the newest target, and lets its share of time pass."""
+        """Takes the newest target and advances time by its share."""
         fps = self._options.lockstep_fps
         if fps is None:
             raise RobotError("Time passes by itself here; steps are for lockstep.")
@@ -269,7 +241,7 @@ class ArmServer:
         return moving and self._reading is not None and self._reading.outcome is not None
 
     def _come_to_rest(self) -> None:
-        """Stops the arm and keeps ticking until it rests: nobody is left who could."""
+        """Stops the arm and ticks until it rests."""
         with contextlib.suppress(RobotError):
             self._backend.stop()
             until = time.perf_counter() + REST_WAIT
@@ -278,5 +250,5 @@ class ArmServer:
                 reading = self._backend.read()
                 if reading.mode is not ArmMode.MOVING and abs(reading.qvel).max() < REST_SPEED:
                     return
-                if self._options.lockstep_fps is None:
+                if not self._lockstep:
                     time.sleep(self._backend.period)

@@ -1,4 +1,4 @@
-"""When the arm's process stops the arm: what is wrong with a target, and with a reading."""
+"""Checks of the arm's process: malformed targets, and readings after which the arm must not move."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, ROTATION_DIMS
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array, Execution
-from lerobot_adamanip.hardware.arm_process.options import ServerOptions
+from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.motion_outcome import pose_error
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 
@@ -23,12 +23,9 @@ STOPPED_MODES = {
 
 
 def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> str | None:
-    """Returns what is wrong with a target that came through the recorder's filter; None if nothing is.
+    """Returns why a target is refused, given the measured pose (4, 4); None for a good one.
 
-    Args:
-        target: as it was sent.
-        options: what is allowed.
-        tcp_in_base: (4, 4) measured pose of this moment.
+    The recorder's filter lets no such target through: this notices a recorder without it.
     """
     pose = target.pose.astype(np.float64)
     if pose.shape != (ACTION_DIM,) or not np.isfinite(pose).all():
@@ -51,13 +48,7 @@ def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> 
 
 
 def trouble(reading: ArmReading, stood_still: float, state_age: float) -> str | None:
-    """Returns why an arm must not be moved; None if it may.
-
-    Args:
-        reading: the latest.
-        stood_still: for how long the arm's own clock did [s].
-        state_age: how long it may.
-    """
+    """Returns why an arm must not move; None if it may. ``stood_still``: seconds in which its clock did not advance."""
     if reading.mode in STOPPED_MODES or reading.errors:
         what = STOPPED_MODES.get(reading.mode, "The arm reports errors")
         return f"{what}: {', '.join(reading.errors) or 'no flag is set'}."

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array
-from lerobot_adamanip.hardware.arm_process.served import Served
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions, franky_options
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
+from lerobot_adamanip.hardware.arm_process.messages import Served
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
     FrankyHand,
     check_joints,
@@ -29,7 +30,7 @@ from lerobot_adamanip.hardware.backends.franky_sdk import (
     set_limits,
 )
 from lerobot_adamanip.hardware.gripper import GripperThread
-from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, pose_error
+from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, StallRule, pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
@@ -44,13 +45,20 @@ RECOVERY_TIME = 0.5
 """At most waited for a state without errors [s]."""
 STOP_TIME = 1.0
 """At most waited for a stop when closing [s]."""
+KEYFRAME_TIME_LIMIT = 30.0
+"""A key frame ends by then, whatever its length [s of the arm's clock]."""
 
 
 class FrankyBackend:
     """An `ArmBackend` on one `franky.Robot`. After a lost connection it is of no use: make a new one."""
 
+    period = 0.02
+
     def __init__(self, options: FrankyOptions) -> None:
         self._options = options
+        self._stall = StallRule(
+            options.stall_force, options.stall_torque, options.stiffness, options.rotational_stiffness
+        )
         self._robot: Any = None
         self._franky: Any = None
         self._hand: GripperThread | None = None
@@ -63,11 +71,6 @@ class FrankyBackend:
         self._goal_opening = 1.0
         self._gentle_until = -1.0
         self.limits_read: dict[str, list[float]] = {}
-
-    @property
-    def period(self) -> float:
-        """Seconds between two ticks."""
-        return self._options.period
 
     # Life ------------------------------------------------------------------------------------------------------------
 
@@ -174,7 +177,7 @@ class FrankyBackend:
         here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
         leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANS
         ways = [here, goal] if leaning else [goal]
-        self._watch = OutcomeWatch(goal, self._options.stall_rule, now, self._time_limit(here, goal))
+        self._watch = OutcomeWatch(goal, self._stall, now, self._time_limit(here, goal))
         if not leaning and max(pose_error(here, goal)) < STAYS:
             return  # the fingers alone
         points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
@@ -185,7 +188,7 @@ class FrankyBackend:
         limits, share = self._options.limits, self._options.dynamics * self._pace
         way, turn = pose_error(here, goal)
         needed = way / (limits.translation.velocity * share) + turn / (limits.rotation.velocity * share)
-        return min(self._options.time_limit, 3.0 + 2.0 * needed)
+        return min(KEYFRAME_TIME_LIMIT, 3.0 + 2.0 * needed)
 
     @property
     def _pace(self) -> float:
@@ -250,9 +253,9 @@ class FrankyBackend:
         return ""
 
 
-def serve_franky(options: dict[str, Any]) -> Served:
-    """Returns the real arm's backend. Raises ValueError for a wrong option."""
-    backend = FrankyBackend(franky_options(options))
+def serve_franky(options: FrankyOptions, _: Mapping[str, Mailbox]) -> Served:
+    """Returns the real arm's backend, see `BackendFactory`."""
+    backend = FrankyBackend(options)
 
     def gripper(_: dict[str, Any]) -> dict[str, Any]:
         hand = backend._hand

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -10,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
+from lerobot_adamanip.hardware.arm_process.messages import RESET, Served
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.sim.twin.camera import TwinEye
 from lerobot_env_adamanip.sim.twin.scene import TwinScene
 from lerobot_env_adamanip.sim.twin.stepped import SteppedMotion
-from lerobot_env_adamanip.twin.annotations import annotations_json
-from lerobot_env_adamanip.twin.frame_bytes import FRONT_FRAMES, SUCCESS_BOX, TwinFrame, pack_frame
+from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions
 
 TICK = 0.02
 """One control tick of the simulation [s]."""
@@ -26,25 +25,6 @@ MOST_TICKS = 10
 """Ticks that are made up for at once after a picture, or where the machine is slow; beyond that, time is lost."""
 MOVING = 0.01
 """Joints slower than this rest [rad/s]."""
-
-
-@dataclasses.dataclass(frozen=True)
-class TwinOptions:
-    """What the twin's process is told.
-
-    Attributes:
-        environment: the scenes.
-        seed: of the first episode.
-        image_size: side of colour and depth [px].
-        depth_source: ``render``, or ``raycast``, where colours are missing.
-        lockstep: whether time passes by steps alone; else ticks follow the clock of the machine.
-    """
-
-    environment: EnvironmentOptions
-    seed: int = 0
-    image_size: int = 256
-    depth_source: str = "render"
-    lockstep: bool = False
 
 
 class SapienBackend:
@@ -58,6 +38,8 @@ class SapienBackend:
         boxes: mailboxes of frames and success; those that are missing are not filled.
     """
 
+    period = TICK
+
     def __init__(self, options: TwinOptions, boxes: Mapping[str, Mailbox] | None = None) -> None:
         self._options, self._boxes = options, boxes or {}
         self._scene = TwinScene(options=options.environment.changed(observe_images=False))
@@ -67,11 +49,6 @@ class SapienBackend:
         self._time, self._ticked = 0.0, time.perf_counter()
         self._success, self._frames, self._seed = False, 0, options.seed
         self._connected = self._streaming = False
-
-    @property
-    def period(self) -> float:
-        """Seconds between two calls of `tick`."""
-        return TICK
 
     # Life ------------------------------------------------------------------------------------------------------------
 
@@ -192,7 +169,7 @@ class SapienBackend:
             "object_id": scene.task_simulation.obj.object_id,
             "task": scene.task_description,
             "mechanism_preset": scene.options.mechanism_preset,
-            "annotations": annotations_json(scene.annotations),
+            "annotations": dict(scene.annotations),
             "camera": self._camera().parameters(),
         }
 
@@ -205,7 +182,7 @@ class SapienBackend:
         taken = time.perf_counter()
         color, depth = camera.take()
         self._frames += 1
-        self._boxes[FRONT_FRAMES].write(pack_frame(TwinFrame(taken, self._frames, color, depth)))
+        self._boxes[FRONT_FRAMES].write(Frame(taken, taken, color, depth, self._frames))
         return {"number": self._frames}
 
     def _camera(self) -> TwinEye:
@@ -230,4 +207,11 @@ class SapienBackend:
 
     def _publish_success(self) -> None:
         if SUCCESS_BOX in self._boxes:
-            self._boxes[SUCCESS_BOX].write(bytes([self._success]))
+            self._boxes[SUCCESS_BOX].write(self._success)
+
+
+def serve_twin(options: TwinOptions, boxes: Mapping[str, Mailbox]) -> Served:
+    """Returns the simulated arm, see `BackendFactory`."""
+    backend = SapienBackend(options, boxes)
+    handlers = {RESET: backend.reset, "look": backend.look, "episode": backend.episode}
+    return Served(backend, handlers, backend.describe)
