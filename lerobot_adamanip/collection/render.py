@@ -57,7 +57,7 @@ _JSON = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "fai
 
 @dataclass(frozen=True)
 class _Stored:
-    """A dataset as it lies there: its episodes and rows, what its columns tell of each episode, and its manifest."""
+    """A dataset on disk: its episodes, rows and manifest."""
 
     source: Source
     episodes: list[dict[str, Any]]
@@ -85,7 +85,7 @@ def add_pictures(
 ) -> int:
     """Writes a copy of a dataset with the column of images; returns its number of episodes.
 
-    Finished episodes are kept in ``<out>.rendering``: the same call goes on where another was interrupted.
+    Finished episodes are kept in ``<out>.rendering``, where the same call resumes.
 
     Args:
         root: of a dataset collected without images.
@@ -219,8 +219,7 @@ def _read(root: Path, assets: str | Path | None) -> _Stored:
 
 def _pictured(stored: _Stored, make_env: EnvFactory) -> Manifest:
     """Returns the manifest of the dataset with images; raises `DatasetError` if what makes scenes has changed."""
-    environment = stored.manifest.spec.environment.changed(observe_images=True)
-    spec = replace(stored.manifest.spec, environment=environment)
+    spec = replace(stored.manifest.spec, environment=stored.manifest.spec.environment.changed(observe_images=True))
     env = make_env(spec.environment_of(spec.categories[0]))
     try:
         found = collection_fingerprint(env)
