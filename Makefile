@@ -4,13 +4,13 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup pictures test lerobot nightly check format docs release bench demo clean
+.PHONY: help setup pictures test quick lerobot nightly check format docs release bench demo clean
 export NO_SYSTEM
 
 BIN := .venv/bin
 # Processes of the test runner; each simulator process takes about 2 GB.
 JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 4 ? 4 : n)))
-PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/make \1\t\2/' | expand -t 16
@@ -36,15 +36,13 @@ pictures: .venv/.renders  ## see to a Vulkan device, for pictures; clouds do wit
 .venv/.browser: .venv/.installed scripts/setup_browser.sh
 	bash scripts/setup_browser.sh
 
-test: pictures  ## all tests but the nightly ones: those without a simulator, those with it, those that use all cores
-	@status=0; \
-	echo "== 1/3  tests without the simulator, $(JOBS) at a time: some 8 minutes on two cores"; \
-	$(PYTEST) -m "not sim and not nightly" || status=$$?; \
-	echo "== 2/3  tests with the simulator, $(JOBS) at a time: some 9 minutes on two cores"; \
-	$(PYTEST) -m "sim and not nightly and not alone" || status=$$?; \
-	echo "== 3/3  every method of the benchmark, at its smallest: some 7 minutes on two cores"; \
-	$(BIN)/python -m pytest -m "alone and not nightly" || status=$$?; \
-	exit $$status
+test: pictures  ## all tests but the nightly ones: under ten minutes on two cores
+	$(PYTEST) -m "not nightly"
+
+# Laws that need no process, no simulator and no dataset.
+QUICK := tests/test_architecture.py tests/test_fingerprint.py tests/test_language.py tests/contract tests/evaluation tests/experts tests/mechanisms
+quick: check  ## format, lint, types, layers, and laws that need no process: under 90 seconds
+	$(PYTEST) -m "not nightly and not sim" $(wildcard $(QUICK))
 
 LEROBOT ?= main
 lerobot: .venv/.installed  ## tests without the simulator against another LeRobot: `make lerobot LEROBOT=main`, or a release

@@ -1,7 +1,8 @@
-"""What every test shares: no network, no user cache, one thread, fixed seeds; and progress in logs."""
+"""Fixtures of all tests: no network, no user cache, one thread, fixed seeds; and progress in logs."""
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import random
@@ -15,15 +16,12 @@ from typing import Any
 
 import hypothesis
 import pytest
+from filelock import FileLock
 
 from lerobot_adamanip.util.errors import AdaManipError
 
 # Before anything imports huggingface_hub or torch: both read these once. Subprocesses inherit them.
-_SCRATCH = Path(tempfile.mkdtemp(prefix="adamanip-tests-"))
 os.environ.update(
-    HF_HOME=str(_SCRATCH / "hf"),
-    HF_LEROBOT_HOME=str(_SCRATCH / "hf" / "lerobot"),
-    HF_DATASETS_CACHE=str(_SCRATCH / "hf" / "datasets"),
     HF_HUB_OFFLINE="1",
     HF_HUB_DISABLE_TELEMETRY="1",
     WANDB_MODE="disabled",
@@ -35,6 +33,9 @@ os.environ.update(
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED = 0
+SHORT = {"assets", "evaluation", "experts", "mechanisms", "objects"}
+"""Folders of tests that take milliseconds each."""
+Once = Callable[[str, Callable[[Path], Any]], Path]
 
 
 @pytest.fixture(scope="session")
@@ -63,11 +64,6 @@ def _keep_log_level() -> Iterator[None]:
         root.setLevel(level)
 
 
-def pytest_unconfigure() -> None:
-    """Removes the scratch folder: in runs that only collect and in the controller of xdist, too."""
-    shutil.rmtree(_SCRATCH, ignore_errors=True)
-
-
 # Machines are shared: how long an example takes says nothing about the code.
 hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
@@ -88,32 +84,50 @@ def refuses() -> Callable[[type[AdaManipError], Callable[[], Any]], str]:
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A complete dataset of the fake environment, recorded by one worker without interruption. Not to be written to."""
-    return _collected(tmp_path_factory.mktemp("finished") / "dataset")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Returns a folder that is filled once a run, by the first of xdist's workers that asks. Not to be written to."""
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"
+    shared.mkdir(exist_ok=True)
+
+    def folder(name: str, fill: Callable[[Path], Any]) -> Path:
+        done = shared / f"{name}.done"
+        with FileLock(shared / f"{name}.lock"):
+            if not done.exists():
+                shutil.rmtree(shared / name, ignore_errors=True)  # of a worker that failed
+                fill(shared / name)
+                done.touch()
+        return shared / name
+
+    return folder
 
 
 @pytest.fixture(scope="session")
-def unpictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """As `finished`, without pictures. Not to be written to."""
-    return _collected(tmp_path_factory.mktemp("unpictured") / "dataset", observe_images=False)
+def finished(once: Once) -> Path:
+    """A complete dataset of the fake environment, recorded by one worker without interruption."""
+    return once("finished", _collected)
 
 
-def _collected(root: Path, **options: Any) -> Path:
+@pytest.fixture(scope="session")
+def unpictured(once: Once) -> Path:
+    """As `finished`, without pictures."""
+    return once("unpictured", functools.partial(_collected, observe_images=False))
+
+
+def _collected(root: Path, **options: Any) -> None:
     from demos_helpers import fakes, make_spec, patiently
 
     from lerobot_adamanip.collection.collect import collect
 
     collect(root, make_spec(**options), fakes(), patiently())
-    return root
 
 
 @pytest.fixture(scope="session")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A complete dataset with late starts and attempts that failed. Not to be written to."""
+def published(once: Once) -> Path:
+    """A complete dataset with late starts and attempts that failed."""
     from sound_demos import collect_sound
 
-    return collect_sound(tmp_path_factory.mktemp("published") / "dataset")
+    return once("published", collect_sound)
 
 
 @pytest.fixture
@@ -142,8 +156,19 @@ class _Progress:
             self._reporter.write_line(f"== {now - self._began:.0f} s: {self._done} tests, {self._failed} failed")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts files with the simulator first, those with many short tests last: no worker ends long after the others."""
+    slow = {item.path for item in items if item.get_closest_marker("sim")}
+    items.sort(key=lambda item: (item.path not in slow, item.path.parent.name in SHORT))  # else as they were
+
+
 @pytest.hookimpl(trylast=True)  # the terminal's plugin is there by then
 def pytest_configure(config: pytest.Config) -> None:
+    caches = Path(tempfile.mkdtemp(prefix="adamanip-tests-"))
+    config.add_cleanup(functools.partial(shutil.rmtree, caches, ignore_errors=True))
+    os.environ.update(
+        HF_HOME=str(caches), HF_LEROBOT_HOME=str(caches / "lerobot"), HF_DATASETS_CACHE=str(caches / "datasets")
+    )
     if not sys.stdout.isatty() and not hasattr(config, "workerinput"):
         reporter = config.pluginmanager.get_plugin("terminalreporter")
         if reporter is not None:

@@ -93,11 +93,13 @@ def run(hub: LoopbackHub, tmp_path: Path, refused: Path) -> Run:
 
 
 @pytest.fixture(scope="session")
-def trained(published: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(published: Path, once: Callable[[str, Callable[[Path], None]], Path]) -> Path:
     """A policy of three steps on the dataset as it lies here: its folder pretrained_model. Not to be written to."""
-    output = tmp_path_factory.mktemp("trained") / "run"
     options = (*TINY, "--dataset.repo_id=local/safes", f"--dataset.root={published}", "--policy.push_to_hub=false")
-    command = [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options, f"--output_dir={output}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return output / "checkpoints" / "000003" / "pretrained_model"
+
+    def train(output: Path) -> None:
+        command = [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options, f"--output_dir={output}"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr[-3000:]
+
+    return once("trained", train) / "checkpoints" / "000003" / "pretrained_model"

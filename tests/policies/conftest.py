@@ -12,17 +12,19 @@ from toy_demos import REPO_ID, TINY, record_toy, toy_world
 
 
 @pytest.fixture(scope="session")
-def toy_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def toy_root(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Static demonstrations at a few bottles, turned and lifted. Not to be written to."""
-    worlds = [toy_world("bottle_000", seed) for seed in range(6)]
-    return record_toy(tmp_path_factory.mktemp("toy") / "dataset", worlds, "static")
+    return once("toy_static", lambda root: record_toy(root, toy_worlds(), "static"))
 
 
 @pytest.fixture(scope="session")
-def adaptive_toy_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def adaptive_toy_root(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Adaptive demonstrations at bottles, with failed tries. Not to be written to."""
-    worlds = [toy_world("bottle_000", seed) for seed in range(6)]
-    return record_toy(tmp_path_factory.mktemp("toy") / "adaptive", worlds, "adaptive")
+    return once("toy_adaptive", lambda root: record_toy(root, toy_worlds(), "adaptive"))
+
+
+def toy_worlds() -> list[Any]:
+    return [toy_world("bottle_000", seed) for seed in range(6)]
 
 
 @pytest.fixture
