@@ -162,7 +162,7 @@ def breakdown(new: Version, categories: tuple[str, ...]) -> Numbers:
 
 def _collect(version: Version, folder: str, *arguments: str) -> tuple[float, str]:
     """Returns how long `adamanip collect` took to record safes into ``folder`` [s], and what it printed."""
-    command = ("-m", "lerobot_adamanip.cli.main", "collect", "--root", f"{folder}/demos", "--category", "safe")
+    command = ("-m", "lerobot_adamanip.cli.main", "collect", f"{folder}/demos", "--category", "safe")
     return version.run(sys.executable, *command, *arguments, "--json")
 
 

@@ -30,7 +30,7 @@ from lerobot_adamanip.evaluation.groups import hidden_names
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
 from lerobot_adamanip.evaluation.result_rows import ResultRow
 from lerobot_adamanip.evaluation.results import check_command, make_result, write_result
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 FIRST_SEED = 5_000_000
@@ -199,7 +199,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="separated by commas")
     made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
     made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="separated by commas")
-    made.add_argument("--preset", type=list_of(tuple(MECHANISM_PRESETS)), default=("paper",), help="of the mechanism")
+    made.add_argument("--preset", type=list_of(tuple(MECHANISM_RULES)), default=("paper",), help="of the mechanism")
     made.add_argument("--episodes", type=count, default=20, help="of each cell")
     made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes")
     made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB")

@@ -14,15 +14,15 @@ say() { printf '\n== %s\n' "$*"; }
 say "1/5  Pictures of the objects: $out/safes.png"
 mkdir -p "$out"
 if timeout 180 "$bin/python" -m lerobot_env_adamanip.sim.render_probe >/dev/null 2>&1; then
-    "$bin/adamanip" objects --category safe --objects 0:36 --sheet "$out/safes.png"
+    "$bin/adamanip" objects --category safe --objects 0:36 --out "$out/safes.png"
 else
     echo "none: no Vulkan device to render with (make pictures sees to one)"
 fi
 
 say "2/5  Adaptive demonstrations: pull, feel that it is locked, turn the knob, pull again"
-"$bin/adamanip" collect --category safe --expert adaptive --objects "$safes" --episodes-per-object "$episodes" \
-    --root "$out/demos" --repo-id local/adamanip-safe-demo --workers 2 --no-images
-"$bin/adamanip" replay --root "$out/demos" --episode 0 --video "$out/demonstration.mp4"
+"$bin/adamanip" collect "$out/demos" --category safe --expert adaptive --objects "$safes" --episodes-per-object "$episodes" \
+    --repo-id local/adamanip-safe-demo --workers 2 --no-images
+"$bin/adamanip" replay "$out/demos" --episode 0 --out "$out/demonstration.mp4"
 
 say "3/5  Training dp3_adaptive with lerobot-train"
 checkpoint=$out/train/checkpoints/last
@@ -45,7 +45,7 @@ rm -rf "$out/eval" "$out/eval.jsonl"
     --eval.n_episodes="$evaluate" --eval.batch_size=2 --output_dir="$out/eval"
 
 say "5/5  What came of it"
-"$bin/adamanip" report "$out/eval.jsonl" --plot "$out/success.png"
+"$bin/adamanip" report "$out/eval.jsonl" --out "$out/success.png"
 "$bin/adamanip" report "$out/eval.jsonl" --json > "$out/report.json"
 cat <<END
 

@@ -65,7 +65,7 @@ def run_batch(episodes: list[Episode]) -> list[Episode]:
     warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.keyframe_env import make_task
 
-    task = make_task(episodes[0].category, mechanism_preset=episodes[0].preset)
+    task = make_task(episodes[0].category, mechanism_rules=episodes[0].preset)
     try:
         return [_run(task, episode) for episode in episodes]
     finally:
@@ -90,7 +90,7 @@ def _run(task: Any, episode: Episode) -> Episode:
         task.placement.annotations,
         generator=np.random.default_rng(episode.seed),
         hidden=hidden if episode.kind == "static" else None,
-        mechanism_preset=episode.preset,
+        mechanism_rules=episode.preset,
         feedback=task.feedback,
     )
     result = rollout(env, {}, expert)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from check_common import ROOT, document_command
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.experts import EXPERTS
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, MECHANISM_PRESETS, RULES, make_mechanism
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES, RULES, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, Joint
 
 PAGE = ROOT / "docs" / "categories.md"
@@ -20,7 +20,7 @@ Generated from the code by `python scripts/make_category_table.py`; a test compa
 paper's (its Table 1); thresholds are those of its released code, at evaluation. What else differs from either stands in
 [differences](differences.md).
 
-A mechanism has three presets, `--env.mechanism_preset=` (in `adamanip collect`: `--mechanism-preset`):
+A mechanism has three presets, `--env.mechanism_rules=` (in `adamanip collect`: `--mechanism-rules`):
 
 | preset | |
 |---|---|
@@ -28,8 +28,8 @@ A mechanism has three presets, `--env.mechanism_preset=` (in `adamanip collect`:
 
 
 def _introduction() -> str:
-    default = {DEFAULT_MECHANISM_PRESET: " (default)"}
-    rows = [f"| `{name}`{default.get(name, '')} | {words} |\n" for name, words in MECHANISM_PRESETS.items()]
+    default = {DEFAULT_MECHANISM_RULES: " (default)"}
+    rows = [f"| `{name}`{default.get(name, '')} | {words} |\n" for name, words in MECHANISM_RULES.items()]
     return INTRODUCTION + "".join(rows)
 
 
@@ -58,7 +58,7 @@ def _success(objects: list[ArticulatedObject]) -> str:
 
 
 def _mechanisms() -> list[str]:
-    lines = ["## Mechanisms\n", f"Under `{DEFAULT_MECHANISM_PRESET}`:\n"]
+    lines = ["## Mechanisms\n", f"Under `{DEFAULT_MECHANISM_RULES}`:\n"]
     lines.append("| category | objects | joints | hidden state | drawn per episode | thresholds | success |")
     lines.append("|---|---|---|---|---|---|---|")
     for name, category in CATEGORIES.items():
@@ -73,7 +73,7 @@ def _mechanisms() -> list[str]:
 
 def _presets() -> list[str]:
     """Where presets differ, and the sentences of the paper that `paper` follows."""
-    names = tuple(MECHANISM_PRESETS)
+    names = tuple(MECHANISM_RULES)
     lines = ["\n## Where the presets differ\n", f"| category | what | {' | '.join(f'`{name}`' for name in names)} |"]
     lines.append("|---|---|" + "---|" * len(names))
     for category in CATEGORIES:
@@ -99,7 +99,7 @@ def _experts() -> list[str]:
         "own end: doors to 42°, lids to 40 mm.\n"
     )
     lines.append(
-        "Of what is turned and then opened, nobody sees how far is far enough. `--expert-preset` (of `adamanip "
+        "Of what is turned and then opened, nobody sees how far is far enough. `--expert-strategy` (of `adamanip "
         "collect`) says when the adaptive expert tries to open it: as the paper has it, as upstream's code does, or "
         "where the part has come to a stop, which wastes the fewest tries:\n"
     )

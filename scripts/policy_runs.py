@@ -40,7 +40,7 @@ from lerobot_adamanip.evaluation.metrics import first_episodes, summarise
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.result_rows import rows_of_records
 from lerobot_adamanip.evaluation.results import policy_result, write_result
-from lerobot_adamanip.experts import EXPERT_PRESETS
+from lerobot_adamanip.experts import EXPERT_STRATEGIES
 from lerobot_adamanip.util.files import write_atomically
 
 BIN = Path(sys.executable).parent
@@ -86,7 +86,7 @@ class Run:
             self._merge("merge", [part.data for part in parts], self.data)
             return
         given = self.options
-        of = ("--objects", given.train_objects, "--expert", given.expert, "--expert-preset", given.expert_preset)
+        of = ("--objects", given.train_objects, "--expert", given.expert, "--expert-strategy", given.expert_preset)
         self._run("collect", *self._recording(self.data, given.episodes_per_object), *of)
 
     def train(self) -> None:
@@ -105,7 +105,7 @@ class Run:
             return
         if not _recorded(corrections):
             policy = ("--policy", str(self.checkpoint("train")), "--objects", given.train_objects)
-            expert = ("--expert-preset", given.expert_preset)
+            expert = ("--expert-strategy", given.expert_preset)
             self._run("correct", *self._recording(corrections, given.corrections), *policy, *expert)
         if not _recorded(both):
             self._merge("merge", [self.data, corrections], both)
@@ -153,7 +153,7 @@ class Run:
 
     def _recording(self, root: Path, episodes: int) -> list[str]:
         count = ("--episodes-per-object", str(episodes), "--workers", "2")
-        return ["adamanip", "collect", "--category", self.category, "--root", str(root), "--no-images", *count]
+        return ["adamanip", "collect", str(root), "--category", self.category, "--no-images", *count]
 
     def _train(self, name: str, data: Path, wanted: int, begin: list[str]) -> None:
         given, folder = self.options, self.folder / name
@@ -292,7 +292,7 @@ def arguments() -> argparse.Namespace:
         "--expert", default="adaptive", help="of the demonstrations: adaptive, or static, which sees all"
     )
     parser.add_argument(
-        "--expert-preset", choices=EXPERT_PRESETS, default="paper", help="of the adaptive expert (%(default)s)"
+        "--expert-preset", choices=EXPERT_STRATEGIES, default="paper", help="of the adaptive expert (%(default)s)"
     )
     parser.add_argument("--steps", type=count, default=4000)
     parser.add_argument("--batch-size", type=count, default=64)

@@ -29,14 +29,13 @@ def convert(run: Run, recorded: Path, simulated: Path, converted: Path) -> None:
     run(
         "adamanip",
         "collect",
+        str(simulated),
         "--category",
         "microwave",
         "--objects",
         "0:2",
         "--episodes-per-object",
         "2",
-        "--root",
-        str(simulated),
     )
 
 

@@ -88,7 +88,7 @@ from lerobot.envs.configs import EnvConfig
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import get_object, parse_object_selection
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, make_mechanism
+from lerobot_adamanip.mechanisms import MECHANISM_RULES, make_mechanism
 from lerobot_adamanip.episode.options import EnvironmentOptions
 
 assert lerobot_adamanip.__file__.startswith({tree!r})
@@ -96,7 +96,7 @@ for split in ("seen", "unseen", "novel"):
     ids = parse_object_selection("jar", split)
     objects = [get_object(name) for name in ids]
     assert [obj.object_id for obj in objects] == list(ids)
-    for preset in MECHANISM_PRESETS:
+    for preset in MECHANISM_RULES:
         mechanism = make_mechanism(objects[0], preset)
         state = mechanism.draw(1, torch.Generator().manual_seed(0), {{"direction": 1, "turn_range": 1.5}})
         _, shut = mechanism.step(state, {{"lift": torch.zeros(1), "cap": torch.zeros(1)}})

@@ -63,7 +63,7 @@ def test_json_holds_every_option() -> None:
         ({"num_points": -1}, "-1"),
         ({"image_size": 8}, "16 ... 2048"),
         ({"poses": "paper"}, "fixed, randomized"),
-        ({"mechanism_preset": "mine"}, "mine"),
+        ({"mechanism_rules": "mine"}, "mine"),
         ({"max_key_frames": 0}, "key frames"),
         ({"split": "dev"}, "validation"),
         ({"seed_offset": -1}, "seed offset"),

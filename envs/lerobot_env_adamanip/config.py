@@ -25,7 +25,7 @@ from lerobot_adamanip.contract.schema import (
     STATE,
     STATE_DIM,
 )
-from lerobot_adamanip.episode.options import EnvironmentOptions, renamed_poses
+from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
 from lerobot_env_adamanip.image_options import observes_images
 
@@ -69,7 +69,7 @@ class AdaManipEnvConfig(EnvConfig):
     # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
     poses: str = "randomized"
     # Mechanisms as in the paper's text (paper), as in its released code (upstream), or ours (hard); docs/categories.md.
-    mechanism_preset: str = "paper"
+    mechanism_rules: str = "paper"
     # Key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
     # Whose scenes: validation to choose by, test for numbers that are reported, train. They share none.
@@ -91,6 +91,8 @@ class AdaManipEnvConfig(EnvConfig):
     run_label: str | None = None
     # The former name of --env.poses; setting it is an error that says so.
     pose_preset: str | None = None
+    # The former name of --env.mechanism_rules; setting it is an error that says so.
+    mechanism_preset: str | None = None
     # Set by itself: the observations' and the action's shapes.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     # Set by itself: the names they have in datasets.
@@ -103,8 +105,9 @@ class AdaManipEnvConfig(EnvConfig):
             AdaManipError: a value cannot work; at once, not when a training first evaluates.
         """
         with shown_by_parsers():
-            if self.pose_preset is not None:
-                raise renamed_poses(self.pose_preset)
+            refuse_former_name("pose_preset", self.pose_preset)
+            if self.mechanism_preset != self.mechanism_rules:  # trainings of version 0.2 have stored it
+                refuse_former_name("mechanism_preset", self.mechanism_preset)
             self._check_options()
         self.task = self.task or self.category
         size = self.image_size
@@ -143,7 +146,7 @@ class AdaManipEnvConfig(EnvConfig):
             num_points=self.num_points,
             image_size=self.image_size,
             poses=self.poses,
-            mechanism_preset=self.mechanism_preset,
+            mechanism_rules=self.mechanism_rules,
             max_key_frames=self.episode_length,
             hidden_overrides=self.hidden_overrides,
             split=self.split,

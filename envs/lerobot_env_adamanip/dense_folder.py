@@ -56,5 +56,5 @@ def _another_recording(root: Path, got: str) -> DatasetError:
         "There is something else at the root of the recording.",
         got=f"{root}: {got}",
         allowed="a folder that does not exist, is empty, or was recorded with the same options",
-        hint="another --root",
+        hint="another folder",
     )

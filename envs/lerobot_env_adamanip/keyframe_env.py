@@ -52,7 +52,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`; ``safe`` if nothing names one.
         options: all options at once ...
         values: ... or some of them by name, see `EnvironmentOptions`: ``objects``, ``assets``, ``num_points``,
-            ``image_size``, ``observe_images``, ``poses``, ``mechanism_preset``, ``max_key_frames``,
+            ``image_size``, ``observe_images``, ``poses``, ``mechanism_rules``, ``max_key_frames``,
             ``hidden_overrides``, ``split``, ``cloud_source``, ``render_backend``, ``episode_log``, ``workspace``.
 
     Raises:
@@ -240,7 +240,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
                 objects=self.options.objects,
                 assets=self.options.assets,
                 poses=self.options.poses,
-                mechanism_preset=self.options.mechanism_preset,
+                mechanism_rules=self.options.mechanism_rules,
                 image_size=self.options.image_size,
                 depth_size=depth_size(self.num_points),
                 shader="minimal",  # without a GPU a picture takes three quarters of what ManiSkill's default takes
@@ -280,7 +280,7 @@ def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]
     """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
     log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log), options.logged_seeds)
     run_id = None if log is None else options.run_id or new_run_id()
-    return log, Provenance(environment_fingerprint(), __version__, options.mechanism_preset, run_id, options.run_label)
+    return log, Provenance(environment_fingerprint(), __version__, options.mechanism_rules, run_id, options.run_label)
 
 
 def _options(category: str | None, options: EnvironmentOptions | None, values: dict[str, Any]) -> EnvironmentOptions:

@@ -14,7 +14,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS
 from lerobot_adamanip.episode.options import POSES
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_adamanip.util.json_fields import Check, choice, table
 
@@ -35,7 +35,7 @@ class Demonstrations:
         num_points: points per cloud, also in evaluations.
         image_size: side of the pictures [px], also in evaluations; 0 for demonstrations without any.
         poses: also in evaluations.
-        mechanism_preset: also in evaluations.
+        mechanism_rules: also in evaluations.
     """
 
     expert: str = "adaptive"
@@ -44,7 +44,7 @@ class Demonstrations:
     num_points: int = schema.DEFAULT_NUM_POINTS
     image_size: int = 0
     poses: str = POSES[0]
-    mechanism_preset: str = DEFAULT_MECHANISM_PRESET
+    mechanism_rules: str = DEFAULT_MECHANISM_RULES
 
 
 @dataclass(frozen=True, kw_only=True)

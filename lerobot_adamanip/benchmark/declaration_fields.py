@@ -9,7 +9,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.collection_spec import LIMITS
 from lerobot_adamanip.episode.options import IMAGE_SIZES, POSES
 from lerobot_adamanip.experts import EXPERT_KINDS
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.json_fields import Check, choice, flag, integer, listing, mapping, number, table, text
 
 OBJECT_SPLITS = ("seen", "unseen", "novel")
@@ -47,7 +47,7 @@ DEMONSTRATIONS: Mapping[str, Check] = {
     "num_points": integer(1, 16_384),
     "image_size": integer(0, IMAGE_SIZES[1]),
     "poses": choice(POSES),
-    "mechanism_preset": choice(tuple(MECHANISM_PRESETS)),
+    "mechanism_rules": choice(tuple(MECHANISM_RULES)),
 }
 METHOD: Mapping[str, Check] = {
     "title": TITLE,

@@ -29,6 +29,11 @@ NUMBERS = ("lerobot_adamanip.evaluation.metrics", "lerobot_adamanip.evaluation.l
 _ATTEMPTS = 25
 """Of an episode of demonstrations: with six failed trials each, safes that take many key frames run out of time."""
 _KEY = "{key}"
+_COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
+_SPELLED_IN_KEYS = {
+    "--mechanism-rules": "--mechanism-preset", "--env.mechanism_rules": "--env.mechanism_preset",
+}  # fmt: skip
+"""Option -> its former name, by which keys go on to be made: a new name changes no result."""
 _LENGTH = 16
 
 
@@ -130,8 +135,8 @@ def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) ->
         f"--num-points={wanted.num_points}",
         *pictures,
         f"--poses={wanted.poses}",
-        f"--mechanism-preset={wanted.mechanism_preset}",
-        f"--root={FOLDERS[COLLECT]}/{_KEY}",
+        f"--mechanism-rules={wanted.mechanism_rules}",
+        _COLLECTED,
     )
     # Attempts of an episode end with the first success, so that a larger bound changes no dataset that is ever made.
     # So does saying that pictures are wanted: where none can be taken, the step fails at once.
@@ -177,7 +182,7 @@ def _evaluation(
         f"--env.num_points={like.num_points}",
         *pictures,
         f"--env.poses={like.poses}",
-        f"--env.mechanism_preset={like.mechanism_preset}",
+        f"--env.mechanism_rules={like.mechanism_rules}",
         f"--env.episode_log={product}/{EPISODE_LOG}",
         f"--eval.n_episodes={scale.episodes}",
         f"--eval.batch_size={scale.environments}",
@@ -198,9 +203,16 @@ def _evaluation(
 def _step(kind: str, command: Iterable[str], code: str, aside: tuple[str, ...] = (), needs: Step | None = None) -> Step:
     template = list(command)
     check_command(" ".join(template))  # now, not when hours later a result is written
-    decides = json.dumps({"command": template, "code": code}).encode()
+    decides = json.dumps({"command": [_spelled_in_key(word) for word in template], "code": code}).encode()
     key = hashlib.sha256(decides).hexdigest()[:_LENGTH]
     return Step(kind, key, tuple(word.replace(_KEY, key) for word in template), aside, needs)
+
+
+def _spelled_in_key(word: str) -> str:
+    if word == _COLLECTED:
+        return f"--root={word}"
+    name, equals, value = word.partition("=")
+    return f"{_SPELLED_IN_KEYS.get(name, name)}{equals}{value}"
 
 
 def option(command: Iterable[str], name: str) -> str:

@@ -35,7 +35,7 @@ class Calibrate:
     folder: tyro.conf.Positional[Path | None] = None
     """Folder of the pictures and poses."""
 
-    output: Path | None = None
+    out: Path | None = None
     """Calibration file to write the camera into; others in it stay. Without it, the result is only told."""
 
     key: str = "front"
@@ -87,8 +87,8 @@ class Calibrate:
         views = folder.views(self._tell)
         solved = solve(views, folder.color, folder.mounting)
         facts = _facts(solved)
-        if self.output is not None:
-            save_calibration(self.output, self.key, folder.calibration(solved), facts)
+        if self.out is not None:
+            save_calibration(self.out, self.key, folder.calibration(solved), facts)
         self._report(solved, facts)
         return 0
 
@@ -133,7 +133,7 @@ class Calibrate:
                 for each in solved.residuals
             ]
             told = {"mounting": frame, "camera": solved.camera.tolist(), "board": solved.board.tolist()}
-            print(json.dumps({**told, **facts, "views": views, "output": str(self.output) if self.output else None}))
+            print(json.dumps({**told, **facts, "views": views, "out": str(self.out) if self.out else None}))
             return
         for each in solved.residuals:
             angle = np.rad2deg(each.angle)
@@ -143,8 +143,8 @@ class Calibrate:
         print(f"one picture less moves the camera by at most {1e3 * solved.position_spread:.2f} mm, {spread:.3f} deg")
         x, y, z = solved.camera[:3, 3]
         print(f"camera at ({x:.4f}, {y:.4f}, {z:.4f}) m in the frame of the {frame}")
-        if self.output is not None:
-            print(f"written: {self.output}, camera {self.key}")
+        if self.out is not None:
+            print(f"written: {self.out}, camera {self.key}")
 
 
 def _ask() -> bool:

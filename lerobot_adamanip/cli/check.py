@@ -8,8 +8,7 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import Progress, show_progress
 from lerobot_adamanip.collection.replay import check_replays
 from lerobot_adamanip.datasets.check.dataset import check
@@ -31,7 +30,7 @@ class Check:
     Exit status 0 if nothing was found, 1 if something was, 2 if there is no dataset. Only --repair changes anything.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a LeRobotDataset."""
 
     repair: bool = False
@@ -85,7 +84,7 @@ class Repair:
     Every episode whose saving had ended is kept; what is taken out of the dataset is moved into DIR.before-repair.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a LeRobotDataset: demonstrations, or a robot's recording."""
 
     json: bool = False

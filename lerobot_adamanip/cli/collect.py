@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 import tyro
 
 from lerobot_adamanip.cli.collect_start import begin, objects_to_collect
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.picture_choice import resolve_images
 from lerobot_adamanip.cli.progress import print_categories, show_progress
 from lerobot_adamanip.collection.collect import CollectOptions, collect
@@ -25,8 +26,8 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS, CollectionSpec
 from lerobot_adamanip.datasets.repository_names import require_hub_name, require_repo_id
-from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_adamanip.util.jobs import DEFAULT_TIMEOUT
 
@@ -42,8 +43,8 @@ class Collect:
     seed gives one dataset, whatever the number of workers and of interruptions.
     """
 
-    root: tyro.conf.Positional[Path]
-    """Folder of the dataset; `--root DIR` means the same. Until it is complete, episodes wait in ROOT.partial."""
+    root: DatasetFolder
+    """Folder of the new dataset. Until it is complete, episodes wait in DIR.partial."""
 
     category: str = "safe"
     """Which kind of object; all for one dataset of every category."""
@@ -79,10 +80,10 @@ class Collect:
     poses: Literal["randomized", "fixed"] = "randomized"
     """randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream's code has them."""
 
-    mechanism_preset: str = DEFAULT_MECHANISM_PRESET
+    mechanism_rules: str = DEFAULT_MECHANISM_RULES
     """paper: mechanisms as the paper's text has them. upstream: as its released code has them. hard: harder ones."""
 
-    expert_preset: Literal["paper", "upstream", "to_stop"] = "paper"
+    expert_strategy: Literal["paper", "upstream", "to_stop"] = "paper"
     """When the adaptive expert tries to open. paper: at random, even before anything was turned. upstream: only beyond
     its code's fixed angles. to_stop: where it has felt a stop, which wastes the fewest tries."""
 
@@ -93,11 +94,11 @@ class Collect:
     """Share of episodes that start where another hand has driven some key frames and lost its grip."""
 
     dense: bool = False
-    """Record every control tick instead of key frames, without pictures: ROOT is a recording like a robot's, beside
+    """Record every control tick instead of key frames, without pictures: DIR is a recording like a robot's, beside
     whose episodes meta/key_frames.jsonl says which key frames are in them. Late starts are left out."""
 
     keep_failed: bool = False
-    """Keep failed episodes too, in a second dataset, ROOT-failed."""
+    """Keep failed episodes too, in a second dataset, DIR-failed."""
 
     policy: Path | None = None
     """Folder pretrained_model of a policy that is to be corrected: it drives, and the expert, which takes over from any
@@ -146,13 +147,8 @@ class Collect:
     json: bool = False
     """Print one JSON object when done. Progress goes to stderr."""
 
-    pose_preset: str | None = None
-    """Name of --poses in version 0.1: says what to give instead."""
-
     def run(self) -> int:
         """Collects, and publishes if asked to; 0 when the dataset is complete, 130 after Ctrl-C."""
-        if self.pose_preset is not None:
-            require_known({"pose_preset": self.pose_preset})
         if self.push_to_hub:
             require_hub_name(self.repo_id)
         require_repo_id(self.repo_id, suffix="-failed" if self.keep_failed else "")
@@ -199,7 +195,7 @@ class Collect:
                 "A part of a collection makes no dataset.",
                 got="--part with --push-to-hub or --adopt",
                 allowed="--part alone",
-                hint="adamanip collect ... --root DATASET --adopt PART1 PART2, once all parts are recorded",
+                hint="adamanip collect DIR ... --adopt PART1 PART2, once all parts are recorded",
             )
 
     def spec(self) -> CollectionSpec:
@@ -214,13 +210,13 @@ class Collect:
             image_size=self.image_size,
             cloud_source=self.cloud_source,
             poses=self.poses,
-            mechanism_preset=self.mechanism_preset,
+            mechanism_rules=self.mechanism_rules,
         )
         spec = CollectionSpec(
             environment=environment,
             objects=objects_to_collect(categories, self.objects, self.assets, self.poses),
             expert=self.expert,
-            expert_preset=self.expert_preset,
+            expert_strategy=self.expert_strategy,
             episodes_per_object=self.episodes_per_object,
             trials=self.trials,
             late_starts=self.late_starts,

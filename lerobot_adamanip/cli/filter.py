@@ -10,6 +10,7 @@ from pathlib import Path
 
 import tyro
 
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
 
@@ -24,7 +25,7 @@ class Filter:
     episodes are kept as they are.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a dataset."""
 
     where: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

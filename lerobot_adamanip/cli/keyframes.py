@@ -8,8 +8,7 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolders
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
@@ -32,7 +31,7 @@ class Keyframes:
     instance, may be named as well: their episodes follow those of the recordings, as they are.
     """
 
-    sources: tyro.conf.Positional[tuple[Path, ...]]
+    sources: DatasetFolders
     """Folders of recordings, and of datasets to be mixed with them."""
 
     out: Path

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
-from lerobot_adamanip.cli.folder_argument import folder_first
 from lerobot_adamanip.cli.option_names import check_options
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
@@ -140,12 +139,11 @@ def _missing(command: str, package: str) -> AdaManipError:
 def parse(name: str, options: Sequence[str]) -> Any:
     """Returns a subcommand with its options, ready to run; exits, or raises `ConfigurationError`, for wrong ones."""
     command = load(name)
-    words = folder_first(command, options)
-    check_options(name, command, words)
+    check_options(name, command, options)
     import tyro
 
     config = (tyro.conf.FlagCreatePairsOff,)
-    return tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=words, config=config)
+    return tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=options, config=config)
 
 
 def execute(name: str, options: Sequence[str]) -> int:

@@ -8,8 +8,7 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolders
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.datasets.merge import Merged, merge
 
@@ -22,7 +21,7 @@ class Merge:
     all of them are that dataset again; others come one after another.
     """
 
-    roots: tyro.conf.Positional[tuple[Path, ...]]
+    roots: DatasetFolders
     """Folders of datasets with the same columns."""
 
     out: Path

@@ -1,4 +1,4 @@
-"""Options of a command line that its subcommand does not know: refused with the nearest that it knows."""
+"""Options of a command line that its subcommand does not know: refused with the name that it may mean."""
 
 from __future__ import annotations
 
@@ -7,6 +7,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest, require_choice
+
+FORMER: Mapping[str, Mapping[str, str]] = {
+    "collect": {
+        "--root": "DIR",
+        "--mechanism-preset": "--mechanism-rules",
+        "--expert-preset": "--expert-strategy",
+        "--pose-preset": "--poses",
+    },
+    "replay": {"--root": "DIR", "--video": "--out"},
+    "stats": {"--plot": "--out"},
+    "view": {"--image": "--out", "--save": "--out"},
+    "objects": {"--sheet": "--out"},
+    "report": {"--plot": "--out", "--result": "--out"},
+    "calibrate": {"--output": "--out"},
+}
+"""Subcommand -> former name of an option -> its name now; DIR is the first argument."""
 
 
 def check_options(command: str, options: type[Any], arguments: Sequence[str]) -> None:
@@ -31,6 +47,11 @@ def check_options(command: str, options: type[Any], arguments: Sequence[str]) ->
 
 
 def _unknown(command: str, typed: str, known: Mapping[str, tuple[str, ...]]) -> ConfigurationError:
+    name = FORMER.get(command, {}).get(typed.replace("_", "-"))
+    if name is not None:
+        use = f"adamanip {command} {name if name == 'DIR' else f'... {name}'}"
+        said = f"{typed} of `adamanip {command}` is {'the first argument' if name == 'DIR' else name} now."
+        return ConfigurationError(said, got=typed, allowed=name, hint=use)
     near = nearest(typed, known)
     return ConfigurationError(
         f"Unknown option of `adamanip {command}`.",
@@ -50,8 +71,6 @@ def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
         kind, renamed = hints[field.name], None
         notes = getattr(kind, "__metadata__", ())
         if place in notes:
-            if field.name == "root":
-                yield "--root", ()  # see `folder_first`
             continue
         for note in notes:
             renamed = getattr(note, "name", None) or renamed

@@ -38,7 +38,7 @@ class Push:
     """Of the dataset, or pretrained_model of a checkpoint."""
 
     results: tuple[Path, ...] = ()
-    """Evaluations for the card of a policy or of the environments: files of `adamanip report --result`, or episode logs
+    """Evaluations for the card of a policy or of the environments: files of `adamanip report --out`, or episode logs
     with --results-command."""
 
     results_command: str | None = None

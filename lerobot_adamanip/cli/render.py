@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.collection.render import add_pictures
 
@@ -21,17 +21,20 @@ class Render:
     device. After an interruption the same command goes on.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a dataset without images."""
 
     out: Path | None = None
-    """Folder of the new dataset; ROOT-images by default."""
+    """Folder of the new dataset; DIR-images by default."""
 
     assets: Path | None = None
     """Folder of external assets, if the dataset was recorded with any."""
 
     repo_id: str | None = None
     """Name of the new dataset, in its card. local/<folder name> by default."""
+
+    json: bool = False
+    """Print one JSON object instead of text."""
 
     def run(self) -> int:
         """Renders; 0 when the dataset is complete."""
@@ -44,5 +47,6 @@ class Render:
             episodes = add_pictures(
                 root, out, make_keyframe_env, assets=self.assets, repo_id=self.repo_id, progress=progress
             )
-        print(f"{episodes} episodes with images in {out}")
+        done = f"{episodes} episodes with images in {out}"
+        print(json.dumps({"out": str(out), "episodes": episodes}) if self.json else done)
         return 0

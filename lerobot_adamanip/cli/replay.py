@@ -9,8 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.collection.replay import ReplayResult, replay
 
@@ -19,11 +18,11 @@ from lerobot_adamanip.collection.replay import ReplayResult, replay
 class Replay:
     """Replays a recorded episode in the simulator, from its stored seed and actions, and compares what is seen.
 
-    Exit status 0 if the same happened again, 1 if not. Says which part of the code has changed since.
+    Exit status 0 if the replay matches the recording, 1 if not. Says which part of the code has changed since.
     """
 
-    root: tyro.conf.Positional[Path]
-    """Folder of a dataset that `adamanip collect` wrote. `--root DIR` means the same."""
+    root: DatasetFolder
+    """Folder of a dataset that `adamanip collect` wrote."""
 
     episode: int = 0
     """Index of the episode."""
@@ -31,8 +30,8 @@ class Replay:
     assets: Path | None = None
     """Folder of external assets, if the dataset was recorded with any."""
 
-    video: Path | None = None
-    """Write a video: the recording on the left, the replay on the right."""
+    out: Path | None = None
+    """Write a video (.mp4): the recording on the left, the replay on the right."""
 
     tolerance: float = 1e-4
     """Largest difference allowed in any column, in its own units (m, rad, rad/s, N m)."""
@@ -54,7 +53,7 @@ class Replay:
             print(f"  {name:<24} largest difference {value:.3g}")
         if result.changed:
             print(f"Recorded under another fingerprint: {', '.join(result.changed)} differ.")
-        print("The same happened again." if agrees else f"It went differently (tolerance {self.tolerance:g}).")
+        print("Replay matches the recording." if agrees else f"Replay differs (tolerance {self.tolerance:g}).")
         return 0 if agrees else 1
 
     def _replay(self) -> ReplayResult:
@@ -67,6 +66,6 @@ class Replay:
                 self.episode,
                 make_keyframe_env,
                 assets=self.assets,
-                video=self.video,
+                video=self.out,
                 progress=lambda done, total: progress("replay", done, total),
             )

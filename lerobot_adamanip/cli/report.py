@@ -23,7 +23,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 if TYPE_CHECKING:
     from rich.table import Table
 
-_PLOT_FORMATS = (".png", ".pdf", ".svg")
+_PLOT_FORMATS, _RESULT = (".png", ".pdf", ".svg"), ".json"
 FILE_WIDTH = 200
 """Columns of a table that goes into a file or a pipe."""
 OBJECT_SPLITS = "Seen, unseen and novel objects are splits of a category, whatever the policy was trained on."
@@ -54,11 +54,9 @@ class Report:
     pool: bool = False
     """Count all evaluations of a log on one split of scenes as one."""
 
-    plot: Path | None = None
-    """Write a picture (.png, .pdf or .svg): success by group with intervals, and success over episodes."""
-
-    result: Path | None = None
-    """Write a result file (JSON) for scripts/make_results.py, of everything reported; needs --command."""
+    out: tuple[Path, ...] = ()
+    """Files to write: a picture (.png, .pdf or .svg) of success by group and over episodes; a result file (.json) of
+    everything reported, for scripts/make_results.py, which needs --command."""
 
     command: str | None = None
     """The command that measured it, as typed in the repository's root; written into the result file."""
@@ -79,30 +77,25 @@ class Report:
         logs = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
         evaluations = dict(self._evaluations(logs))
         comparison = compare(evaluations)
-        if self.plot is not None:
-            from lerobot_adamanip.evaluation.plots import plot_evaluations
-
-            plot_evaluations(evaluations, self.plot)
-        if self.result is not None:
-            self._write_result(evaluations)
-        written = {"plot": self.plot, "result": self.result}
+        for path in self.out:
+            self._write(evaluations, path)
         if self.json:
-            paths = {name: None if path is None else str(path) for name, path in written.items()}
-            print(json.dumps({**comparison.to_json(), **paths}))
+            print(json.dumps({**comparison.to_json(), "out": list(map(str, self.out))}))
             return 0
         print_tables(comparison)
         if self.episodes is None:
             print(SURPLUS)
-        for name, path in written.items():
-            if path is not None:
-                print(f"{name}: {path}")
+        for path in self.out:
+            print(f"written: {path}")
         return 0
 
     def _check(self) -> None:
-        check_plot(self.plot)
+        for path in self.out:
+            if path.suffix.lower() != _RESULT:
+                check_plot(path)
         if self.episodes is not None and self.episodes < 1:
             raise ConfigurationError("Nothing to count.", got=self.episodes, allowed=">= 1", hint="--episodes 100")
-        if self.result is not None and not self.command:
+        if any(path.suffix.lower() == _RESULT for path in self.out) and not self.command:
             hint = "--command 'lerobot-eval --policy.path=... --env.type=... '"
             raise ConfigurationError("A result needs its command.", got=self.command, allowed="one line", hint=hint)
 
@@ -131,11 +124,15 @@ class Report:
                 name = f"{number} {said}" if said else str(number)
                 yield (label if len(parts) == 1 else f"{label} #{name}"), part
 
-    def _write_result(self, evaluations: Evaluations) -> None:
+    def _write(self, evaluations: Evaluations, path: Path) -> None:
+        if path.suffix.lower() != _RESULT:
+            from lerobot_adamanip.evaluation.plots import plot_evaluations
+
+            plot_evaluations(evaluations, path)
+            return
         from lerobot_adamanip.evaluation.result_rows import rows_of_records
         from lerobot_adamanip.evaluation.results import policy_result, write_result
 
-        assert self.result is not None
         result = policy_result(
             [row for label, part in evaluations.items() for row in rows_of_records(part, label)],
             [record for part in evaluations.values() for record in part],
@@ -143,7 +140,7 @@ class Report:
             command=str(self.command),
             seconds=self.seconds,
         )
-        write_result(self.result, result)
+        write_result(path, result)
 
 
 def check_plot(path: Path | None) -> None:

@@ -8,8 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.datasets.editing.filter_split import EPISODE, Parts, split_episodes
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -23,7 +22,7 @@ class Split:
     are those of `adamanip filter`. Who gets what depends on the seed alone.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a dataset."""
 
     out: Path

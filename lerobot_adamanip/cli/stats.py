@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.report import FILE_WIDTH, check_plot, percent
 from lerobot_adamanip.datasets.contents import Contents, GroupContents, contents
 
@@ -21,10 +20,10 @@ class Stats:
     By category, split of objects and hidden value; how long episodes are; and what was tried for it and not kept.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a LeRobotDataset."""
 
-    plot: Path | None = None
+    out: Path | None = None
     """Write a picture (.png, .pdf or .svg): episodes by length, by failed tries, and by what they have in common."""
 
     json: bool = False
@@ -32,18 +31,18 @@ class Stats:
 
     def run(self) -> int:
         """Counts, prints and plots; 0."""
-        check_plot(self.plot)
+        check_plot(self.out)
         found = contents(self.root)
-        if self.plot is not None:
+        if self.out is not None:
             from lerobot_adamanip.datasets.contents_plot import plot_contents
 
-            plot_contents(found, self.plot)
+            plot_contents(found, self.out)
         if self.json:
-            print(json.dumps({**found.to_json(), "plot": None if self.plot is None else str(self.plot)}))
+            print(json.dumps({**found.to_json(), "out": None if self.out is None else str(self.out)}))
             return 0
         _print(found)
-        if self.plot is not None:
-            print(f"plot: {self.plot}")
+        if self.out is not None:
+            print(f"picture: {self.out}")
         return 0
 
 

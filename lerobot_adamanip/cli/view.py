@@ -8,31 +8,30 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.datasets.view.episode import ViewedEpisode, read_episode
 from lerobot_adamanip.util.errors import ConfigurationError
+
+_KINDS = (".png", ".rrd")
 
 
 @dataclass
 class View:
     """Shows an episode in rerun: cloud, tool path, goals, tries, phases, effort, pictures if there are any.
 
-    Opens rerun's viewer, unless a file is to be written or --web is given. The viewer comes with lerobot[viz]. On a
-    machine without a display, use --image, --save or --web.
+    Opens rerun's viewer, unless --out or --web is given. The viewer comes with lerobot[viz]. On a machine without a
+    display, use --out or --web.
     """
 
-    root: tyro.conf.Positional[Path]
+    root: DatasetFolder
     """Folder of a dataset."""
 
     episode: int = 0
     """Index of the episode."""
 
-    save: Path | None = None
-    """Write a recording (.rrd) for rerun, which needs no display; `rerun FILE.rrd` shows it."""
-
-    image: Path | None = None
-    """Write a picture (.png) that shows the episode at a glance; needs no rerun."""
+    out: Path | None = None
+    """Write a picture (.png) of the whole episode, or a recording (.rrd) that `rerun FILE.rrd` shows. Neither needs a
+    display, and a picture needs no rerun."""
 
     web: bool = False
     """Serve it to browsers, until Ctrl-C. rerun listens on every address of this machine, without a password."""
@@ -42,34 +41,41 @@ class View:
 
     def run(self) -> int:
         """Reads the episode and shows or writes it; 0."""
-        if self.save is not None and self.save.suffix.lower() != ".rrd":
-            raise ConfigurationError("Unknown kind of recording.", got=self.save, allowed=".rrd", hint="--save x.rrd")
-        watched = self.image is None or self.save is not None or self.web
-        if watched and self.save is None and not self.web:
+        kind = None if self.out is None else self.out.suffix.lower()
+        if kind not in (None, *_KINDS):
+            raise ConfigurationError(
+                "Unknown kind of file.", got=self.out, allowed=" or ".join(_KINDS), hint="--out episode.png"
+            )
+        if self.out is None and not self.web:
             from lerobot_adamanip.datasets.view import viewer
 
             viewer.require_display()
         with contextlib.redirect_stdout(sys.stderr):
-            episode = read_episode(self.root, self.episode, images=watched)
+            episode = read_episode(self.root, self.episode, images=kind != ".png" or self.web)
         print(episode.title)
-        if self.image is not None:
-            from lerobot_adamanip.datasets.view.still import write_still
-
-            write_still(episode, self.image)
-            print(f"picture: {self.image}")
-        if watched:
+        if self.out is not None:
+            self._write(episode, self.out)
+        if self.out is None or self.web:
             self._show(episode)
         return 0
+
+    def _write(self, episode: ViewedEpisode, path: Path) -> None:
+        if path.suffix.lower() == ".png":
+            from lerobot_adamanip.datasets.view.still import write_still
+
+            write_still(episode, path)
+        else:
+            from lerobot_adamanip.datasets.view import viewer
+
+            viewer.save(episode, path)
+        print(f"written: {path}")
 
     def _show(self, episode: ViewedEpisode) -> None:
         from lerobot_adamanip.datasets.view import viewer
 
-        if self.save is not None:
-            viewer.save(episode, self.save)
-            print(f"recording: {self.save}")
         if self.web:
             print(f"{viewer.serve(episode, self.port)}  (Ctrl-C ends it)", flush=True)
             while True:
                 time.sleep(3600)
-        elif self.save is None:
+        else:
             viewer.spawn(episode)

@@ -28,7 +28,7 @@ def require_finished(root: Path, manifest: Manifest) -> None:
             "The dataset does not have the episodes that were collected for it.",
             got=f"{found} episodes in {root}",
             allowed=f"{kept} episodes, as its {manifest_path(root).name} says",
-            hint="another --root",
+            hint="another folder",
         )
 
 
@@ -76,7 +76,7 @@ def _require_replaceable(root: Path, manifest: Manifest) -> None:
             "There is something else where the failed episodes are to be.",
             got=root,
             allowed="a folder that does not exist, or is empty",
-            hint="another --root, or without --keep-failed",
+            hint="another folder, or without --keep-failed",
         )
     require_same(read_manifest(manifest_path(root), manifest.spec.environment.assets), manifest, root)
     _require_no_part(root)
@@ -88,5 +88,5 @@ def _require_no_part(root: Path) -> None:
             "There is a part of a dataset, not a collection.",
             got=f"{root}, made by `adamanip filter`, `split` or `merge`",
             allowed="a folder that does not exist, is empty, or was made by `adamanip collect`",
-            hint="another --root",
+            hint="another folder",
         )

@@ -65,7 +65,7 @@ def adopt(paths: CollectionPaths, manifest: Manifest, sources: Iterable[Path]) -
             raise DatasetError(
                 "Nothing was recorded there.",
                 got=part.partial,
-                allowed="the --root of `adamanip collect --part K/N`",
+                allowed="the folder of `adamanip collect --part K/N`",
                 hint="the same options and --part K/N, on the machine that lacks it",
             )
         with lock_output(part.root, optional=True):  # a part may be read-only

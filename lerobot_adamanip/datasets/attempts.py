@@ -99,7 +99,7 @@ def read_attempts(path: Path) -> list[AttemptRecord]:
             "Cannot read the list of attempts.",
             got=f"{path.name}: {error}",
             allowed="the file `adamanip collect` wrote",
-            hint="another --root",
+            hint="another folder",
         ) from error
 
 

@@ -34,7 +34,7 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     if spec.environment.assets is not None:
         values["assets"] = "ASSETS"
     flags = [flag for name, value in values.items() if (flag := _flag(name, value))]
-    line = f"adamanip collect {' '.join(flags)} --root {folder}"
+    line = f"adamanip collect {folder} {' '.join(flags)}"
     return "\n".join([*_comments(spec), line])
 
 

@@ -13,8 +13,8 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.datasets.output_folder import COLLECTING
-from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
+from lerobot_adamanip.episode.options import EnvironmentOptions, to_stored
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
 from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
 
 SPLIT = "train"
@@ -62,7 +62,7 @@ class CollectionSpec:
         environment: options of the environments; its ``category`` is that of the first object.
         objects: ids, in the order of the dataset; of one category or of several.
         expert: ``adaptive`` or ``static``.
-        expert_preset: see `lerobot_adamanip.experts.EXPERT_PRESETS`.
+        expert_strategy: see `lerobot_adamanip.experts.EXPERT_STRATEGIES`.
         episodes_per_object: successes to keep of each object.
         trials: adaptive trials the expert may demonstrate (the paper's second table).
         seed: of the whole collection.
@@ -76,7 +76,7 @@ class CollectionSpec:
     environment: EnvironmentOptions
     objects: tuple[str, ...]
     expert: str = "adaptive"
-    expert_preset: str = "paper"
+    expert_strategy: str = "paper"
     episodes_per_object: int = 20
     trials: int = 1
     seed: int = 0
@@ -87,7 +87,7 @@ class CollectionSpec:
 
     def __post_init__(self) -> None:
         require_choice("expert", self.expert, EXPERT_KINDS)
-        require_choice("expert preset", self.expert_preset, EXPERT_PRESETS)
+        require_choice("expert strategy", self.expert_strategy, EXPERT_STRATEGIES)
         for name, (lowest, highest) in LIMITS.items():
             _require(
                 lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}", lowest
@@ -188,13 +188,13 @@ def manifest_path(root: Path) -> Path:
 
 
 def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
-    """Returns what of an environment's options decides data, JSON-able: no path, and nothing of this machine."""
+    """Returns what of an environment's options decides data, as manifests hold it: no path of this machine."""
     plain = environment.to_json()
-    return {name: plain[name] for name in DECIDING}
+    return to_stored({name: plain[name] for name in DECIDING})
 
 
 DECIDING = (
-    "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_preset", "max_key_frames",
+    "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_rules", "max_key_frames",
     "hidden_overrides", "workspace",
 )  # fmt: skip
 """Options of an environment that a manifest holds."""

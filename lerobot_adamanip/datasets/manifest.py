@@ -26,9 +26,17 @@ from lerobot_adamanip.datasets.collection_spec import (
     CollectionSpec,
     environment_json,
 )
-from lerobot_adamanip.episode.options import CLOUD_SOURCES, IMAGE_SIZES, KEY_FRAMES, POSES, EnvironmentOptions
-from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_PRESETS
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.episode.options import (
+    CLOUD_SOURCES,
+    IMAGE_SIZES,
+    KEY_FRAMES,
+    POSES,
+    EnvironmentOptions,
+    from_stored,
+    to_stored,
+)
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
+from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, DatasetError, listed
 from lerobot_adamanip.util.json_fields import (
@@ -102,9 +110,9 @@ class Manifest:
             "format": FORMAT,
             "category": spec.category,
             "collection": {
+                **to_stored({name: value for name, value in vars(spec).items() if name != "environment"}),
                 "objects": list(spec.objects),
                 "environment": environment_json(spec.environment),
-                **{name: getattr(spec, name) for name in _COLLECTION if name not in ("objects", "environment")},
             },
             "fingerprint": dict(self.fingerprint),
             "external_assets": dict(self.external_assets),
@@ -149,7 +157,7 @@ def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
             "Cannot read the manifest of a collection.",
             got=f"{path}: {error}",
             allowed="the file `adamanip collect` wrote",
-            hint="another --root",
+            hint="another folder",
         ) from error
 
 
@@ -169,21 +177,21 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
             f"{where} holds a collection made with other options: {', '.join(different)}.",
             got="; ".join(f"{name} = {_told(new[name])}" for name in different),
             allowed="; ".join(f"{name} = {_told(old[name])}" for name in different),
-            hint="the same options, or another --root (a dataset does not grow: collect the rest elsewhere)",
+            hint="the same options, or another folder (a dataset does not grow: collect the rest elsewhere)",
         )
     if parts := differing_parts(stored.external_assets, wanted.external_assets):
         raise DatasetError(
             "The external assets are not those that were used.",
             got=f"{where}: {', '.join(parts)} changed",
             allowed="folders of the same content",
-            hint="the --assets of before, or another --root",
+            hint="the --assets of before, or another folder",
         )
     if parts := differing_parts(stored.fingerprint, wanted.fingerprint):
         raise DatasetError(
             f"{where} was recorded under another fingerprint: {', '.join(parts)} differ.",
             got="; ".join(f"{name} = {wanted.fingerprint.get(name)}" for name in parts),
             allowed="; ".join(f"{name} = {stored.fingerprint.get(name)}" for name in parts),
-            hint="the code and versions of before, or another --root: episodes of both do not go together",
+            hint="the code and versions of before, or another folder: episodes of both do not go together",
         )
 
 
@@ -195,11 +203,8 @@ def differing_parts(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[s
 def _flat(manifest: Manifest) -> dict[str, Any]:
     whole = manifest.to_json()
     content = whole["collection"]
-    return {
-        "category": whole["category"],
-        **{name: value for name, value in content.items() if name != "environment"},
-        **content["environment"],
-    }
+    environment = content.pop("environment")
+    return {"category": whole["category"], **from_stored(content), **from_stored(environment)}
 
 
 def _told(value: object) -> str:
@@ -224,7 +229,7 @@ _ENVIRONMENT: Mapping[str, Check] = {
     "observe_images": flag,
     "cloud_source": choice(CLOUD_SOURCES),
     "poses": choice(POSES),
-    "mechanism_preset": choice(MECHANISM_PRESETS),
+    "mechanism_preset": choice(MECHANISM_RULES),
     "max_key_frames": integer(*KEY_FRAMES),
     "hidden_overrides": HIDDEN_STATE,
     "workspace": table({"lower": _CORNER, "upper": _CORNER}),
@@ -233,7 +238,7 @@ _COLLECTION: Mapping[str, Check] = {
     "objects": listing(_object_id, 1, MAX_OBJECTS),
     "environment": table(_ENVIRONMENT),
     "expert": choice(EXPERT_KINDS),
-    "expert_preset": choice(EXPERT_PRESETS),
+    "expert_preset": choice(EXPERT_STRATEGIES),
     "late_starts": number(0.0, 1.0),
     "keep_failed": flag,
     "policy": text(r"([0-9a-f]{32})?", "a hash, or nothing"),
@@ -263,13 +268,13 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
             allowed="their folder" if hashes else "no folder",
             hint="--assets DIR",
         )
-    options = dict(collection.pop("environment"))
+    options = from_stored(collection.pop("environment"))
     workspace = Workspace(**options.pop("workspace"))
     first = collection["objects"][0].partition(":")[0] if hashes else collection["objects"][0].rpartition("_")[0]
     environment = EnvironmentOptions(
         first, objects=collection["objects"][0], assets=assets, workspace=workspace, **options
     )
-    spec = CollectionSpec(environment, **collection)
+    spec = CollectionSpec(environment, **from_stored(collection))
     if spec.category != content["category"]:
         raise ValueError(f"category is {content['category']!r}, but its objects are of {spec.category!r}")
     counts = content["attempts"]
@@ -281,7 +286,7 @@ def _outdated(path: Path) -> DatasetError:
         "This dataset was made by version 0.1.0, whose format names code; it is read no more.",
         got=path,
         allowed=f"format {FORMAT}, as `adamanip collect` writes it now",
-        hint="collect it again, into another --root",
+        hint="collect it again, into another folder",
     )
 
 

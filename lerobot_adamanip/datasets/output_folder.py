@@ -63,7 +63,7 @@ class OutputFolder:
                 "There is something at the root of the new dataset.",
                 got=self.root,
                 allowed="a folder that does not exist, or is empty",
-                hint="another folder (--root or --out)",
+                hint="another folder",
             )
         for suffix, command in _RESUMED.items():
             folder = self.root.with_name(self.root.name + suffix)
@@ -72,7 +72,7 @@ class OutputFolder:
                     f"An unfinished `{command}` waits to become this dataset.",
                     got=f"{episodes} episodes in {folder}",
                     allowed="one command for an output folder",
-                    hint=f"finish that `{command}` first; or another folder (--root or --out)",
+                    hint=f"finish that `{command}` first; or another folder",
                 )
 
     def require_room(self, data_bytes: int = 0) -> None:
@@ -83,7 +83,7 @@ class OutputFolder:
                 "There is not enough room on the disk.",
                 got=f"{free / 1e6:.0f} MB free at {self.root.parent}",
                 allowed=f"{needed / 1e6:.0f} MB or more",
-                hint="another disk (--root or --out)",
+                hint="a folder on another disk",
             )
 
     def publish(self, built: Path) -> None:
@@ -195,7 +195,7 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
             "Another command is at work in this folder.",
             got=root,
             allowed="one at a time",
-            hint="wait for its end, or another folder (--root or --out)",
+            hint="wait for its end, or another folder",
         ) from error
     except OSError as error:
         if not optional:
@@ -266,7 +266,7 @@ def _require_ours(work: Path, names: tuple[str, ...]) -> None:
             "There is something else in the folder for unfinished output.",
             got=f"{work}: {', '.join(foreign[:3])}",
             allowed="a folder that does not exist, or that this command has made",
-            hint="move it away, or another folder (--root or --out)",
+            hint="move it away, or another folder",
         )
 
 
@@ -295,5 +295,5 @@ def _unwritable(root: str | Path, error: object) -> DatasetError:
         "A dataset cannot be written there.",
         got=f"{root}: {reason}",
         allowed="a folder that can be made and renamed, no mount point",
-        hint="another folder (--root or --out)",
+        hint="another folder",
     )

@@ -98,7 +98,7 @@ def missing_dataset(folder: Path) -> DatasetError:
         "There is no dataset.",
         got=folder,
         allowed="a folder that `adamanip collect` wrote",
-        hint=f"adamanip collect --category safe --root {as_typed(folder)}",
+        hint=f"adamanip collect {as_typed(folder)} --category safe",
     )
 
 

@@ -21,6 +21,13 @@ CLOUD_SOURCES = ("raycast", "render")
 """``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
 IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
 """Least and largest."""
+STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
+"""Option -> its key in files (manifests, episode logs), where the two differ."""
+RENAMED = {
+    "mechanism_preset": ("mechanism_rules", "paper, upstream or hard", "upstream"),
+    "pose_preset": ("poses", "randomized (was default) or fixed (was paper)", "fixed"),
+}
+"""Former name of an option -> name, values, example."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class EnvironmentOptions:
         image_size: side of the front image [px].
         observe_images: whether observations hold the image.
         poses: see `POSES`.
-        mechanism_preset: see `lerobot_adamanip.mechanisms.MECHANISM_PRESETS`.
+        mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: whose scenes seeds stand for, see `contract.seeds.SPLITS`; a seed of another is mapped into it.
@@ -59,7 +66,7 @@ class EnvironmentOptions:
     image_size: int = IMAGE_SIZE
     observe_images: bool = True
     poses: str = "randomized"
-    mechanism_preset: str = "paper"
+    mechanism_rules: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
     split: str = "validation"
@@ -81,11 +88,11 @@ class EnvironmentOptions:
         require_choice("category", self.category, CATEGORIES)
         # Here, because whoever only registers the plugin shall not wait for them.
         from lerobot_adamanip.catalog import select_objects
-        from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+        from lerobot_adamanip.mechanisms import MECHANISM_RULES
 
         select_objects(self.category, self.objects, self.assets)
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
-        require_choice("mechanism preset", self.mechanism_preset, MECHANISM_PRESETS)
+        require_choice("mechanism rules", self.mechanism_rules, MECHANISM_RULES)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
@@ -118,22 +125,35 @@ class EnvironmentOptions:
         return {**plain, "hidden_overrides": dict(self.hidden_overrides), "workspace": asdict(self.workspace)}
 
 
-def renamed_poses(value: object) -> ConfigurationError:
-    """Returns the error for whoever gives the option of version 0.1, ``pose_preset``."""
-    return ConfigurationError(
-        "pose_preset is called poses now.",
-        got=f"pose_preset={value!r}",
-        allowed="poses='randomized' (was default) or poses='fixed' (was paper)",
-        hint="--env.poses=fixed, adamanip collect --poses fixed",
-    )
+def to_stored(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns options under the keys that files have for them, see `STORED_NAMES`."""
+    return {STORED_NAMES.get(name, name): value for name, value in values.items()}
+
+
+def from_stored(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns what a file holds under the names of options."""
+    names = {stored: name for name, stored in STORED_NAMES.items()}
+    return {names.get(name, name): value for name, value in values.items()}
+
+
+def refuse_former_name(former: str, value: object) -> None:
+    """Raises `ConfigurationError` that says what an option is called now, if its former name has a value."""
+    if value is not None:
+        name, allowed, example = RENAMED[former]
+        raise ConfigurationError(
+            f"{former} is called {name} now.",
+            got=f"{former}={value!r}",
+            allowed=f"{name}: {allowed}",
+            hint=f"{name}={example!r} (Python), --env.{name}={example} (LeRobot's commands)",
+        )
 
 
 def require_known(values: Mapping[str, Any]) -> None:
     """Raises `ConfigurationError` if a key is no option of `EnvironmentOptions`."""
     known = [item.name for item in fields(EnvironmentOptions)]
     for name in values:
-        if name == "pose_preset":
-            raise renamed_poses(values[name])
+        if name in RENAMED:
+            refuse_former_name(name, values[name])
         require_choice("option of an environment", name, known)
 
 

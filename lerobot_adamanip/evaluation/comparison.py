@@ -101,5 +101,5 @@ def _summary(summary: EvaluationSummary) -> dict[str, Any]:
         "failures": dict(summary.failures),
         "fingerprints": summary.fingerprints,
         "versions": summary.versions,
-        "mechanism_presets": summary.mechanism_presets,
+        "mechanism_presets": summary.mechanism_rules,
     }

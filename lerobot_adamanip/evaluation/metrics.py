@@ -69,7 +69,7 @@ class EvaluationSummary:
         recovery: what follows a try that failed.
         objects: per object id, in order.
         failures: cause -> episodes; see `lerobot_adamanip.evaluation.failures`.
-        fingerprints, versions, mechanism_presets: what made the episodes; one each, unless evaluations were mixed.
+        fingerprints, versions, mechanism_rules: what made the episodes; one each, unless evaluations were mixed.
     """
 
     episodes: int
@@ -81,7 +81,7 @@ class EvaluationSummary:
     failures: Mapping[str, int]
     fingerprints: tuple[str, ...]
     versions: tuple[str, ...]
-    mechanism_presets: tuple[str, ...]
+    mechanism_rules: tuple[str, ...]
 
     @property
     def scenes(self) -> str:
@@ -147,7 +147,7 @@ def best_tries(record: EpisodeRecord) -> float:
     """Returns the tries in vain that the best strategy under the same uncertainty makes in this episode, on average."""
     if record.locked is False:
         return 0.0
-    known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_preset) else set()
+    known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_rules) else set()
     return sum(cost for name, cost in BEST_TRIES.items() if name in record.hidden_state and name not in known)
 
 
@@ -191,7 +191,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         failures=count_failures(kept),
         fingerprints=tuple(sorted({each.fingerprint for each in made})),
         versions=tuple(sorted({each.version for each in made})),
-        mechanism_presets=tuple(sorted({each.mechanism_preset for each in made})),
+        mechanism_rules=tuple(sorted({each.mechanism_rules for each in made})),
     )
 
 
@@ -215,12 +215,12 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> list[str]:
             said.append(f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test")
         if "train" in summary.scenes:
             said.append(f"{label}: scenes that demonstrations are recorded in are among these")
-        for what, found in (("fingerprint", summary.fingerprints), ("preset", summary.mechanism_presets)):
+        for what, found in (("fingerprint", summary.fingerprints), ("set of rules", summary.mechanism_rules)):
             if len(found) > 1:
                 said.append(f"{label}: its episodes are of more than one {what}: {', '.join(found)}")
     for what, sets in (
         ("fingerprints", [summary.fingerprints for summary in summaries.values()]),
-        ("mechanism presets", [summary.mechanism_presets for summary in summaries.values()]),
+        ("mechanism rules", [summary.mechanism_rules for summary in summaries.values()]),
         ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
     ):
         if len(set(sets)) > 1:

@@ -11,7 +11,8 @@ from typing import Any
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
 from lerobot_adamanip.contract.seeds import SPLITS
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.episode.options import from_stored, to_stored
+from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util import json_fields as checked_json
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
@@ -29,7 +30,7 @@ class Provenance:
     Attributes:
         fingerprint: hash of the code that decides episodes, see `lerobot_adamanip.util.fingerprint.combined`.
         version: of this package.
-        mechanism_preset: whose rules the mechanisms follow, see `lerobot_adamanip.mechanisms`.
+        mechanism_rules: whose rules the mechanisms follow, see `lerobot_adamanip.mechanisms`.
         run_id: one for all environments of an evaluation; None outside one.
         run_label: what the user called it, the policy's name for instance; None if not told.
         evaluation: which one of its run, from 0: an environment that meets an episode again has begun the next.
@@ -37,7 +38,7 @@ class Provenance:
 
     fingerprint: str
     version: str
-    mechanism_preset: str
+    mechanism_rules: str
     run_id: str | None = None
     run_label: str | None = None
     evaluation: int = 0
@@ -127,12 +128,13 @@ class EpisodeRecord:
         plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "provenance"}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
         sequence = [list(each) for each in self.try_sequence]
-        return {**plain, "category": self.category, "try_sequence": sequence, **mappings, **asdict(self.provenance)}
+        made = to_stored(asdict(self.provenance))
+        return {**plain, "category": self.category, "try_sequence": sequence, **mappings, **made}
 
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names what is wrong with it."""
-        found = _RECORD("the record", content)
+        found = from_stored(_RECORD("the record", content))
         own = {item.name: found[item.name] for item in fields(cls) if item.name != "provenance"}
         record = cls(**own, provenance=Provenance(**{item.name: found[item.name] for item in fields(Provenance)}))
         _check_agreement(record, found["category"])
@@ -204,7 +206,7 @@ _RECORD = checked_json.table(
         "joints": checked_json.mapping(_TEXT, checked_json.number(-1e9, 1e9), 50),
         "fingerprint": checked_json.text(r"[0-9a-f]{8,64}", "a hash"),
         "version": _TEXT,
-        "mechanism_preset": checked_json.choice(tuple(MECHANISM_PRESETS)),
+        "mechanism_preset": checked_json.choice(tuple(MECHANISM_RULES)),
         "run_id": checked_json.optional(_TEXT),
         "run_label": checked_json.optional(checked_json.text(LABEL, "a label")),
         "evaluation": _COUNT,

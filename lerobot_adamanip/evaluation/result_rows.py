@@ -83,7 +83,7 @@ def rows_of_records(
     boundaries = hidden_boundaries(kept)
     found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
     for record in kept:
-        key = (record.provenance.mechanism_preset, record.category, record.object_split or "external")
+        key = (record.provenance.mechanism_rules, record.category, record.object_split or "external")
         found.setdefault(key, []).append(record)
     rows = []
     for (preset, category, objects), chosen in sorted(found.items(), key=lambda item: _row_order(*item[0])):

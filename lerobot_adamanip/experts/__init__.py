@@ -13,12 +13,12 @@ from lerobot_adamanip.experts.belief import Belief
 from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
 from lerobot_adamanip.experts.primitives import Hand, Parts
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_PRESET, fixed_direction
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, fixed_direction
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 EXPERT_KINDS = ("adaptive", "static")
-EXPERT_PRESETS = ("paper", "upstream", "to_stop")
+EXPERT_STRATEGIES = ("paper", "upstream", "to_stop")
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Expert:
         adaptive: trial and error, without sight of the hidden state.
         static: optimal under full observation.
         sequence: what the adaptive one does, in words.
-        others: preset -> another adaptive sequence, where the category has one: ``upstream``, its released code's, and
-            ``to_stop``, which turns until it feels a stop, or no episode's is farther, before it tries to open.
+        others: strategy -> another adaptive sequence, where the category has one: ``upstream``, its released code's,
+            and ``to_stop``, which turns until it feels a stop, or no episode's is farther, before it tries to open.
     """
 
     adaptive: Callable[[Hand, Knowledge], KeyFrames]
@@ -69,8 +69,8 @@ def make_expert(
     generator: np.random.Generator,
     trials: int = 1,
     hidden: Hidden | None = None,
-    preset: str = "paper",
-    mechanism_preset: str = DEFAULT_MECHANISM_PRESET,
+    strategy: str = "paper",
+    mechanism_rules: str = DEFAULT_MECHANISM_RULES,
     positions: Mapping[str, float] | None = None,
     feedback: Feedback | None = None,
     belief: Belief | None = None,
@@ -84,8 +84,8 @@ def make_expert(
         generator: decides what the expert leaves to chance.
         trials: failed tries the adaptive expert makes before it changes its mind, at least 1.
         hidden: the hidden state, for the static expert alone; the adaptive one refuses it.
-        preset: of the adaptive sequence: ``paper``, or one of `Expert.others` where the category has it.
-        mechanism_preset: of the environment: a direction that it fixes for all episodes an adaptive expert knows.
+        strategy: of the adaptive expert: ``paper``, or one of `Expert.others` where the category has it.
+        mechanism_rules: of the environment: a direction that it fixes for all episodes an adaptive expert knows.
         positions: joint -> where it stands at the start [rad or m], as a camera sees it. Left out is at rest.
         feedback: of the hand at the start, if it may hold something or be about a part: it goes on with what it wants.
         belief: what tries before this expert's own tell, whoever made them.
@@ -98,12 +98,12 @@ def make_expert(
     _check_knowledge(require_choice("expert", kind, EXPERT_KINDS), trials, hidden)
     if hidden is not None:
         return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
-    known = Knowledge(annotations, fixed_direction(category, mechanism_preset))
-    return _started(hand, annotations, feedback, _adaptive(expert, preset)(hand, known))
+    known = Knowledge(annotations, fixed_direction(category, mechanism_rules))
+    return _started(hand, annotations, feedback, _adaptive(expert, strategy)(hand, known))
 
 
-def _adaptive(expert: Expert, preset: str) -> Callable[[Hand, Knowledge], KeyFrames]:
-    other = expert.others.get(require_choice("expert preset", preset, EXPERT_PRESETS))
+def _adaptive(expert: Expert, strategy: str) -> Callable[[Hand, Knowledge], KeyFrames]:
+    other = expert.others.get(require_choice("expert strategy", strategy, EXPERT_STRATEGIES))
     return other.adaptive if other else expert.adaptive
 
 
@@ -127,6 +127,6 @@ def _started(hand: Hand, parts: Parts, feedback: Feedback | None, frames: KeyFra
 
 
 __all__ = [
-    "EXPERTS", "EXPERT_KINDS", "EXPERT_PRESETS", "Belief", "Expert", "Feedback", "Goal", "KeyFrames", "Outcome",
+    "EXPERTS", "EXPERT_KINDS", "EXPERT_STRATEGIES", "Belief", "Expert", "Feedback", "Goal", "KeyFrames", "Outcome",
     "Phase", "make_expert",
 ]  # fmt: skip

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from huggingface_hub import EvalResult
 
 NONE = (
-    "None are published with it. `adamanip report LOG --result FILE --command '...'`, then "
+    "None are published with it. `adamanip report LOG --out FILE --command '...'`, then "
     "`adamanip push ... --results FILE`, adds them."
 )
 
 
 def read_results(paths: Sequence[Path], command: str | None = None) -> list[ResultFile]:
-    """Reads results: files of ``adamanip report --result``, and episode logs (``.jsonl``).
+    """Reads results: files of ``adamanip report --out``, and episode logs (``.jsonl``).
 
     Args:
         paths: of the files.
@@ -43,7 +43,7 @@ def _of_log(path: Path, command: str | None) -> ResultFile:
             "Numbers are published with the command that made them.",
             got=f"{path.name} without a command",
             allowed="--results-command 'lerobot-eval ...', as typed",
-            hint="or adamanip report LOG --result FILE --command '...', then --results FILE",
+            hint="or adamanip report LOG --out FILE --command '...', then --results FILE",
         )
     labels = {record.provenance.run_label for record in records} - {None}
     subject = " / ".join(sorted(map(str, labels))) or "policy"

@@ -1,6 +1,6 @@
 """Hidden state as pure batched functions: five families, the mechanisms that combine them, and which object has which.
 
-Presets: see `MECHANISM_PRESETS`, and docs/differences.md for what each of them takes from where.
+Presets: see `MECHANISM_RULES`, and docs/differences.md for what each of them takes from where.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirecti
 from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig, SafeState
 from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
 from lerobot_adamanip.mechanisms.table import (
-    DEFAULT_MECHANISM_PRESET,
+    DEFAULT_MECHANISM_RULES,
     LIFTED,
-    MECHANISM_PRESETS,
+    MECHANISM_RULES,
     RULES,
     CategoryRules,
     fixed_direction,
@@ -26,7 +26,7 @@ from lerobot_adamanip.mechanisms.table import (
 from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
 
 __all__ = [
-    "DEFAULT_MECHANISM_PRESET", "LIFTED", "MECHANISM_PRESETS", "RULES", "CategoryRules", "Command", "JointLimits",
+    "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "Command", "JointLimits",
     "LampMechanism", "Lock", "LockState", "Mechanism", "MicrowaveMechanism", "MicrowaveMechanismConfig", "Overrides",
     "PushOrRotate", "PushRotateState", "RandomRotationDirection", "Reading", "RotateSlideState", "RotateThenSlide",
     "RotationState", "SafeMechanism", "SafeMechanismConfig", "SafeState", "SwitchContact", "TurnToOpenMechanism",

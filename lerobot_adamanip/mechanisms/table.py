@@ -1,4 +1,4 @@
-"""Which category has which mechanism, under which preset, and where the paper says so. One row a category."""
+"""Which category has which mechanism, under which rules, and where the paper says so. One row a category."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig
 from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
 from lerobot_adamanip.util.errors import require_choice
 
-if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the presets' names
+if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the names of rules
     from lerobot_adamanip.objects.base import ArticulatedObject
 
-MECHANISM_PRESETS: Mapping[str, str] = {
+MECHANISM_RULES: Mapping[str, str] = {
     "paper": "what the paper's text says",
     "upstream": "what its released code does",
     "hard": "ours: the paper's, and every part that turns to open draws its direction",
 }
-DEFAULT_MECHANISM_PRESET = "paper"
+DEFAULT_MECHANISM_RULES = "paper"
 LIFTED = 0.025
 """A cap, lid or portafilter is off beyond this [m] (paper code)."""
 SWUNG, SASH_SWUNG = math.pi / 7, math.pi / 6
@@ -134,17 +134,17 @@ RULES: Mapping[str, CategoryRules] = {
 }  # fmt: skip
 
 
-def fixed_direction(category: str, preset: str = DEFAULT_MECHANISM_PRESET) -> int | None:
+def fixed_direction(category: str, rules: str = DEFAULT_MECHANISM_RULES) -> int | None:
     """Returns the one direction, +1 or -1, in which a category's key turns in every episode; None where it is drawn.
 
-    Raises `ConfigurationError` for an unknown category or preset.
+    Raises `ConfigurationError` for an unknown category or rules.
     """
-    rules = RULES[require_choice("category", category, RULES)]
-    return None if require_choice("mechanism preset", preset, MECHANISM_PRESETS) == "hard" else rules.fixed_direction
+    row = RULES[require_choice("category", category, RULES)]
+    return None if require_choice("mechanism rules", rules, MECHANISM_RULES) == "hard" else row.fixed_direction
 
 
-def make_mechanism(obj: ArticulatedObject, preset: str = DEFAULT_MECHANISM_PRESET) -> Mechanism[Any]:
-    """Returns the rules of an object, by its category; raises `ConfigurationError` for an unknown preset."""
-    direction = fixed_direction(obj.category, preset)
+def make_mechanism(obj: ArticulatedObject, rules: str = DEFAULT_MECHANISM_RULES) -> Mechanism[Any]:
+    """Returns an object's mechanism, by its category; raises `ConfigurationError` for unknown ``rules``."""
+    direction = fixed_direction(obj.category, rules)
     p_positive = 0.5 if direction is None else float(direction > 0)
-    return RULES[obj.category].build(obj, p_positive, preset == "upstream")
+    return RULES[obj.category].build(obj, p_positive, rules == "upstream")

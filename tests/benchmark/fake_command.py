@@ -37,9 +37,8 @@ def digest(*parts: object) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
-def collect(options: dict[str, str]) -> int:
+def collect(root: Path, options: dict[str, str]) -> int:
     """One file an episode beside the dataset, which takes its place when it is whole."""
-    root = Path(options["--root"])
     if (root / "meta" / "collection.json").exists():
         return 0
     partial = root.with_name(f"{root.name}.partial")
@@ -136,7 +135,7 @@ def main() -> int:
     options = {word.partition("=")[0]: word.partition("=")[2] for word in words if word.startswith("--")}
     KIND = {"adamanip": "collect", "lerobot-train": "train", "lerobot-eval": "evaluate"}[command]
     if KIND == "collect":
-        return collect(options)
+        return collect(Path(next(word for word in words[1:] if not word.startswith("--"))), options)
     return train(options) if KIND == "train" else evaluate(options, templates)
 
 

@@ -118,7 +118,7 @@ def test_what_is_left_out_has_the_defaults_of_adamanip_collect() -> None:
     from lerobot_adamanip.cli.collect import Collect
 
     made, collect = declared().demonstrations["adaptive"], Collect(Path("root"))
-    for name in ("expert", "trials", "late_starts", "num_points", "poses", "mechanism_preset"):
+    for name in ("expert", "trials", "late_starts", "num_points", "poses", "mechanism_rules"):
         assert getattr(made, name) == getattr(collect, name)
 
 

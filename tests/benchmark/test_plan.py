@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -181,9 +182,18 @@ def test_a_path_of_this_machine_is_refused_before_anything_runs(tmp_path: Path) 
 
 def test_what_a_step_reads_is_what_another_made() -> None:
     found = steps()
-    assert option(found[COLLECT].command, "--root") == option(found[TRAIN].command, "--dataset.root")
+    assert found[COLLECT].command[-1] == option(found[TRAIN].command, "--dataset.root")
     assert option(found[EVALUATE].command, "--policy.path").startswith(option(found[TRAIN].command, "--output_dir"))
     assert all(found[kind].key in found[kind].product for kind in found)
+
+
+def test_results_that_are_kept_are_of_what_is_declared() -> None:
+    """Keys hold commands: an option that is called otherwise now must not change them."""
+    declaration, folder = read_declaration(), Path(__file__).parents[2] / "results" / "benchmark" / "cpu"
+    stored = {path.stem: json.loads(path.read_text())["options"] for path in folder.glob("*.json")}
+    assert stored
+    keys = {each.name: options_key(each, declaration, "cpu") for each in all_cells(declaration, "cpu")}
+    assert stored == {name: keys[name] for name in stored}
 
 
 def in_order(parameter: object) -> str:

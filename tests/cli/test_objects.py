@@ -22,7 +22,7 @@ def test_the_list_needs_no_simulator(capsys: pytest.CaptureFixture[str]) -> None
     assert [row["object_id"] for row in listed["objects"]] == ["safe_034", "safe_035", "safe_036", "safe_037"]
     assert [row["split"] for row in listed["objects"]] == ["seen", "seen", "unseen", "unseen"]
     assert all({"door", "knob"} == set(row["joints"]) and row["description"] for row in listed["objects"])
-    assert listed["sheet"] is None
+    assert listed["out"] is None
 
 
 def test_a_folder_of_external_assets_is_checked(
@@ -55,7 +55,7 @@ def test_a_folder_of_external_assets_is_checked(
         (["--objects", "4:4"], "Wrong selection"),
         (["--columns", "0"], "cannot be drawn"),
         (["--size", "5"], "cannot be drawn"),
-        (["--sheet", "sheet.txt"], "Unknown kind of picture"),
+        (["--out", "sheet.txt"], "Unknown kind of picture"),
     ],
 )
 def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,5 +93,5 @@ def test_a_sheet_is_refused_at_once_where_nothing_renders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(pictures, "can_render", lambda: False)
-    assert cli.main(["objects", "--category", "safe", "--sheet", str(tmp_path / "sheet.png")]) == 2
+    assert cli.main(["objects", "--category", "safe", "--out", str(tmp_path / "sheet.png")]) == 2
     assert "SAPIEN found no Vulkan device" in capsys.readouterr().err

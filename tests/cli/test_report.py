@@ -46,7 +46,7 @@ def by_name(groups: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 def test_json_is_one_object_with_counts_that_add_up(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["report", *logs, "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert set(report) == {"evaluations", "differences", "warnings", "plot", "result"}
+    assert set(report) == {"evaluations", "differences", "warnings", "out"}
     first, second = report["evaluations"]
     assert (first["label"], second["label"]) == ("adaptive", "static")
     groups = by_name(first["groups"])
@@ -141,8 +141,8 @@ def test_a_result_file_says_what_was_measured(
     logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, command = tmp_path / "results" / "safe.json", "lerobot-eval --env.type=adamanip_safe"
-    assert cli.main(["report", *logs, "--result", str(path), "--command", command, "--seconds", "12.34"]) == 0
-    assert f"result: {path}" in capsys.readouterr().out
+    assert cli.main(["report", *logs, "--out", str(path), "--command", command, "--seconds", "12.34"]) == 0
+    assert f"written: {path}" in capsys.readouterr().out
     result = read_result(path)
     assert (result.command, result.seeds, result.scenes, result.seconds) == (command, (0, 19), "test", 12.3)
     assert [(row.subject, row.successes, row.episodes) for row in result.rows] == [
@@ -160,14 +160,14 @@ def test_a_result_of_two_codes_is_refused(
     other = Path(logs[1])
     other.write_text(other.read_text().replace("0123456789abcdef", "f" * 16))
     path = tmp_path / "r.json"
-    assert cli.main(["report", *logs, "--result", str(path), "--command", "lerobot-eval"]) == 2
+    assert cli.main(["report", *logs, "--out", str(path), "--command", "lerobot-eval"]) == 2
     assert "one code" in capsys.readouterr().err
     assert not path.exists()
 
 
 def test_the_picture_is_drawn(logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "new" / "curve.png"
-    assert cli.main(["report", *logs, "--plot", str(picture)]) == 0
+    assert cli.main(["report", *logs, "--out", str(picture)]) == 0
     with Image.open(picture) as image:
         colors = image.convert("RGB").getcolors(1 << 24)
     assert colors is not None
@@ -180,10 +180,10 @@ def test_the_picture_is_drawn(logs: tuple[str, str], tmp_path: Path, capsys: pyt
         (["missing.jsonl"], "Cannot read the episode log"),
         ([], "No episode log"),
         (["LOG", "--label", "a", "b"], "Labels do not fit"),
-        (["LOG", "--plot", "curve.doc"], "Unknown kind of picture"),
+        (["LOG", "--out", "curve.doc"], "Unknown kind of picture"),
         (["LOG", "--episodes", "0"], "Nothing to count"),
-        (["LOG", "--result", "result.json"], "A result needs its command"),
-        (["LOG", "--result", "r.json", "--command", "lerobot-eval --x=/home/me/y"], "must run elsewhere"),
+        (["LOG", "--out", "result.json"], "A result needs its command"),
+        (["LOG", "--out", "r.json", "--command", "lerobot-eval --x=/home/me/y"], "must run elsewhere"),
     ],
 )
 def test_mistakes_are_one_message(

@@ -49,7 +49,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("fake")
 def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "dataset"
-    assert main(["collect", "--root", str(root), *SMALL, "--json"]) == 0
+    assert main(["collect", str(root), *SMALL, "--json"]) == 0
     content: dict[str, Any] = json.loads(capfd.readouterr().out)
     attempts = episode_table(root)["attempts"].to_pylist()
     assert content["episodes"] == content["recorded"] == len(attempts) == 4
@@ -57,13 +57,13 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
     assert content["success_rate"] == pytest.approx(4 / sum(attempts))
     assert content["episodes_per_minute"] == pytest.approx(240 / content["recording_seconds"], rel=1e-3)
     assert content["bytes"] == sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
-    assert main(["collect", "--root", str(root), *SMALL]) == 0
+    assert main(["collect", str(root), *SMALL]) == 0
     assert "Complete already: 4 episodes" in capfd.readouterr().out
 
 
 @pytest.mark.usefixtures("fake")
 def test_a_person_sees_progress_and_figures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL]) == 0
+    assert main(["collect", str(tmp_path / "dataset"), *SMALL]) == 0
     output, progress = capfd.readouterr()
     assert "4 episodes in" in output
     assert "per minute" in output
@@ -75,7 +75,7 @@ def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
     root = tmp_path / "dataset"
     script = tmp_path / "adamanip"
     script.write_text(SCRIPT)
-    line = [sys.executable, str(script), HERE, "collect", "--root", str(root), *SMALL, "--workers", "2"]
+    line = [sys.executable, str(script), HERE, "collect", str(root), *SMALL, "--workers", "2"]
     process = subprocess.Popen(line, start_new_session=True, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 200
     while not list(CollectionPaths(root).episodes.glob("*.safetensors")):
@@ -85,7 +85,7 @@ def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to parent and workers alike
     _, message = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert f"adamanip collect --root {root}" in message
+    assert f"adamanip collect {root}" in message
     assert "Traceback" not in message
     kept = len(list(CollectionPaths(root).episodes.glob("*.safetensors")))
     result = subprocess.run([*line, "--json"], check=True, capture_output=True, text=True)
@@ -107,9 +107,9 @@ def test_impossible_requests_fail_before_anything_is_recorded(
         ["--pose-preset", "paper"],
         ["--num-points", "0"],
     ):
-        assert main(["collect", "--root", str(tmp_path / "dataset"), *arguments]) == 2
+        assert main(["collect", str(tmp_path / "dataset"), *arguments]) == 2
         assert "allowed:" in (told := capsys.readouterr().err)
-        assert "--pose-preset" not in arguments or "--poses fixed" in told
+        assert "--pose-preset" not in arguments or "... --poses" in told
     assert list(tmp_path.iterdir()) == []
 
 
@@ -122,7 +122,7 @@ def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.
         return {}, None
 
     monkeypatch.setattr(Push, "publish", publish)
-    call = parse("collect", ["--root", str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
+    call = parse("collect", [str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
     assert call.run() == 0
     assert published == [("dataset", tmp_path / "d", "me/safes", False)]
     monkeypatch.setattr(command, "factories", lambda: fakes(hopeless="safe_001"))
@@ -148,14 +148,14 @@ def test_every_option_that_decides_the_data_reaches_the_collection(
 
     monkeypatch.setattr(command, "collect", stop)
     line = ["--expert", "static", "--trials", "2", "--seed", "7", "--poses", "fixed", "--objects", "unseen",
-            "--mechanism-preset", "upstream", "--expert-preset", "upstream", "--late-starts", "0.3", "--keep-failed",
+            "--mechanism-rules", "upstream", "--expert-strategy", "upstream", "--late-starts", "0.3", "--keep-failed",
             "--image-size", "32", "--num-points", "9", "--worker-timeout", "5", "--max-attempts", "3"]  # fmt: skip
-    assert main(["collect", "--root", str(tmp_path / "d"), *line]) == 130
+    assert main(["collect", str(tmp_path / "d"), *line]) == 130
     ((spec, options),) = asked
-    assert (spec.expert, spec.trials, spec.seed, spec.expert_preset) == ("static", 2, 7, "upstream")
+    assert (spec.expert, spec.trials, spec.seed, spec.expert_strategy) == ("static", 2, 7, "upstream")
     assert (spec.late_starts, spec.keep_failed) == (0.3, True)
     environment = spec.environment
-    assert (environment.poses, environment.mechanism_preset) == ("fixed", "upstream")
+    assert (environment.poses, environment.mechanism_rules) == ("fixed", "upstream")
     assert (environment.image_size, environment.num_points) == (32, 9)
     assert (options.worker_timeout, options.max_attempts) == (5.0, 3)
     assert spec.objects[0] == "safe_036"
@@ -168,7 +168,7 @@ def test_pictures_are_taken_where_something_renders_and_a_collection_keeps_its_c
 ) -> None:
     monkeypatch.setattr(pictures, "can_render", lambda: renders)
     root = tmp_path / "dataset"
-    line = ["collect", "--root", str(root), *SMALL]
+    line = ["collect", str(root), *SMALL]
     assert main(line) == 0
     said = [line for line in capfd.readouterr().err.splitlines() if "No pictures" in line]
     assert len(said) == (not renders)
@@ -187,9 +187,9 @@ def test_pictures_that_are_wanted_and_cannot_be_taken_are_an_error_at_once(
 ) -> None:
     monkeypatch.setattr(pictures, "can_render", lambda: False)
     for more, said in ((["--images"], "no Vulkan device"), (["--images", "--no-images"], "Contradicting")):
-        assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL, *more]) == 2
+        assert main(["collect", str(tmp_path / "dataset"), *SMALL, *more]) == 2
         assert said in capfd.readouterr().err
     monkeypatch.setattr(pictures, "can_render", lambda: pytest.fail("a typo is told before a renderer is looked for"))
-    assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL, "--late-starts", "2"]) == 2
-    assert main(["collect", "--root", str(tmp_path / "dataset"), *SMALL, "--workers", "0"]) == 2
+    assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--late-starts", "2"]) == 2
+    assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--workers", "0"]) == 2
     assert list(tmp_path.iterdir()) == []

@@ -31,7 +31,7 @@ class Absent:
             raise ModuleNotFoundError("No module named 'ray'", name="ray")
 sys.meta_path.insert(0, Absent)
 from lerobot_adamanip.cli.main import main
-sys.exit(main(["collect", "--root", sys.argv[1], "--cluster", "local"]))
+sys.exit(main(["collect", sys.argv[1], "--cluster", "local"]))
 """
 
 
@@ -115,7 +115,7 @@ def test_versions_that_differ_are_named() -> None:
 
 def test_as_many_workers_as_the_cluster_has_need_a_cluster(tmp_path: Path) -> None:
     assert CollectOptions(workers=0, cluster="local").workers == 0
-    assert main(["collect", "--root", str(tmp_path / "d"), "--workers", "0"]) == 2
+    assert main(["collect", str(tmp_path / "d"), "--workers", "0"]) == 2
 
 
 def test_items_are_taken_of_the_present_category_and_then_of_the_largest() -> None:

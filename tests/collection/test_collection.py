@@ -68,7 +68,7 @@ def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -
 @pytest.mark.parametrize(
     "changes",
     [
-        {"expert": "clairvoyant"}, {"expert_preset": "x"}, {"episodes_per_object": 0}, {"num_points": -1},
+        {"expert": "clairvoyant"}, {"expert_strategy": "x"}, {"episodes_per_object": 0}, {"num_points": -1},
         {"trials": 0}, {"objects": ("safe_000", "safe_000")}, {"objects": ("teapot_000",)}, {"late_starts": 1.5},
         {"late_starts": float("nan")}, {"episodes_per_object": 10**9}, {"seed": -1}, {"image_size": 3},
         {"poses": "paper"},

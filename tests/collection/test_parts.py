@@ -123,8 +123,8 @@ def test_the_command_records_parts_and_adopts_them(
             "--late-starts", "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
     roots = [str(tmp_path / name) for name in ("a", "b")]
     for number, root in enumerate(roots, 1):
-        assert main(["collect", "--root", root, "--part", f"{number}/2", *line]) == 0
+        assert main(["collect", root, "--part", f"{number}/2", *line]) == 0
         assert f"Part {number}/2: 3 episodes" in capsys.readouterr().out
-    assert main(["collect", "--root", str(tmp_path / "dataset"), "--adopt", *roots, *line]) == 0
+    assert main(["collect", str(tmp_path / "dataset"), "--adopt", *roots, *line]) == 0
     same_bytes(finished, tmp_path / "dataset")
-    assert main(["collect", "--root", roots[0], "--part", "1/2", "--adopt", roots[1], *line]) == 2
+    assert main(["collect", roots[0], "--part", "1/2", "--adopt", roots[1], *line]) == 2

@@ -23,7 +23,7 @@ def test_safes_are_collected_replayed_and_collected_again_alike(
 
     roots = [tmp_path / "one", tmp_path / "two"]
     for root, workers in zip(roots, "12", strict=True):
-        assert main(["collect", "--root", str(root), *SMALL, "--workers", workers, "--json"]) == 0
+        assert main(["collect", str(root), *SMALL, "--workers", workers, "--json"]) == 0
         assert json.loads(capfd.readouterr().out)["episodes"] == 2
     for root in roots:  # the folder's name is in the card alone
         assert load_check(root, num_points=256)["total_episodes"] == 2

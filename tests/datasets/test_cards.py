@@ -81,7 +81,7 @@ def test_its_command_collects_the_same(published: Path, card: str, monkeypatch: 
     monkeypatch.setattr(pictures, "can_render", lambda: True)
 
     (line,) = [line for line in card.splitlines() if line.startswith("adamanip collect")]
-    assert line.endswith("--root dataset")
+    assert line.startswith("adamanip collect dataset ")
     asked = parse("collect", line.split()[2:]).spec()
     made = read_manifest(manifest_path(published)).spec
     assert Manifest(asked).to_json() == Manifest(made).to_json()
@@ -119,7 +119,7 @@ def test_a_part_tells_its_own_counts_and_how_it_was_chosen(published: Path, tmp_
     assert "were attempted" not in text
     assert "| `locked = true` | 1 | 1 |" in text
     assert "`locked = false`" not in text
-    assert "--root DATASET\n" in text
+    assert "adamanip collect DATASET " in text
     assert contents(tmp_path / "one").attempts is None
     scanned = scan({"meta/selection.json": tmp_path / "one/meta/selection.json"}, Names.here(tmp_path))
     assert scanned == []

@@ -101,7 +101,7 @@ def test_a_dataset_without_columns_of_ours_is_counted_from_its_rows(demos: Path,
 
 def test_the_command_prints_a_table_and_draws(demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "new" / "demos.png"
-    assert main(["stats", str(demos), "--plot", str(picture)]) == 0
+    assert main(["stats", str(demos), "--out", str(picture)]) == 0
     out = capsys.readouterr().out
     assert "door: locked" in out
     assert "100.0 %" in out
@@ -114,7 +114,7 @@ def test_the_command_prints_a_table_and_draws(demos: Path, tmp_path: Path, capsy
     assert told["groups"][0]["success"]["count"] == 10
     assert told["attempts"]["kept"]["count"] == 10
     assert told["key_frames"]["min"] >= 1
-    assert main(["stats", str(demos), "--plot", "demos.txt"]) == 2
+    assert main(["stats", str(demos), "--out", "demos.txt"]) == 2
 
 
 def test_no_dataset_and_half_of_one_are_one_clear_error(demos: Path, tmp_path: Path) -> None:

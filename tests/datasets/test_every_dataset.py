@@ -53,7 +53,7 @@ def words(taker: str, root: Path, out: Path) -> list[str]:
     return {
         "check": ["check", str(root)],
         "stats": ["stats", str(root)],
-        "view": ["view", str(root), "--image", str(out / "view.png")],
+        "view": ["view", str(root), "--out", str(out / "view.png")],
         "push": ["push", "dataset", str(root), "--repo-id", "someone/demos", "--dry-run"],
         "filter": ["filter", str(root), "--where", "episode_index=0", "--out", str(out / "filtered")],
         "split": ["split", str(root), "--parts", "a=0.5,b=0.5", "--out", str(out / "parts")],

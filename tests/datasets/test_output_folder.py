@@ -368,8 +368,8 @@ def test_the_commands_refuse_such_names_before_anything_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for line in (
-        ["collect", "--root", str(tmp_path / "a"), "--policy", "nowhere"],
-        ["collect", "--root", str(tmp_path / "a"), "--dense"],
+        ["collect", str(tmp_path / "a"), "--policy", "nowhere"],
+        ["collect", str(tmp_path / "a"), "--dense"],
         ["filter", str(tmp_path), "--out", str(tmp_path / "a")],
         ["merge", str(tmp_path), str(tmp_path), "--out", str(tmp_path / "a")],
         ["keyframes", str(tmp_path), "--out", str(tmp_path / "a")],

@@ -32,7 +32,7 @@ SAFE = Path(__file__).with_name("safe_episode")
 """A dataset of one episode, of `adamanip collect`: a locked safe, a pull that fails, the knob turned the wrong way, the
 other way, and a pull that opens. Its statistics per episode are left out."""
 PICTURE = ROOT / "docs" / "images" / "view.png"
-"""Made by ``adamanip view tests/datasets/safe_episode --image docs/images/view.png``."""
+"""Made by ``adamanip view tests/datasets/safe_episode --out docs/images/view.png``."""
 MOST_BYTES = 300_000
 SIMILAR = 4.0
 """Mean difference of a pixel, of 255, that other versions of fonts make."""
@@ -103,7 +103,7 @@ def test_marks_stand_where_the_tool_was(safe: ViewedEpisode) -> None:
 
 
 def test_the_picture_in_the_documents_is_up_to_date(safe: ViewedEpisode, tmp_path: Path) -> None:
-    """If not: `adamanip view tests/datasets/safe_episode --image docs/images/view.png`."""
+    """If not: `adamanip view tests/datasets/safe_episode --out docs/images/view.png`."""
     write_still(safe, tmp_path / "view.png")
     with Image.open(tmp_path / "view.png") as made, Image.open(PICTURE) as stored:
         assert made.size == stored.size == (1100, 780)
@@ -142,9 +142,8 @@ def test_what_cannot_be_shown_is_one_clear_error(
     for options, said in (
         ([str(SAFE), "--episode", "1"], "No such episode"),
         ([str(tmp_path / "none")], "There is no dataset"),
-        ([str(SAFE), "--image", str(tmp_path / "x.gif")], "Unknown kind of picture"),
-        ([str(SAFE), "--save", str(tmp_path / "x.mp4")], "Unknown kind of recording"),
-        ([str(SAFE), "--save", str(tmp_path / "x.rrd")], r"lerobot[viz]"),
+        ([str(SAFE), "--out", str(tmp_path / "x.gif")], "Unknown kind of file"),
+        ([str(SAFE), "--out", str(tmp_path / "x.rrd")], r"lerobot[viz]"),
     ):
         assert main(["view", *options]) == 2
         assert said in capsys.readouterr().err
@@ -155,7 +154,7 @@ def test_a_picture_needs_no_viewer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert main(["view", str(SAFE), "--image", str(tmp_path / "new" / "x.png")]) == 0
+    assert main(["view", str(SAFE), "--out", str(tmp_path / "new" / "x.png")]) == 0
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["x.png"]
     assert "safe_004" in capsys.readouterr().out
 
@@ -166,7 +165,7 @@ def test_a_picture_needs_no_viewer(
 def test_a_recording_holds_every_row(safe: ViewedEpisode, tmp_path: Path) -> None:
     from rerun.experimental import RrdReader
 
-    assert main(["view", str(SAFE), "--save", str(tmp_path / "safe.rrd")]) == 0
+    assert main(["view", str(SAFE), "--out", str(tmp_path / "safe.rrd")]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["safe.rrd"]
     reader = RrdReader(tmp_path / "safe.rrd")
     assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
@@ -219,7 +218,7 @@ def test_a_browser_is_served(tmp_path: Path) -> None:
 
 def test_a_missing_viewer_says_what_to_install(monkeypatch: pytest.MonkeyPatch, safe: ViewedEpisode) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(ConfigurationError, match="--image"):
+    with pytest.raises(ConfigurationError, match="--out"):
         viewer.spawn(safe)
 
 
@@ -232,7 +231,7 @@ def test_without_a_display_the_ways_to_look_are_named_before_anything_is_loaded(
     told = capsys.readouterr().err
     assert told.count("error: ") == 1
     assert "no dataset" not in told
-    assert all(option in told for option in ("--image", "--save", "--web"))
+    assert all(option in told for option in ("--out", "--web"))
 
 
 def test_what_nobody_has_labelled_is_not_shown_as_a_label(safe: ViewedEpisode, tmp_path: Path) -> None:

@@ -213,7 +213,7 @@ def test_knowing_nothing_costs_what_the_hidden_values_say(hidden: dict[str, obje
 
 def test_a_direction_that_never_changes_costs_nothing() -> None:
     def cost(preset: str) -> float:
-        return best_tries(record(object_id="pressure_cooker_000", mechanism_preset=preset))
+        return best_tries(record(object_id="pressure_cooker_000", mechanism_rules=preset))
 
     assert (cost("paper"), cost("upstream"), cost("hard")) == (0.0, 0.0, 0.5)
 
@@ -254,7 +254,7 @@ def test_what_must_not_be_mixed_or_compared_is_said() -> None:
     assert "demonstrations are recorded in" in said([record(seed=2**24)])
     assert "more than one fingerprint" in said([*plain, record(seed=3, fingerprint="ffffffffffffffff")])
     assert "fingerprints differ" in said(plain, [record(fingerprint="ffffffffffffffff")])
-    assert "mechanism presets differ" in said(plain, [record(mechanism_preset="upstream")])
+    assert "mechanism rules differ" in said(plain, [record(mechanism_rules="upstream")])
     assert "splits of scenes differ" in said(plain, [record(seed=1_000_001)])
 
 

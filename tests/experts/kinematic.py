@@ -260,7 +260,7 @@ def run(world: KinematicWorld, frames: KeyFrames, *, until: str = "", at_most: i
 
 def adaptive(world: KinematicWorld, seed: int = 0, trials: int = 1, preset: str = "paper", **known: Any) -> KeyFrames:
     rng, category = np.random.default_rng(seed), world.obj.category
-    options: dict[str, Any] = {"trials": trials, "preset": preset, "mechanism_preset": world.preset, **known}
+    options: dict[str, Any] = {"trials": trials, "strategy": preset, "mechanism_rules": world.preset, **known}
     return make_expert(category, "adaptive", world.parts, generator=rng, **options)
 
 

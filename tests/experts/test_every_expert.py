@@ -16,8 +16,8 @@ from lerobot_adamanip.catalog import seen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
-from lerobot_adamanip.experts import EXPERT_PRESETS, EXPERTS, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS
+from lerobot_adamanip.experts import EXPERT_STRATEGIES, EXPERTS, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
+from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError
 
 fast = settings(max_examples=8, deadline=None)
@@ -37,7 +37,7 @@ def test_trial_and_error_succeeds_within_an_episode(
     assert episode.key_frames >= len(episode.goals) - 2, "it ends when it is done"
 
 
-@pytest.mark.parametrize("presets", list(itertools.product(MECHANISM_PRESETS, EXPERT_PRESETS)), ids="-".join)
+@pytest.mark.parametrize("presets", list(itertools.product(MECHANISM_RULES, EXPERT_STRATEGIES)), ids="-".join)
 @every_category
 @settings(max_examples=3, deadline=None)
 @given(st.data(), seeds, seeds)

@@ -139,7 +139,7 @@ def test_the_command_calibrates_from_a_folder(
     pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "lab.cameras.json"
-    assert main(["calibrate", str(pictures), "--output", str(output)]) == 0
+    assert main(["calibrate", str(pictures), "--out", str(output)]) == 0
     told = capsys.readouterr().out
     assert told.count(" px ") >= 13
     assert "one picture less moves the camera by at most" in told
@@ -149,7 +149,7 @@ def test_the_command_calibrates_from_a_folder(
     assert found.depth.width == 424
     assert found.color is not None
     assert found.camera == "0123"
-    assert main(["calibrate", str(pictures), "--json", "--output", str(output), "--key", "side"]) == 0
+    assert main(["calibrate", str(pictures), "--json", "--out", str(output), "--key", "side"]) == 0
     numbers = json.loads(capsys.readouterr().out)
     assert len(numbers["views"]) == numbers["pictures"] == 13
     assert numbers["rms_px"] < 0.2

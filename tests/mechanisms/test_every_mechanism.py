@@ -17,8 +17,8 @@ from ideal_joints import MECHANISMS, generator, leaves, random_reading, reading,
 from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.mechanisms import (
-    DEFAULT_MECHANISM_PRESET,
-    MECHANISM_PRESETS,
+    DEFAULT_MECHANISM_RULES,
+    MECHANISM_RULES,
     RULES,
     Mechanism,
     fixed_direction,
@@ -204,7 +204,7 @@ def test_its_rules_are_told_in_words(mechanism: Mechanism[Any]) -> None:
     assert all(words == words.strip() and len(words) > 5 for words in rules.values())
 
 
-@pytest.mark.parametrize("preset", MECHANISM_PRESETS)
+@pytest.mark.parametrize("preset", MECHANISM_RULES)
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_an_object_s_mechanism_has_its_joints_and_can_be_solved(category: str, preset: str) -> None:
     obj = make_object(seen_objects(category)[0])
@@ -229,7 +229,7 @@ FIXED = {"pressure_cooker": 1, "coffee_maker": -1}
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-@pytest.mark.parametrize("preset", MECHANISM_PRESETS)
+@pytest.mark.parametrize("preset", MECHANISM_RULES)
 @pytest.mark.parametrize("category", [name for name in CATEGORIES if name not in ("microwave", "lamp")])
 def test_a_direction_is_drawn_unless_the_paper_never_tries_one(category: str, preset: str, seed: int) -> None:
     mechanism = make_mechanism(make_object(seen_objects(category)[0]), preset)
@@ -255,7 +255,7 @@ def test_a_fixed_direction_can_still_be_overridden(category: str) -> None:
 def test_upstream_s_safe_is_locked_by_turning_and_no_other() -> None:
     obj = make_object(seen_objects("safe")[0])
     shut = {}
-    for preset in MECHANISM_PRESETS:
+    for preset in MECHANISM_RULES:
         mechanism = make_mechanism(obj, preset)
         state = mechanism.draw(1, generator(), {"locked": False, "direction": 1})
         for knob in (0.0, 0.3):
@@ -269,7 +269,7 @@ def test_upstream_s_safe_is_locked_by_turning_and_no_other() -> None:
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_presets_agree_elsewhere_and_draw_all_else_alike(category: str, seed: int) -> None:
     obj = make_object(seen_objects(category)[0])
-    paper, upstream, hard = (make_mechanism(obj, preset) for preset in MECHANISM_PRESETS)
+    paper, upstream, hard = (make_mechanism(obj, preset) for preset in MECHANISM_RULES)
     one, other = paper.draw(32, generator(seed)), hard.draw(32, generator(seed))
     if category not in FIXED:
         assert paper.rules() == hard.rules()
@@ -284,7 +284,7 @@ def test_presets_agree_elsewhere_and_draw_all_else_alike(category: str, seed: in
 
 def test_the_table_of_rules_has_a_row_of_every_category_and_says_where_it_is_from() -> None:
     assert tuple(RULES) == tuple(CATEGORIES)
-    assert DEFAULT_MECHANISM_PRESET in MECHANISM_PRESETS
+    assert DEFAULT_MECHANISM_RULES in MECHANISM_RULES
     for rules in RULES.values():
         assert any(place in rules.paper for place in ("(3.2)", "(figure 2)", "(appendix)"))
         assert rules.reading

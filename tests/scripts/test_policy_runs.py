@@ -33,7 +33,7 @@ class Commands:
             return subprocess.CompletedProcess(command, 1)
         options = dict(word.removeprefix("--").partition("=")[::2] for word in command[1:])
         if name == "adamanip":
-            folder = command[command.index("--root" if command[1] == "collect" else "--out") + 1]
+            folder = command[2 if command[1] == "collect" else command.index("--out") + 1]
             info = Path(folder) / "meta" / "info.json"
             info.parent.mkdir(parents=True)
             info.touch()

@@ -130,7 +130,7 @@ def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(re
         return log
 
     small = ("--image-size=64", "--objects=0:1", "--episodes-per-object=1")
-    run("adamanip", "collect", "--category=microwave", *small, f"--root={tmp_path / 'simulated'}")
+    run("adamanip", "collect", str(tmp_path / "simulated"), "--category=microwave", *small)
     losses = twin_learning.mixed_training(run, recorded, tmp_path / "simulated", tmp_path, steps=20)
     assert len(losses) == 20
     assert all(np.isfinite(losses))

@@ -80,7 +80,7 @@ class AdamanipScripted(TcpTeleop):
                 told["annotations"],
                 generator=np.random.default_rng([self.config.seed, int(told["seed"])]),
                 trials=self.config.trials,
-                mechanism_preset=told["mechanism_preset"],
+                mechanism_rules=told["mechanism_rules"],
             )
         except KeyError as missing:
             raise RobotError(

@@ -8,7 +8,7 @@ from typing import Any
 from lerobot.robots.config import RobotConfig
 
 from lerobot_adamanip.contract.schema import IMAGE_SIZE, MAX_KEY_FRAMES
-from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
 from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
@@ -42,8 +42,11 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     poses: str = "randomized"
     """randomized, or fixed as upstream's code has them."""
 
-    mechanism_preset: str = "paper"
-    """paper or upstream."""
+    mechanism_rules: str = "paper"
+    """paper, upstream or hard."""
+
+    mechanism_preset: str | None = None
+    """Former name of mechanism_rules; setting it is an error that says so."""
 
     hidden: dict[str, Any] = field(default_factory=dict)
     """Fixed hidden values, '{locked: true}'; what is left out is drawn from the seed."""
@@ -110,6 +113,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
                 camera.fps = camera.fps or self.camera_hz
         super().__post_init__()
         with shown_by_parsers():
+            refuse_former_name("mechanism_preset", self.mechanism_preset)
             require_choice("clock", self.clock, CLOCKS, hint="--robot.clock=lockstep")
             require_choice("source of depth", self.depth_source, DEPTH_SOURCES, hint="--robot.depth_source=raycast")
             if not 0 <= self.seed < 2**31 or not 1 <= self.fps <= 1000:
@@ -126,7 +130,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
             assets=self.assets,
             split=self.split,
             poses=self.poses,
-            mechanism_preset=self.mechanism_preset,
+            mechanism_rules=self.mechanism_rules,
             hidden_overrides=self.hidden,
             image_size=self.image_size,
             render_backend=self.render_backend,

@@ -31,8 +31,8 @@ class Objects:
     Given a folder of external assets, it checks them: which can be used, and what is wrong with the others.
     """
 
-    sheet: Path | None = None
-    """Picture to write (.png, .jpg or .webp)."""
+    out: Path | None = None
+    """Write a contact sheet (.png, .jpg or .webp)."""
 
     category: str = "safe"
     """Which kind of object; all for every one."""
@@ -61,14 +61,14 @@ class Objects:
                 allowed=f"1 column or more, {_SIZES[0]} ... {_SIZES[1]} px",
                 hint="--columns 9 --size 240",
             )
-        if self.sheet is not None:
-            sheet_suffix(self.sheet)
+        if self.out is not None:
+            sheet_suffix(self.out)
             require_renderer()
         chosen, unusable = self._chosen()
-        if self.sheet is not None and chosen:
+        if self.out is not None and chosen:
             with contextlib.redirect_stdout(sys.stderr):  # what the simulator prints must not get into the JSON
                 portraits = self._portraits(chosen)
-            compose_sheet(portraits, columns=self.columns, path=self.sheet)
+            compose_sheet(portraits, columns=self.columns, path=self.out)
         self._print(chosen, unusable)
         return 0
 
@@ -101,10 +101,10 @@ class Objects:
 
     def _print(self, chosen: list[ArticulatedObject], unusable: list[AssetReport]) -> None:
         if self.json:
-            sheet = None if self.sheet is None else str(self.sheet)
+            sheet = None if self.out is None else str(self.out)
             rows = [to_json(obj) for obj in chosen]
             refused = [{"object_id": report.asset_id, "reason": report.problem} for report in unusable]
-            told = {"category": self.category, "objects": rows, "unusable": refused, "sheet": sheet}
+            told = {"category": self.category, "objects": rows, "unusable": refused, "out": sheet}
             print(json.dumps(told))
             return
         for obj in chosen:
@@ -114,8 +114,8 @@ class Objects:
             print(f"{report.asset_id}  cannot be used: {report.problem}")
         if self.assets is not None:
             print(f"{len(chosen)} usable, {len(unusable)} not")
-        if self.sheet is not None and chosen:
-            print(f"{len(chosen)} objects on {self.sheet}")
+        if self.out is not None and chosen:
+            print(f"{len(chosen)} objects on {self.out}")
 
 
 def to_json(obj: ArticulatedObject) -> dict[str, Any]:

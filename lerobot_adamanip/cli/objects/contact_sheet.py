@@ -31,7 +31,7 @@ def sheet_suffix(path: Path) -> str:
     if path.suffix.lower() in _SUFFIXES:
         return path.suffix.lower()
     raise ConfigurationError(
-        "Unknown kind of picture.", got=path, allowed=", ".join(_SUFFIXES), hint="--sheet objects.png"
+        "Unknown kind of picture.", got=path, allowed=", ".join(_SUFFIXES), hint="--out objects.png"
     )
 
 

@@ -38,7 +38,7 @@ def write_still(episode: ViewedEpisode, path: Path) -> None:
         ConfigurationError: the file is to be of another kind.
     """
     if path.suffix.lower() != ".png":
-        raise ConfigurationError("Unknown kind of picture.", got=path, allowed=".png", hint="--image episode.png")
+        raise ConfigurationError("Unknown kind of picture.", got=path, allowed=".png", hint="--out episode.png")
     figure = draw(episode)
     content = io.BytesIO()
     figure.savefig(

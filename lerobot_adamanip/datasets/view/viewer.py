@@ -64,8 +64,8 @@ def no_display(reason: str) -> ConfigurationError:
     return ConfigurationError(
         "rerun's window does not open here.",
         got=reason,
-        allowed="a desktop; or --image FILE.png, --save FILE.rrd or --web, which need none",
-        hint="--image episode.png",
+        allowed="a desktop; or --out FILE.png, --out FILE.rrd or --web, which need none",
+        hint="--out episode.png",
     )
 
 
@@ -179,6 +179,6 @@ def _rerun() -> Any:
             "rerun is not installed.",
             got=f"no module {error.name}",
             allowed="rerun-sdk, which LeRobot's viewer needs too",
-            hint="pip install 'lerobot[viz]'; or --image episode.png, which needs none",
+            hint="pip install 'lerobot[viz]'; or --out episode.png, which needs none",
         ) from error
     return rerun

@@ -29,8 +29,8 @@ def test_what_was_shown_is_opened(category: str, tmp_path: Path) -> None:
     demos, train, log = tmp_path / "demos", tmp_path / "train", tmp_path / "log.jsonl"
     scene = ("--objects", "0:1", "--poses", "fixed")
     _run(
-        *("lerobot_adamanip.cli.main", "collect", "--category", category, *scene, "--late-starts", "0"),
-        *("--episodes-per-object", str(EPISODES), "--root", str(demos), "--repo-id", "local/overfit"),
+        *("lerobot_adamanip.cli.main", "collect", str(demos), "--category", category, *scene, "--late-starts", "0"),
+        *("--episodes-per-object", str(EPISODES), "--repo-id", "local/overfit"),
     )
     environment = (f"--env.type=adamanip_{category}", "--env.objects=0:1", "--env.poses=fixed")
     _run(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.catalog import get_object, select_objects
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
-from lerobot_adamanip.mechanisms import MECHANISM_PRESETS, Mechanism, make_mechanism
+from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import require_choice
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
@@ -79,7 +79,7 @@ class AdaManipTask(BaseEnv):
         objects: str = "seen",
         assets: str | None = None,
         poses: str = "randomized",
-        mechanism_preset: str = "paper",
+        mechanism_rules: str = "paper",
         image_size: int = 256,
         depth_size: int = DEPTH_SIZE,
         shader: str = "default",
@@ -96,7 +96,7 @@ class AdaManipTask(BaseEnv):
         placeable = None if assets is None else placement_check(self.definition, poses)
         self.object_ids, self._assets = select_objects(self.category, objects, assets, placeable), assets
         self.randomization = randomization(poses)
-        self.mechanism_preset = require_choice("mechanism preset", mechanism_preset, MECHANISM_PRESETS)
+        self.mechanism_rules = require_choice("mechanism rules", mechanism_rules, MECHANISM_RULES)
         self.hidden_overrides = dict(hidden_overrides or {})
         self._image_size, self._depth_size, self._shader, self._workspace = image_size, depth_size, shader, workspace
         self._cloud_source, self._renderer = resolve_cloud_source(cloud_source), render_backend
@@ -218,7 +218,7 @@ class AdaManipTask(BaseEnv):
     def _load_scene(self, options: dict[str, Any]) -> None:
         chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
         obj, task = get_object(str(chosen), self._assets), self.definition
-        self._rules = make_mechanism(obj, self.mechanism_preset)
+        self._rules = make_mechanism(obj, self.mechanism_rules)
         self._stand = task.stand(obj)
         self._objects = ObjectScene(
             self.scene,

@@ -168,7 +168,7 @@ class SapienBackend:
             "category": scene.category,
             "object_id": scene.task_simulation.obj.object_id,
             "task": scene.task_description,
-            "mechanism_preset": scene.options.mechanism_preset,
+            "mechanism_rules": scene.options.mechanism_rules,
             "annotations": dict(scene.annotations),
             "camera": self._camera().parameters(),
         }
