@@ -98,12 +98,12 @@ for split in ("seen", "unseen", "novel"):
     assert [obj.object_id for obj in objects] == list(ids)
     for preset in MECHANISM_RULES:
         mechanism = make_mechanism(objects[0], preset)
-        state = mechanism.draw(1, torch.Generator().manual_seed(0), {{"direction": 1, "turn_range": 1.5}})
-        _, shut = mechanism.step(state, {{"lift": torch.zeros(1), "cap": torch.zeros(1)}})
-        _, free = mechanism.step(state, {{"lift": torch.zeros(1), "cap": torch.full((1,), 1.4)}})
-        assert float(shut["lift"].upper[0]) == 0.0 < float(free["lift"].upper[0])
+        state = mechanism.draw(torch.Generator().manual_seed(0), {{"direction": 1, "turn_range": 1.5}})
+        _, shut = mechanism.step(state, {{"lift": 0.0, "cap": 0.0}})
+        _, free = mechanism.step(state, {{"lift": 0.0, "cap": 1.4}})
+        assert shut["lift"][1] == 0.0 < free["lift"][1]
 parts = {{part.name: part for part in objects[0].parts}}
-for kind, hidden in (("adaptive", None), ("static", mechanism.hidden(state, 0))):
+for kind, hidden in (("adaptive", None), ("static", mechanism.hidden(state))):
     goal = next(make_expert("jar", kind, parts, generator=np.random.default_rng(0), hidden=hidden))
     assert goal.action().shape == (10,)
 config = EnvConfig.get_choice_class("adamanip_jar")(direction=-1)

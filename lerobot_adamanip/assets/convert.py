@@ -18,7 +18,7 @@ from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import check_kind, find_annotation
 from lerobot_adamanip.assets.urdf import Urdf, read_urdf
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_adamanip.mechanisms.feasibility import MARGIN, infeasible
+from lerobot_adamanip.mechanisms.table import GOAL_MARGIN, infeasible
 from lerobot_adamanip.objects.base import (
     ArticulatedObject,
     Joint,
@@ -84,7 +84,7 @@ def assemble(
             urdf.path,
             f"a {annotation.category} like this can never be opened.",
             got=reason,
-            allowed=f"joints that go {MARGIN:g} times as far as the goal, or farther",
+            allowed=f"joints that go {GOAL_MARGIN:g} times as far as the goal, or farther",
             hint=f"adamanip annotate {urdf.path.parent.name}, and set how far the joint goes",
         )
     tell_left_out(found)

@@ -1,19 +1,16 @@
-"""Hidden state as pure batched functions: five families, the mechanisms that combine them, and which object has which.
+"""Hidden state as pure functions: the rules of each category, and which presets there are.
 
-Presets: see `MECHANISM_RULES`, and docs/differences.md for what each of them takes from where.
+The paper's five families: Lock and Switch Contact (`safe`, `microwave`), Random Rotation Direction (`safe`,
+`turn_to_open`), Rotate & Slide (`turn_to_open`), Push / Rotate (`lamp`). Presets: see `MECHANISM_RULES`, and
+docs/differences.md for what each of them takes from where.
 """
 
 from __future__ import annotations
 
-from lerobot_adamanip.mechanisms.base import Command, JointLimits, Mechanism, Overrides, Reading, replace_rows
+from lerobot_adamanip.mechanisms.base import Limits, Mechanism, Overrides, Positions
 from lerobot_adamanip.mechanisms.lamp import LampMechanism
-from lerobot_adamanip.mechanisms.lock import Lock, LockState
-from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism, MicrowaveMechanismConfig
-from lerobot_adamanip.mechanisms.push_rotate import PushOrRotate, PushRotateState
-from lerobot_adamanip.mechanisms.rotate_slide import RotateSlideState, RotateThenSlide
-from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
-from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig, SafeState
-from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
+from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism
+from lerobot_adamanip.mechanisms.safe import SafeMechanism
 from lerobot_adamanip.mechanisms.table import (
     DEFAULT_MECHANISM_RULES,
     LIFTED,
@@ -21,14 +18,13 @@ from lerobot_adamanip.mechanisms.table import (
     RULES,
     CategoryRules,
     fixed_direction,
+    infeasible,
     make_mechanism,
 )
-from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
+from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism
 
 __all__ = [
-    "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "Command", "JointLimits",
-    "LampMechanism", "Lock", "LockState", "Mechanism", "MicrowaveMechanism", "MicrowaveMechanismConfig", "Overrides",
-    "PushOrRotate", "PushRotateState", "RandomRotationDirection", "Reading", "RotateSlideState", "RotateThenSlide",
-    "RotationState", "SafeMechanism", "SafeMechanismConfig", "SafeState", "SwitchContact", "TurnToOpenMechanism",
-    "TurnToOpenMechanismConfig", "fixed_direction", "make_mechanism", "replace_rows",
+    "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "LampMechanism", "Limits",
+    "Mechanism", "MicrowaveMechanism", "Overrides", "Positions", "SafeMechanism", "TurnToOpenMechanism",
+    "fixed_direction", "infeasible", "make_mechanism",
 ]  # fmt: skip

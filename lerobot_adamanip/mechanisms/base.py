@@ -1,113 +1,119 @@
-"""What a mechanism is: a pure, batched function from what its joints read to how far each joint may move."""
+"""Rules of an object: pure functions from where its joints stand to how far each joint may move."""
 
 from __future__ import annotations
 
-import functools
 import math
-import operator
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.mechanisms.arrays import doubles, filled, is_tensor
+import numpy as np
+
 from lerobot_adamanip.util.errors import ConfigurationError
 
-if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+if TYPE_CHECKING:  # importing torch takes seconds, and collecting does not draw
     import torch
-    from torch import Tensor
 
-type Reading = Mapping[str, Tensor]
-"""Joint name -> position (B,) [rad or m]."""
-
-
-@dataclass(frozen=True)
-class JointLimits:
-    """A joint may move in [lower, upper]; both (B,) [rad or m]."""
-
-    lower: Tensor
-    upper: Tensor
-
-
-Command = Mapping[str, JointLimits]
+type Positions = Mapping[str, float]
+"""Joint name -> position [rad or m]."""
+type Limits = tuple[float, float]
+"""A joint may move in [lower, upper] [rad or m]."""
 Overrides = Mapping[str, bool | int | float]
+SHUT: Limits = (0.0, 0.0)
 
 
 class Mechanism[StateT](ABC):
     """Rules of one object. Pure: no simulator, no random numbers in `step`, inputs are never changed.
 
-    A state is a frozen dataclass of (B,) tensors: the episode's hidden draw, and what the mechanism remembers. `step`
-    and `succeeded` take NumPy arrays likewise, see `mechanisms.arrays`.
+    A state is a frozen dataclass: the episode's hidden draw, in fields of the names in `hidden_names`, and what the
+    mechanism remembers.
     """
 
-    joints: tuple[str, ...]
+    joints: tuple[str, str]
     """Names of the joints it reads and limits."""
     goals: Mapping[str, float]
     """Joint name -> distance from rest [rad or m]: one of these joints beyond it is success."""
+    hidden_names: tuple[str, ...]
+    """Hidden values, as overrides and results name them."""
 
-    @abstractmethod
-    def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> StateT:
-        """Draws hidden states of ``batch_size`` new episodes.
+    def draw(self, generator: torch.Generator, overrides: Overrides | None = None) -> StateT:
+        """Draws the hidden state of a new episode.
 
         ``overrides`` fixes hidden values by name. The generator is advanced equally with and without them, so that an
         override changes nothing else. Raises `ConfigurationError` for an unknown name or an impossible value.
         """
+        unknown = set(overrides or ()) - set(self.hidden_names)
+        if unknown:
+            got, allowed = ", ".join(sorted(unknown)), ", ".join(self.hidden_names)
+            raise ConfigurationError("Unknown hidden value.", got=got, allowed=allowed, hint="leave it out")
+        return self._draw(generator, overrides or {})
 
     @abstractmethod
-    def step(self, state: StateT, reading: Reading) -> tuple[StateT, Command]:
+    def _draw(self, generator: torch.Generator, overrides: Overrides) -> StateT: ...
+
+    @abstractmethod
+    def step(self, state: StateT, positions: Positions) -> tuple[StateT, dict[str, Limits]]:
         """Returns the next state and each joint's limits."""
-
-    @abstractmethod
-    def hidden(self, state: StateT, index: int) -> dict[str, Any]:
-        """Returns one environment's hidden draw, JSON-able, by the names that ``overrides`` takes."""
 
     @abstractmethod
     def rules(self) -> dict[str, str]:
         """Returns ``hidden``, ``draws`` and ``thresholds`` in words, for the documentation's table."""
 
-    def succeeded(self, reading: Reading) -> Tensor:
-        """Returns (B,) bool: whether a joint is beyond its goal."""
-        return functools.reduce(operator.or_, (abs(reading[joint]) > goal for joint, goal in self.goals.items()))
+    def hidden(self, state: StateT) -> dict[str, Any]:
+        """Returns the hidden draw, JSON-able, by the names that ``overrides`` takes."""
+        return {name: getattr(state, name) for name in self.hidden_names}
+
+    def succeeded(self, positions: Positions) -> bool:
+        """Returns whether a joint is beyond its goal, in single precision, as the simulator has positions."""
+        return any(bool(np.float32(abs(positions[joint])) > np.float32(goal)) for joint, goal in self.goals.items())
 
 
-def uniform(batch_size: int, generator: torch.Generator) -> Tensor:
-    """(B,) float64 draws in [0, 1), on the generator's device."""
+def uniform(generator: torch.Generator) -> float:
+    """Draws a float64 in [0, 1)."""
     import torch
 
-    return torch.rand(batch_size, generator=generator, dtype=torch.float64, device=generator.device)
+    return torch.rand(1, generator=generator, dtype=torch.float64).item()
 
 
-def overridden(drawn: Tensor, overrides: Overrides | None, name: str, choices: Collection[int] = ()) -> Tensor:
-    """Returns ``drawn``, or the overriding value in its shape and dtype.
+def overridden[ValueT: (bool, int, float)](
+    drawn: ValueT, overrides: Overrides, name: str, choices: Collection[int] = ()
+) -> ValueT:
+    """Returns ``drawn``, or the overriding value in its type.
 
     Raises:
         ConfigurationError: the value is none of ``choices``; without choices, no positive number.
     """
-    if overrides is None or name not in overrides:
+    if name not in overrides:
         return drawn
     value = overrides[name]
     positive = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
     if not (value in choices if choices else positive):
         allowed = " or ".join(map(str, choices)) or "a number above 0"
         raise ConfigurationError(f"Impossible {name}.", got=repr(value), allowed=allowed, hint="leave it out")
-    import torch
-
-    return torch.full_like(drawn, value)
+    return type(drawn)(value)
 
 
-def opening(is_free: Tensor, upper: float) -> JointLimits:
-    """Returns float64 limits [0, upper] where ``is_free`` (B,), [0, 0] elsewhere."""
-    # Not torch.where: of two Python numbers it makes float32, which rounds the limit.
-    limits = doubles(is_free) * upper
-    return JointLimits(filled(limits, 0.0), limits)
+def draw_locked(generator: torch.Generator, overrides: Overrides) -> bool:
+    """Draws whether an episode starts locked (p = 1/2); override ``locked``."""
+    return overridden(uniform(generator) < 0.5, overrides, "locked", (False, True))
 
 
-def check_names(overrides: Overrides | None, names: Collection[str]) -> None:
-    """Raises `ConfigurationError` if an override has none of these names: misspelt, it would do nothing."""
-    unknown = set(overrides or ()) - set(names)
-    if unknown:
-        got, allowed = ", ".join(sorted(unknown)), ", ".join(names)
-        raise ConfigurationError("Unknown hidden value.", got=got, allowed=allowed, hint="leave it out")
+def draw_direction(generator: torch.Generator, p_positive: float, overrides: Overrides) -> int:
+    """Draws the one way in which a part turns, +1 or -1; override ``direction``."""
+    return overridden(1 if uniform(generator) < p_positive else -1, overrides, "direction", (-1, 1))
+
+
+def draw_range(
+    generator: torch.Generator, nominal: float, fractions: tuple[float, float], overrides: Overrides, name: str
+) -> float:
+    """Draws how far a part turns [rad]: uniform between two fractions of ``nominal``; override ``name``."""
+    low, high = fractions
+    return overridden(float(nominal * (low + (high - low) * uniform(generator))), overrides, name)
+
+
+def turn_limits(direction: int, turn_range: float) -> Limits:
+    """Returns the limits of a joint that turns one way only."""
+    return (0.0, turn_range) if direction > 0 else (-turn_range, 0.0)
 
 
 def check_positive(name: str, value: float) -> float:
@@ -117,13 +123,13 @@ def check_positive(name: str, value: float) -> float:
     raise ConfigurationError(f"{name} has to be positive.", got=value, allowed="above 0", hint="the object's own")
 
 
-def replace_rows[StateT](state: StateT, fresh: StateT, mask: Tensor) -> StateT:
-    """Returns ``state`` with the environments of ``mask`` (B,) taken from ``fresh``: how some of a batch are reset."""
-    if is_tensor(state):
-        import torch
+def direction_words(p_positive: float) -> str:
+    """Returns how a direction is drawn, in words."""
+    if p_positive in (0.0, 1.0):
+        return f"direction fixed ({'+' if p_positive else '-'})"
+    return f"direction +/- with p = {p_positive:g}"
 
-        return torch.where(mask, fresh, state)  # type: ignore[call-overload, no-any-return]
-    if not is_dataclass(state) or isinstance(state, type):
-        raise TypeError(f"a state is a dataclass of tensors, got {type(state).__name__}")
-    names = [item.name for item in fields(state)]
-    return replace(state, **{n: replace_rows(getattr(state, n), getattr(fresh, n), mask) for n in names})
+
+def range_words(fractions: tuple[float, float]) -> str:
+    """Returns how a range is drawn, in words."""
+    return f"U({fractions[0]:g}, {fractions[1]:g}) of the object's"

@@ -1,48 +1,58 @@
-"""The lamp: one part that is a button, or a knob that turns one way; it looks the same."""
+"""The lamp (Push / Rotate): one part that is a button, or a knob that turns one way; it looks the same."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading, check_names
-from lerobot_adamanip.mechanisms.push_rotate import PushOrRotate, PushRotateState
+from lerobot_adamanip.mechanisms.base import (
+    SHUT,
+    Limits,
+    Mechanism,
+    Overrides,
+    Positions,
+    check_positive,
+    overridden,
+    turn_limits,
+    uniform,
+)
 
-if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+if TYPE_CHECKING:
     import torch
 
+PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE = 0, 1, 2
+PUSH_SUCCESS, TURN_SUCCESS = 0.01, 0.85
+"""Travel of the button [m] and share of the knob's range beyond which the lamp is on (paper code)."""
 
-class LampMechanism(Mechanism[PushRotateState]):
-    """Joints ``button`` (0 out ... ``push_upper`` in) and ``knob`` (0 at rest).
 
-    Args:
-        push_upper: travel of the button [m].
-        turn_upper: range of the knob to either side [rad].
-        push_success: travel beyond which the lamp is on [m] (paper code: 0.01).
-        turn_fraction: of the knob's range, beyond which it is on (paper code: 0.85).
-    """
+@dataclass(frozen=True)
+class LampState:
+    """``mode``: push, rotate positive or rotate negative."""
+
+    mode: int
+
+
+class LampMechanism(Mechanism[LampState]):
+    """Joints ``button`` (0 out ... ``push_upper`` in [m]) and ``knob`` (0 at rest, ``turn_upper`` to a side [rad])."""
 
     joints = ("button", "knob")
+    hidden_names = ("mode",)
 
-    def __init__(
-        self, push_upper: float, turn_upper: float, *, push_success: float = 0.01, turn_fraction: float = 0.85
-    ) -> None:
-        self.goals = {"button": push_success, "knob": turn_fraction * turn_upper}
-        self._turn_fraction = turn_fraction
-        self._family = PushOrRotate(push_upper, turn_upper)
+    def __init__(self, push_upper: float, turn_upper: float) -> None:
+        self.goals = {"button": PUSH_SUCCESS, "knob": TURN_SUCCESS * turn_upper}
+        self._push_upper = check_positive("push_upper", push_upper)
+        self._turn_upper = check_positive("turn_upper", turn_upper)
 
-    def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> PushRotateState:
-        """Draws ``mode``, which can be overridden (0 push, 1 rotate positive, 2 rotate negative)."""
-        check_names(overrides, ("mode",))
-        return self._family.draw(batch_size, generator, overrides)
+    def _draw(self, generator: torch.Generator, overrides: Overrides) -> LampState:
+        mode = min(int(uniform(generator) * 3), 2)
+        return LampState(overridden(mode, overrides, "mode", (PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE)))
 
-    def step(self, state: PushRotateState, reading: Reading) -> tuple[PushRotateState, Command]:
-        """The mode decides which of the two joints is free, all episode long."""
-        button, knob = self._family.limits(state)
-        return state, {"button": button, "knob": knob}
-
-    def hidden(self, state: PushRotateState, index: int) -> dict[str, Any]:
-        """Returns ``mode`` of one environment."""
-        return {"mode": int(state.mode[index])}
+    def step(self, state: LampState, positions: Positions) -> tuple[LampState, dict[str, Limits]]:
+        """The mode decides which one of three motions is free, all episode long."""
+        if state.mode == PUSH:
+            return state, {"button": (0.0, self._push_upper), "knob": SHUT}
+        direction = 1 if state.mode == ROTATE_POSITIVE else -1
+        return state, {"button": SHUT, "knob": turn_limits(direction, self._turn_upper)}
 
     def rules(self) -> dict[str, str]:
         """Returns hidden state, draws and thresholds in words."""

@@ -1,46 +1,45 @@
-"""The safe: lock, random rotation direction and switch contact in one."""
+"""The safe (Lock, Random Rotation Direction, Switch Contact): a knob that turns one way releases the door."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.mechanisms.base import Command, Mechanism, Overrides, Reading, check_names
-from lerobot_adamanip.mechanisms.lock import LockState
-from lerobot_adamanip.mechanisms.rotation_direction import RandomRotationDirection, RotationState
-from lerobot_adamanip.mechanisms.switch_contact import SwitchContact
-from lerobot_adamanip.mechanisms.turn_to_open import direction_words, range_words
+from lerobot_adamanip.mechanisms.base import (
+    SHUT,
+    Limits,
+    Mechanism,
+    Overrides,
+    Positions,
+    check_positive,
+    direction_words,
+    draw_direction,
+    draw_locked,
+    draw_range,
+    range_words,
+    turn_limits,
+)
 
-if TYPE_CHECKING:  # importing torch takes seconds, and who collects does not draw
+if TYPE_CHECKING:
     import torch
 
-
-@dataclass(frozen=True)
-class SafeMechanismConfig:
-    """Draws and thresholds of the safe (paper code, section "safe").
-
-    Attributes:
-        p_locked: probability that an episode starts locked.
-        p_clockwise: probability that the knob turns clockwise, seen from the front; direction +1.
-        range_fraction: an episode's knob range is uniform between these fractions of the object's.
-        release_fraction: of that range, at which the lock gives.
-        lock_on_turn: upstream's variant, see `SwitchContact`.
-    """
-
-    p_locked: float = 0.5
-    p_clockwise: float = 0.5
-    range_fraction: tuple[float, float] = (0.9, 1.0)
-    release_fraction: float = 0.85
-    lock_on_turn: bool = False
+RANGE = (0.9, 1.0)
+"""An episode's knob range is uniform between these fractions of the object's (paper code)."""
+RELEASE, SPOIL = 0.85, 0.15
+"""Shares of that range at which the lock gives, and at which `lock_on_turn` locks (paper code)."""
+AJAR = 0.02
+"""A door that has moved this far [rad] is open, and cannot be locked by its knob."""
 
 
 @dataclass(frozen=True)
 class SafeState:
-    """States of the two families."""
+    """The hidden draw, and ``released``: open from the start, or opened since; one-way but for `lock_on_turn`."""
 
-    lock: LockState
-    rotation: RotationState
+    locked: bool
+    direction: int
+    knob_range: float
+    released: bool
 
 
 class SafeMechanism(Mechanism[SafeState]):
@@ -50,50 +49,51 @@ class SafeMechanism(Mechanism[SafeState]):
         door_upper: opening limit [rad].
         knob_range: the object's nominal knob range [rad].
         success: door angle beyond which the safe is open [rad] (paper code: pi/7).
-        config: draws and thresholds.
+        p_positive: probability that the knob turns clockwise, seen from the front.
+        lock_on_turn: upstream's variant, not the paper's: in a safe that was not locked, moving the knob by more than
+            `SPOIL` of its range locks a shut door for the rest of the episode.
     """
 
     joints = ("door", "knob")
+    hidden_names = ("locked", "direction", "knob_range")
 
     def __init__(
         self,
         door_upper: float,
         knob_range: float,
         success: float = math.pi / 7,
-        config: SafeMechanismConfig = SafeMechanismConfig(),
+        *,
+        p_positive: float = 0.5,
+        lock_on_turn: bool = False,
     ) -> None:
-        self.config, self.goals = config, {"door": success}
-        self._lock = SwitchContact(
-            door_upper, config.p_locked, config.release_fraction, lock_on_turn=config.lock_on_turn
+        self.goals = {"door": success}
+        self._door_upper = check_positive("door_upper", door_upper)
+        self._knob_range = check_positive("knob_range", knob_range)
+        self._p_positive, self._lock_on_turn = p_positive, lock_on_turn
+
+    def _draw(self, generator: torch.Generator, overrides: Overrides) -> SafeState:
+        locked = draw_locked(generator, overrides)
+        direction = draw_direction(generator, self._p_positive, overrides)
+        return SafeState(
+            locked, direction, draw_range(generator, self._knob_range, RANGE, overrides, "knob_range"), not locked
         )
-        self._rotation = RandomRotationDirection(knob_range, config.p_clockwise, config.range_fraction, "knob_range")
 
-    def draw(self, batch_size: int, generator: torch.Generator, overrides: Overrides | None = None) -> SafeState:
-        """Draws ``locked``, ``direction`` and ``knob_range``; each can be overridden by that name."""
-        check_names(overrides, ("locked", "direction", "knob_range"))
-        lock = self._lock.draw(batch_size, generator, overrides)
-        return SafeState(lock, self._rotation.draw(batch_size, generator, overrides))
-
-    def step(self, state: SafeState, reading: Reading) -> tuple[SafeState, Command]:
+    def step(self, state: SafeState, positions: Positions) -> tuple[SafeState, dict[str, Limits]]:
         """The knob alone releases the door; pulling never does."""
-        lock, door = self._lock.step_with(state.lock, reading["knob"], state.rotation.turn_range, reading["door"])
-        return SafeState(lock, state.rotation), {"door": door, "knob": self._rotation.limits(state.rotation)}
-
-    def hidden(self, state: SafeState, index: int) -> dict[str, Any]:
-        """Returns ``locked``, ``direction`` and ``knob_range`` [rad] of one environment, as drawn."""
-        return {
-            "locked": bool(state.lock.locked[index]),
-            "direction": int(state.rotation.direction[index]),
-            "knob_range": float(state.rotation.turn_range[index]),
-        }
+        turned = abs(positions["knob"])
+        released = state.released or turned >= RELEASE * state.knob_range
+        if self._lock_on_turn and not state.locked:
+            spoils = turned > SPOIL * state.knob_range and positions["door"] < AJAR
+            released = state.released and not spoils
+        door = (0.0, self._door_upper) if released else SHUT
+        limits = {"door": door, "knob": turn_limits(state.direction, state.knob_range)}
+        return replace(state, released=released), limits
 
     def rules(self) -> dict[str, str]:
         """Returns hidden state, draws and thresholds in words."""
-        config = self.config
-        spoils = f"; turning an unlocked one by {self._lock.lock_fraction:g} locks it" if config.lock_on_turn else ""
+        spoils = f"; turning an unlocked one by {SPOIL:g} locks it" if self._lock_on_turn else ""
         return {
             "hidden": "locked or not, direction, range",
-            "draws": f"locked with p = {config.p_locked:g}; {direction_words(config.p_clockwise)}; "
-            f"range {range_words(config.range_fraction)}",
-            "thresholds": f"knob at {config.release_fraction:g} of its range frees door{spoils}",
+            "draws": f"locked with p = 0.5; {direction_words(self._p_positive)}; range {range_words(RANGE)}",
+            "thresholds": f"knob at {RELEASE:g} of its range frees door{spoils}",
         }

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from lerobot_adamanip.mechanisms.base import Mechanism
 from lerobot_adamanip.mechanisms.lamp import LampMechanism
 from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism
-from lerobot_adamanip.mechanisms.safe import SafeMechanism, SafeMechanismConfig
-from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism, TurnToOpenMechanismConfig
-from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.mechanisms.safe import SafeMechanism
+from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the names of rules
     from lerobot_adamanip.objects.base import ArticulatedObject
@@ -27,6 +27,8 @@ LIFTED = 0.025
 """A cap, lid or portafilter is off beyond this [m] (paper code)."""
 SWUNG, SASH_SWUNG = math.pi / 7, math.pi / 6
 """A door, a sash is open beyond this [rad] (paper code)."""
+GOAL_MARGIN = 1.1
+"""A joint has to go this many times as far as its goal: success is being beyond it."""
 Build = Callable[["ArticulatedObject", float, bool], Mechanism[Any]]
 
 
@@ -51,17 +53,16 @@ class CategoryRules:
 def _turn_to_open(key: str, final: str, success: float) -> Build:
     def build(obj: ArticulatedObject, p_positive: float, upstream: bool) -> TurnToOpenMechanism:
         key_range, final_upper = obj.joint(key).limits[1], obj.joint(final).limits[1]
-        config = TurnToOpenMechanismConfig(p_positive=p_positive)
         return TurnToOpenMechanism(
-            key, final, key_range=key_range, final_upper=final_upper, success=success, config=config
+            key, final, key_range=key_range, final_upper=final_upper, success=success, p_positive=p_positive
         )
 
     return build
 
 
 def _safe(obj: ArticulatedObject, p_positive: float, upstream: bool) -> SafeMechanism:
-    config = SafeMechanismConfig(lock_on_turn=upstream, p_clockwise=p_positive)
-    return SafeMechanism(obj.joint("door").limits[1], obj.joint("knob").limits[1], SWUNG, config)
+    door, knob = obj.joint("door").limits[1], obj.joint("knob").limits[1]
+    return SafeMechanism(door, knob, SWUNG, p_positive=p_positive, lock_on_turn=upstream)
 
 
 def _microwave(obj: ArticulatedObject, p_positive: float, upstream: bool) -> MicrowaveMechanism:
@@ -148,3 +149,21 @@ def make_mechanism(obj: ArticulatedObject, rules: str = DEFAULT_MECHANISM_RULES)
     direction = fixed_direction(obj.category, rules)
     p_positive = 0.5 if direction is None else float(direction > 0)
     return RULES[obj.category].build(obj, p_positive, rules == "upstream")
+
+
+def infeasible(obj: ArticulatedObject) -> str | None:
+    """Returns why an object can never be opened, in words; None if it can.
+
+    Every goal has to be within reach, as the hidden state decides which of them an episode is about (a lamp's).
+    """
+    try:
+        goals = make_mechanism(obj).goals
+    except ConfigurationError as error:
+        return str(error).splitlines()[0]
+    for name, goal in goals.items():
+        joint = obj.joint(name)
+        far = max(abs(limit) for limit in joint.limits)
+        if far < GOAL_MARGIN * goal:
+            unit = "m" if joint.kind == "prismatic" else "rad"
+            return f"joint {name} goes {far:.3g} {unit}, its goal is beyond {goal:.3g} {unit}"
+    return None

@@ -17,7 +17,7 @@ from lerobot_adamanip.assets.annotation.session import Draft
 from lerobot_adamanip.assets.meshes import Surface, cache_folder, convex_parts
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.mechanisms.feasibility import infeasible
+from lerobot_adamanip.mechanisms import infeasible
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError
 

@@ -43,7 +43,7 @@ def articulation() -> FakeArticulation:
 
 def driver(articulation: FakeArticulation, *, hold: bool = True, **hidden: Any) -> MechanismDriver:
     mechanism = make_mechanism(make_object("safe_000"))
-    state = mechanism.draw(1, torch.Generator().manual_seed(0), {"locked": True, "direction": 1, **hidden})
+    state = mechanism.draw(torch.Generator().manual_seed(0), {"locked": True, "direction": 1, **hidden})
     made = MechanismDriver(mechanism, state, articulation, hold=hold)
     made.apply()
     return made

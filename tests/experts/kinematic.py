@@ -87,8 +87,8 @@ class KinematicWorld:
         self.obj = cached_object(name)
         self.parts = placed_parts(self.obj, layout)
         self.preset, self.mechanism = preset, make_mechanism(self.obj, preset)
-        self.state = self.mechanism.draw(1, torch.Generator().manual_seed(draw), hidden)
-        self.hidden = self.mechanism.hidden(self.state, 0)
+        self.state = self.mechanism.draw(torch.Generator().manual_seed(draw), hidden)
+        self.hidden = self.mechanism.hidden(self.state)
         self.joints = dict.fromkeys(self.mechanism.joints, 0.0)
         self.final, self.key = self.mechanism.joints
         self.held: PartAnnotation | None = None
@@ -108,9 +108,8 @@ class KinematicWorld:
         self._limits()
 
     def _limits(self) -> dict[str, tuple[float, float]]:
-        reading = {name: torch.tensor([q], dtype=torch.float64) for name, q in self.joints.items()}
-        self.state, command = self.mechanism.step(self.state, reading)
-        return {name: (float(limit.lower), float(limit.upper)) for name, limit in command.items()}
+        self.state, limits = self.mechanism.step(self.state, self.joints)
+        return limits
 
     def step(self, goal: Goal) -> Feedback:
         """Runs one key frame."""
@@ -129,8 +128,7 @@ class KinematicWorld:
             self.gripped_at = self.joints[self.final]
             opening = AROUND_A_PART if self.held else goal.gripper
             self.feedback = Feedback(goal.tcp_in_base.copy(), opening, Outcome.REACHED)
-        reading = {name: torch.tensor([q]) for name, q in self.joints.items()}
-        self.successes.append(bool(self.mechanism.succeeded(reading)))
+        self.successes.append(self.mechanism.succeeded(self.joints))
         return self.feedback
 
     def _button_before(self, goal: Pose) -> PartAnnotation | None:

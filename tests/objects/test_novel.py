@@ -10,7 +10,7 @@ import pytest
 
 from lerobot_adamanip.catalog import make_object, novel_objects, object_split, seen_objects, unseen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.mechanisms.feasibility import infeasible
+from lerobot_adamanip.mechanisms import infeasible
 from lerobot_adamanip.objects import ArticulatedObject
 
 every_category = pytest.mark.parametrize("category", CATEGORIES)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from solids import box_points, contains, face_planes, fingerprint, link_origin, solid
 
 from lerobot_adamanip.catalog import (
@@ -22,9 +21,8 @@ from lerobot_adamanip.catalog import (
     unseen_objects,
 )
 from lerobot_adamanip.contract.rotations import rotation_about, transform
-from lerobot_adamanip.mechanisms import SafeMechanism
 from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
-from lerobot_adamanip.objects.safe import DOOR_UPPER, GRASP_REACH, build_safe, draw_design, make_safe
+from lerobot_adamanip.objects.safe import GRASP_REACH, build_safe, draw_design, make_safe
 
 SEEN, UNSEEN = seen_objects("safe"), unseen_objects("safe", 12)
 NOVEL = novel_objects("safe", 8)
@@ -200,16 +198,6 @@ def test_the_knob_s_range_is_not_to_be_seen() -> None:
     one, other = (build_safe("safe_007", replace(design, knob_range=value)) for value in (1.1, 1.6))
     assert [fingerprint(link.shapes) for link in one.links] == [fingerprint(link.shapes) for link in other.links]
     assert fingerprint(one.parts) == fingerprint(other.parts)
-
-
-def test_what_is_hidden_is_drawn_apart_from_the_object() -> None:
-    draws = []
-    for safe in SAFES.values():
-        mechanism = SafeMechanism(DOOR_UPPER, safe.joint("knob").limits[1])
-        state = mechanism.draw(64, torch.Generator().manual_seed(3))
-        draws.append([(h["locked"], h["direction"]) for h in (mechanism.hidden(state, i) for i in range(64))])
-    assert all(draw == draws[0] for draw in draws)
-    assert len(set(draws[0])) == 4
 
 
 def test_a_missing_part_is_named_with_those_there_are() -> None:

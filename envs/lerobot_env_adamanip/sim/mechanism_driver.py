@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol, cast
+from collections.abc import Collection, Sequence
+from typing import Any, Protocol
 
-import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from lerobot_adamanip.mechanisms import Mechanism
-from lerobot_adamanip.mechanisms.arrays import as_arrays
-from lerobot_adamanip.mechanisms.base import Reading
-
-Limits = tuple[float, float]
+from lerobot_adamanip.mechanisms import Limits, Mechanism
 
 
 class LimitedJoint(Protocol):
@@ -59,7 +53,7 @@ class MechanismDriver:
     def __init__(
         self, mechanism: Mechanism[Any], state: Any, articulation: LimitedArticulation, *, hold: bool = True
     ) -> None:
-        self.mechanism, self.state = mechanism, as_arrays(state)
+        self.mechanism, self.state = mechanism, state
         self.detent = False
         self._articulation = articulation
         self._joints = {joint_name(joint): joint for joint in articulation.active_joints}
@@ -90,30 +84,22 @@ class MechanismDriver:
             return  # nothing has moved since, and nothing may
         positions = self.joint_positions()
         self._held = {name: self._held.get(name, positions[name]) for name in held}
-        arrays = {name: np.array([position]) for name, position in positions.items()}
-        self.state, command = self.mechanism.step(self.state, cast(Reading, arrays))
+        self.state, command = self.mechanism.step(self.state, positions)
         for name, joint in self._joints.items():
-            limits = (float(command[name].lower[0]), float(command[name].upper[0]))
-            if name in self._held:
-                limits = (self._held[name], self._held[name])
+            limits = (self._held[name], self._held[name]) if name in self._held else command[name]
             if self._applied.get(name) != limits:
                 joint.set_limits([list(limits)])
                 self._applied[name] = limits
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns what cannot be seen, JSON-able: privileged, never part of an observation."""
-        return self.mechanism.hidden(self.state, 0)
+        return self.mechanism.hidden(self.state)
 
     def succeeded(self) -> bool:
         """Returns whether a joint is beyond its goal, see `Mechanism.goals`."""
-        return bool(self.mechanism.succeeded(reading(self.joint_positions()))[0])
+        return self.mechanism.succeeded(self.joint_positions())
 
 
 def joint_name(joint: LimitedJoint) -> str:
     """Returns the mechanism's name of a joint: ManiSkill puts scene and object before it."""
     return joint.name.rsplit("_", 1)[-1]
-
-
-def reading(positions: Mapping[str, float]) -> dict[str, torch.Tensor]:
-    """Returns a mechanism's reading of one environment."""
-    return {name: torch.tensor([position]) for name, position in positions.items()}

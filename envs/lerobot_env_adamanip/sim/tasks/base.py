@@ -26,7 +26,7 @@ from lerobot_env_adamanip.sim.episode_views import Views
 from lerobot_env_adamanip.sim.freeze_gc import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
-from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, reading
+from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver
 from lerobot_env_adamanip.sim.observation import SimObservation
 from lerobot_env_adamanip.sim.physics_backend import device_for, require_one_on_cpu, told_without_a_device
 from lerobot_env_adamanip.sim.placement import Placement, randomization
@@ -236,7 +236,7 @@ class AdaManipTask(BaseEnv):
         self.agent.reset(np.concatenate([self.placement.start_qpos, [0.04, 0.04]]).astype(np.float32))
         generator = torch.Generator().manual_seed(int(self._stream(_HIDDEN_STREAM).integers(2**31)))
         overrides = {**self.hidden_overrides, **(options.get("hidden_overrides") or {})}
-        state = self._rules.draw(1, generator, overrides or None)
+        state = self._rules.draw(generator, overrides)
         arm, target = self.agent.robot._objs[0], self._objects.articulation._objs[0]
         self.mechanism_driver = MechanismDriver(self._rules, state, target, hold=self.holds_the_untried)
         self._touch = HandTouch(system := self.scene.sub_scenes[0].physx_system, arm, target, self.obj)
@@ -286,9 +286,9 @@ class AdaManipTask(BaseEnv):
     # Outcome ----------------------------------------------------------------------------------------------------
 
     def evaluate(self) -> dict[str, Any]:
-        """Returns success and the object's joint positions [rad or m]."""
-        read = reading(self.joint_positions())
-        return {"success": self.mechanism.succeeded(read), **read}
+        """Returns success and the object's joint positions [rad or m], a tensor (1,) each."""
+        values = {"success": self.mechanism_driver.succeeded(), **self.joint_positions()}
+        return {name: torch.tensor([value]) for name, value in values.items()}
 
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """1 while the success conditions hold."""
