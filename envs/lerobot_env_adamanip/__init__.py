@@ -12,10 +12,12 @@ if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
-    from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
-    from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
-    from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
-    from lerobot_adamanip.hardware.teleoperators.config_adamanip_spacemouse import AdamanipSpacemouseConfig
+    from lerobot_adamanip.hardware.teleoperators.config_devices import (
+        AdamanipGamepadConfig,
+        AdamanipKeyboardConfig,
+        AdamanipPhoneConfig,
+        AdamanipSpacemouseConfig,
+    )
     from lerobot_env_adamanip.config import (
         AdaManipBottleEnvConfig,
         AdaManipCoffeeMakerEnvConfig,
@@ -29,9 +31,11 @@ if not os.environ.get(NO_PLUGIN):
         AdaManipWindowEnvConfig,
     )
     from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
-    from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
-    from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
-    from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
+    from lerobot_env_adamanip.twin.config_devices import (
+        AdamanipFrankaSimConfig,
+        AdamanipScriptedConfig,
+        AdamanipTwinConfig,
+    )
     from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
     from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig

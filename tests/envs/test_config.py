@@ -23,7 +23,7 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.vector import FlatCloud
 
 

@@ -24,8 +24,8 @@ from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_env_adamanip.twin.adamanip_franka_sim import AdamanipFrankaSim
-from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 from lerobot_env_adamanip.twin.process import SUCCESS_BOX
 
 PARTS = {

@@ -10,42 +10,35 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lerobot.teleoperators.utils import make_teleoperator_from_config
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
-from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
-from lerobot_adamanip.hardware.teleoperators.adamanip_gamepad import AdamanipGamepad
-from lerobot_adamanip.hardware.teleoperators.adamanip_keyboard import (
-    GRIPPER,
-    LEROBOT_KEYS,
-    RESET,
-    SHIFTS,
-    SUCCESS,
-    TURNS,
+from lerobot_adamanip.hardware.teleoperators.config_devices import (
+    AdamanipGamepadConfig,
+    AdamanipKeyboardConfig,
+    AdamanipPhoneConfig,
+    AdamanipSpacemouseConfig,
+    TcpTeleopConfig,
+)
+from lerobot_adamanip.hardware.teleoperators.devices import (
+    AdamanipGamepad,
     AdamanipKeyboard,
-    KeyboardDevice,
+    AdamanipPhone,
+    AdamanipSpacemouse,
 )
-from lerobot_adamanip.hardware.teleoperators.adamanip_phone import AdamanipPhone
-from lerobot_adamanip.hardware.teleoperators.adamanip_spacemouse import AdamanipSpacemouse
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_phone import AdamanipPhoneConfig
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_spacemouse import AdamanipSpacemouseConfig
-from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
-from lerobot_adamanip.hardware.teleoperators.jog import Jog, dead_zone
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import (
-    FORGOTTEN,
-    LOCKSTEP_DT,
-    OPERATOR_SUCCESS,
-    RESET_WANTED,
-    JogTeleop,
-)
+from lerobot_adamanip.hardware.teleoperators.jog import Jog, JogTeleop, dead_zone
+from lerobot_adamanip.hardware.teleoperators.keyboard import GRIPPER, RESET, SHIFTS, SUCCESS, TURNS
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import MAX_PAUSE_S
 from lerobot_adamanip.util.errors import AdaManipError, RobotError
+from lerobot_env_adamanip.twin.config_devices import AdamanipScriptedConfig
 
+LEROBOT_KEYS = {"n", "r", "q", "left", "right", "up", "down", "esc", "space", "tab", "enter"}
 DT = 1 / 30
 LIMITS = SafetyLimits((-0.5, -1.0, -0.3), (1.3, 1.0, 1.5), speed=0.2, angular_speed=0.8)
 
@@ -73,21 +66,22 @@ class Robot:
         )
 
 
-class Stick:
+class Stick(JogTeleop):
     """A device that asks for what it is told to."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
+        super().__init__(TcpTeleopConfig(), clock)
         self.jog = Jog()
         self.calls: list[str] = []
 
-    def open(self) -> None:
+    def _open(self) -> None:
         self.calls.append("open")
 
-    def read(self) -> Jog:
+    def _read(self) -> Jog:
         jog, self.jog = self.jog, replace(self.jog, toggle=False, success=False, reset=False)
         return jog
 
-    def close(self) -> None:
+    def _close(self) -> None:
         self.calls.append("close")
 
 
@@ -115,120 +109,114 @@ def call(teleop: Any, robot: Robot, *, follows: bool = True) -> Any:
     return pose
 
 
-def jogging(clock: Clock) -> tuple[JogTeleop, Stick]:
-    stick = Stick()
-    teleop = JogTeleop(TcpTeleopConfig(), stick, clock)
+@pytest.fixture
+def stick(clock: Clock) -> Stick:
+    teleop = Stick(clock)
     teleop.connect()
-    return teleop, stick
+    return teleop
 
 
-def test_it_integrates_speed_times_time_and_turns_about_the_base_axes(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
-    call(teleop, robot)
+def ahead(clutch: bool = True) -> Jog:
+    return Jog(shift=np.array([1.0, 0.0, 0.0]), clutch=clutch)
+
+
+def test_it_integrates_speed_times_time_and_turns_about_the_base_axes(robot: Robot, stick: Stick) -> None:
+    call(stick, robot)
     stick.jog = Jog(shift=np.array([1.0, -0.5, 0.0]), turn=np.array([0.0, 0.0, 1.0]))
-    poses = [call(teleop, robot) for _ in range(30)]
+    poses = [call(stick, robot) for _ in range(30)]
     np.testing.assert_allclose(poses[-1][:3], (0.5 + 0.1, -0.05, 0.7), atol=1e-4)
     turned = Rotation.from_matrix(pose_from_vector(poses[-1])[0][:3, :3]).as_rotvec()
     np.testing.assert_allclose(turned, (0.0, 0.0, 0.4), atol=1e-3)
 
 
-def test_what_it_returns_is_what_the_robots_own_filter_lets_through(robot: Robot, clock: Clock) -> None:
+def test_what_it_returns_is_what_the_robots_own_filter_lets_through(robot: Robot, stick: Stick) -> None:
     """Idempotence at work: recorded and sent targets are equal bit for bit."""
-    teleop, stick = jogging(clock)
     ours = SafetyFilter(LIMITS)
     stick.jog = Jog(shift=np.array([1.0, 0.3, -1.0]), turn=np.array([0.3, 0.2, -0.4]))
     for number in range(60):
         reading = robot.session.reading
         assert reading is not None
-        sent = call(teleop, robot, follows=number % 3 > 0)  # an arm that does not always follow
+        sent = call(stick, robot, follows=number % 3 > 0)  # an arm that does not always follow
         if number == 0:
             ours.anchor(reading.tcp_in_base, reading.gripper)
         np.testing.assert_array_equal(ours.stream(sent, reading.tcp_in_base, DT), sent)
 
 
-def test_a_blocked_arm_is_not_run_away_from(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
-    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
+def test_a_blocked_arm_is_not_run_away_from(robot: Robot, stick: Stick) -> None:
+    stick.jog = ahead()
     for _ in range(60):
-        pose = call(teleop, robot, follows=False)
+        pose = call(stick, robot, follows=False)
     assert 0.03 < pose[0] - 0.5 <= LIMITS.lead + 1e-6
 
 
-def test_an_episode_anchors_anew(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
+def test_an_episode_anchors_anew(robot: Robot, stick: Stick) -> None:
     stick.jog = Jog(shift=np.array([0.0, 1.0, 0.0]))
     for _ in range(10):
-        call(teleop, robot)
+        call(stick, robot)
     robot.session.episodes += 1
     robot.at(0.4, 0.2, 0.8)
-    pose = call(teleop, robot)
+    pose = call(stick, robot)
     np.testing.assert_allclose(pose[:3], (0.4, 0.2, 0.8), atol=1e-6)
 
 
-def test_a_second_without_calls_anchors_anew_and_moves_nothing(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
-    call(teleop, robot)
-    clock.now += FORGOTTEN + 0.1
+def test_a_second_without_calls_anchors_anew_and_moves_nothing(robot: Robot, clock: Clock, stick: Stick) -> None:
+    call(stick, robot)
+    clock.now += MAX_PAUSE_S + 0.1
     robot.at(0.45, 0.1, 0.7)
-    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
-    np.testing.assert_allclose(call(teleop, robot)[:3], (0.45, 0.1, 0.7), atol=1e-6)
+    stick.jog = ahead()
+    np.testing.assert_allclose(call(stick, robot)[:3], (0.45, 0.1, 0.7), atol=1e-6)
 
 
-def test_the_first_anchor_waits_for_a_reading_newer_than_the_reset(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
-    call(teleop, robot)
-    teleop.reset()
-    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
+def test_the_first_anchor_waits_for_a_reading_newer_than_the_reset(robot: Robot, clock: Clock, stick: Stick) -> None:
+    call(stick, robot)
+    stick.reset()
+    stick.jog = ahead()
     clock.now += DT
-    teleop.get_action()
-    assert teleop.goal is None  # the reading is from before
-    call(teleop, robot)
-    assert teleop.goal is not None
+    stick.get_action()
+    assert stick._filter is None  # the reading is from before
+    call(stick, robot)
+    assert stick._filter is not None
 
 
-def test_the_clutch_holds_the_goal_and_closing_it_begins_at_the_measured_pose(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
-    call(teleop, robot)
-    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]), clutch=False)
-    assert call(teleop, robot)[0] == pytest.approx(0.5)
+def test_the_clutch_holds_the_goal_and_closing_it_begins_at_the_measured_pose(robot: Robot, stick: Stick) -> None:
+    call(stick, robot)
+    stick.jog = ahead(clutch=False)
+    assert call(stick, robot)[0] == pytest.approx(0.5)
     robot.at(0.52, 0.0, 0.7)  # pushed a little
-    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]), clutch=True)
-    assert call(teleop, robot)[0] == pytest.approx(0.52, abs=1e-6)
-    assert call(teleop, robot)[0] == pytest.approx(0.52 + 0.1 * DT, abs=1e-5)
+    stick.jog = ahead()
+    assert call(stick, robot)[0] == pytest.approx(0.52, abs=1e-6)
+    assert call(stick, robot)[0] == pytest.approx(0.52 + 0.1 * DT, abs=1e-5)
 
 
-def test_in_lockstep_steps_are_the_time_and_not_the_clock(robot: Robot, clock: Clock) -> None:
+def test_in_lockstep_steps_are_the_time_and_not_the_clock(robot: Robot, clock: Clock, stick: Stick) -> None:
     robot.session.details[LOCKSTEP_DT] = 0.01
-    teleop, stick = jogging(clock)
-    call(teleop, robot)
-    stick.jog = Jog(shift=np.array([1.0, 0.0, 0.0]))
-    assert call(teleop, robot)[0] - 0.5 == pytest.approx(0.1 * 0.01, abs=1e-6)
+    call(stick, robot)
+    stick.jog = ahead()
+    assert call(stick, robot)[0] - 0.5 == pytest.approx(0.1 * 0.01, abs=1e-6)
     clock.now += 60.0  # a slow machine
-    assert call(teleop, robot)[0] - 0.5 == pytest.approx(2 * 0.1 * 0.01, abs=1e-6)
+    assert call(stick, robot)[0] - 0.5 == pytest.approx(2 * 0.1 * 0.01, abs=1e-6)
 
 
-def test_the_gripper_toggles_and_keys_reach_the_robot(robot: Robot, clock: Clock) -> None:
-    teleop, stick = jogging(clock)
-    assert call(teleop, robot)[9] == 1.0
+def test_the_gripper_toggles_and_keys_reach_the_robot(robot: Robot, stick: Stick) -> None:
+    assert call(stick, robot)[9] == 1.0
     stick.jog = Jog(toggle=True, success=True, reset=True)
-    assert call(teleop, robot)[9] == 0.0
-    assert call(teleop, robot)[9] == 0.0
+    assert call(stick, robot)[9] == 0.0
+    assert call(stick, robot)[9] == 0.0
     assert robot.session.details[OPERATOR_SUCCESS] is True
     assert robot.session.details[RESET_WANTED] is True
     robot.session.episodes += 1
-    call(teleop, robot)
+    call(stick, robot)
     assert OPERATOR_SUCCESS not in robot.session.details
 
 
-def test_without_a_robot_or_a_connection_it_says_so(clock: Clock) -> None:
-    teleop, stick = jogging(clock)
+def test_without_a_robot_or_a_connection_it_says_so(stick: Stick) -> None:
     with pytest.raises(RobotError, match="knows no robot"):
-        teleop.get_action()
-    teleop.disconnect()
-    teleop.disconnect()
+        stick.get_action()
+    stick.disconnect()
+    stick.disconnect()
     assert stick.calls == ["open", "close"]
     with pytest.raises(RobotError, match="not connected"):
-        teleop.get_action()
+        stick.get_action()
 
 
 def test_a_dead_zone_is_continuous_and_keeps_full_deflection() -> None:
@@ -236,12 +224,22 @@ def test_a_dead_zone_is_continuous_and_keeps_full_deflection() -> None:
     np.testing.assert_allclose(dead_zone(values, 0.1), [-1.0, 0.0, 0.0, 0.0, 0.5, 1.0])
 
 
+CONFIGS = (AdamanipKeyboardConfig, AdamanipGamepadConfig, AdamanipSpacemouseConfig, AdamanipPhoneConfig)
+
+
+@pytest.mark.parametrize("config", [*CONFIGS, AdamanipScriptedConfig])
+def test_lerobot_finds_each_device_beside_its_options(config: type[TcpTeleopConfig]) -> None:
+    made = make_teleoperator_from_config(config())
+    assert made.config_class is config
+    assert config.get_choice_name(config) == made.name
+
+
 # Devices --------------------------------------------------------------------------------------------------------------
 
 
 class Pad:
     axes = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    buttons: frozenset[int] = frozenset()
+    buttons: set[int] = set()  # noqa: RUF012
 
     def init(self) -> None:
         pass
@@ -265,63 +263,54 @@ class Pad:
         return number in self.buttons
 
 
-def fake_pygame(pads: list[Pad]) -> Any:
-    module = types.ModuleType("pygame")
-    module.init = module.quit = lambda: None  # type: ignore[attr-defined]
-    joystick = types.SimpleNamespace(init=lambda: None, get_count=lambda: len(pads), Joystick=lambda index: pads[index])
-    module.joystick = joystick  # type: ignore[attr-defined]
-    module.JOYDEVICEREMOVED = 1542  # type: ignore[attr-defined]
-    module.removed = []  # type: ignore[attr-defined]
-    module.event = types.SimpleNamespace(get=lambda kind: module.removed)  # type: ignore[attr-defined]
+@pytest.fixture
+def pygame(monkeypatch: pytest.MonkeyPatch) -> Any:
+    pads = [Pad()]
+    module: Any = types.ModuleType("pygame")
+    module.init = module.quit = lambda: None
+    module.joystick = types.SimpleNamespace(
+        init=lambda: None, get_count=lambda: len(pads), Joystick=lambda index: pads[index]
+    )
+    module.JOYDEVICEREMOVED, module.removed, module.pads = 1542, [], pads
+    module.event = types.SimpleNamespace(get=lambda kind: module.removed)
+    monkeypatch.setitem(sys.modules, "pygame", module)
     return module
 
 
-def test_gamepad_drives_only_while_its_shoulder_is_held(
-    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pad = Pad()
-    monkeypatch.setitem(sys.modules, "pygame", fake_pygame([pad]))
+def test_gamepad_drives_only_while_its_shoulder_is_held(robot: Robot, clock: Clock, pygame: Any) -> None:
+    (pad,) = pygame.pads
     teleop = AdamanipGamepad(AdamanipGamepadConfig(), clock)
     teleop.connect()
     pad.axes = (0.0, -1.0, 0.0, 0.05, 0.0, 0.0)  # left stick forward, the right one worn
     for _ in range(3):
         assert call(teleop, robot)[0] == pytest.approx(0.5)
-    pad.buttons = frozenset({5})
+    pad.buttons = {5}
     call(teleop, robot)
     assert call(teleop, robot)[0] == pytest.approx(0.5 + 0.1 * DT, abs=1e-5)
-    pad.buttons = frozenset({5, 0})
+    pad.buttons = {5, 0}
     assert [call(teleop, robot)[9] for _ in range(3)] == [0.0, 0.0, 0.0]  # held, it toggles once
-    pad.buttons = frozenset({5})
+    pad.buttons = {5}
     call(teleop, robot)
-    pad.buttons = frozenset({5, 0})
+    pad.buttons = {5, 0}
     assert call(teleop, robot)[9] == 1.0
+    pygame.removed.append(types.SimpleNamespace(instance_id=7))  # another pad
+    call(teleop, robot)
+    pygame.removed.append(types.SimpleNamespace(instance_id=3))  # unplugged: its last values stay
+    with pytest.raises(RobotError, match="gamepad is gone"):
+        call(teleop, robot)
     teleop.disconnect()
 
 
-def test_a_gamepad_that_is_unplugged_while_it_drives_is_an_error(
-    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its last values stay: shoulder held, stick forward."""
-    pad = Pad()
-    pygame = fake_pygame([pad])
-    monkeypatch.setitem(sys.modules, "pygame", pygame)
-    teleop = AdamanipGamepad(AdamanipGamepadConfig(), clock)
-    teleop.connect()
-    pad.axes, pad.buttons = (0.0, -1.0, 0.0, 0.0, 0.0, 0.0), frozenset({5})
-    pygame.removed.append(types.SimpleNamespace(instance_id=7))  # another one
-    call(teleop, robot)
-    pygame.removed.append(types.SimpleNamespace(instance_id=3))
-    with pytest.raises(RobotError, match="gamepad is gone"):
-        call(teleop, robot)
-
-
-def test_a_gamepad_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", fake_pygame([]))
+def test_a_device_or_library_that_is_missing_is_named(pygame: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame.pads.clear()
     with pytest.raises(RobotError, match="no such gamepad"):
         AdamanipGamepad(AdamanipGamepadConfig()).connect()
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(RobotError, match=r"lerobot\[gamepad\]"):
         AdamanipGamepad(AdamanipGamepadConfig()).connect()
+    monkeypatch.setitem(sys.modules, "pyspacemouse", None)
+    with pytest.raises(RobotError, match="hidapi"):
+        AdamanipSpacemouse(AdamanipSpacemouseConfig()).connect()
 
 
 class Mouse:
@@ -342,94 +331,81 @@ class Mouse:
         self.closed = True
 
 
-def test_spacemouse_asks_for_ros_axes_and_takes_all_reports(
-    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    mouse, asked = Mouse(), {}
-    module = types.ModuleType("pyspacemouse")
-    module.AxisConvention = types.SimpleNamespace(ROS="ros")  # type: ignore[attr-defined]
-    module.open = lambda **kwargs: asked.update(kwargs) or mouse  # type: ignore[attr-defined]
+@pytest.fixture
+def mouse(monkeypatch: pytest.MonkeyPatch) -> Mouse:
+    mouse = Mouse()
+    module: Any = types.ModuleType("pyspacemouse")
+    module.AxisConvention = types.SimpleNamespace(ROS="ros")
+    module.open = lambda device_index, axis_convention: mouse if axis_convention == "ros" else None
     monkeypatch.setitem(sys.modules, "pyspacemouse", module)
+    return mouse
+
+
+@pytest.fixture
+def spacemouse(clock: Clock, mouse: Mouse) -> AdamanipSpacemouse:
     teleop = AdamanipSpacemouse(AdamanipSpacemouseConfig(), clock)
     teleop.connect()
-    assert asked["axis_convention"] == "ros"
-    call(teleop, robot)
+    return teleop
+
+
+def test_spacemouse_takes_all_reports(robot: Robot, mouse: Mouse, spacemouse: AdamanipSpacemouse) -> None:
+    call(spacemouse, robot)
     mouse.queue = [{"x": 0.2}, {"x": 0.6}, {"x": 1.0, "y": 0.02}, {"buttons": [1, 0]}]
-    pose = call(teleop, robot)
+    pose = call(spacemouse, robot)
     np.testing.assert_allclose(pose[:3], (0.5 + 0.1 * DT, 0.0, 0.7), atol=1e-5)
     assert pose[9] == 0.0
-    assert call(teleop, robot)[9] == 0.0  # still held
-    teleop.disconnect()
+    assert call(spacemouse, robot)[9] == 0.0  # still held
+    spacemouse.disconnect()
     assert mouse.closed
 
 
-def spacemouse(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> tuple[AdamanipSpacemouse, Mouse]:
-    mouse = Mouse()
-    module = types.ModuleType("pyspacemouse")
-    module.AxisConvention = types.SimpleNamespace(ROS="ros")  # type: ignore[attr-defined]
-    module.open = lambda **_: mouse  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "pyspacemouse", module)
-    teleop = AdamanipSpacemouse(AdamanipSpacemouseConfig(), clock)
-    teleop.connect()
-    return teleop, mouse
-
-
 def test_a_spacemouse_that_falls_silent_while_deflected_rests_within_half_a_second_and_is_then_an_error(
-    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, clock: Clock, mouse: Mouse, spacemouse: AdamanipSpacemouse
 ) -> None:
     """A cable that is pulled: the library goes on telling the last deflection."""
-    teleop, mouse = spacemouse(clock, monkeypatch)
-    call(teleop, robot)
+    call(spacemouse, robot)
     for _ in range(10):
         mouse.queue = [{"x": 1.0}]
-        moving = call(teleop, robot)
+        moving = call(spacemouse, robot)
     assert moving[0] > 0.5 + 0.02
     silent_since, moved_at, before = clock.now, clock.now, moving[0]
     while clock.now < silent_since + 0.9:
-        pose = call(teleop, robot)
+        pose = call(spacemouse, robot)
         moved_at, before = (clock.now, pose[0]) if pose[0] > before else (moved_at, before)
     clock.now += 0.1
     with pytest.raises(RobotError, match="does not report any more"):
-        call(teleop, robot)
+        call(spacemouse, robot)
     assert moved_at - silent_since < 0.5 - 2 * DT
 
 
 def test_a_spacemouse_at_rest_may_be_silent_and_reports_again(
-    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, clock: Clock, mouse: Mouse, spacemouse: AdamanipSpacemouse
 ) -> None:
-    teleop, mouse = spacemouse(clock, monkeypatch)
     mouse.queue = [{"x": 0.0}]
     for _ in range(90):
-        at_rest = call(teleop, robot)
+        at_rest = call(spacemouse, robot)
     assert at_rest[0] == pytest.approx(0.5)
     mouse.queue = [{"x": 1.0}]
-    assert call(teleop, robot)[0] > 0.502
+    assert call(spacemouse, robot)[0] > 0.502
     for _ in range(12):
-        call(teleop, robot)  # silent for 0.4 s
-    stands = call(teleop, robot)[0]
-    assert call(teleop, robot)[0] == stands
+        call(spacemouse, robot)  # silent for 0.4 s
+    stands = call(spacemouse, robot)[0]
+    assert call(spacemouse, robot)[0] == stands
     mouse.queue = [{"x": 1.0}]
-    assert call(teleop, robot)[0] > stands
+    assert call(spacemouse, robot)[0] > stands
 
 
 def test_a_spacemouse_that_cannot_be_read_is_one_clear_error(
-    robot: Robot, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    robot: Robot, clock: Clock, mouse: Mouse, spacemouse: AdamanipSpacemouse
 ) -> None:
-    teleop, mouse = spacemouse(clock, monkeypatch)
-    call(teleop, robot)
+    call(spacemouse, robot)
 
     def broken() -> Any:
         raise OSError("read error")
 
-    monkeypatch.setattr(mouse, "read", broken)
+    mouse.read = broken  # type: ignore[method-assign]
     with pytest.raises(RobotError, match="cannot be read"):
-        call(teleop, robot)
-
-
-def test_a_spacemouse_without_its_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyspacemouse", None)
-    with pytest.raises(RobotError, match="hidapi"):
-        AdamanipSpacemouse(AdamanipSpacemouseConfig()).connect()
+        call(spacemouse, robot)
 
 
 def test_keyboard_keys_are_none_of_lerobots() -> None:
@@ -440,60 +416,57 @@ def test_keyboard_keys_are_none_of_lerobots() -> None:
         assert sorted(table.values()) == sorted((axis, sign) for axis in range(3) for sign in (-1.0, 1.0))
 
 
-class Keys(KeyboardDevice):
-    def open(self) -> None:
+class Keys(AdamanipKeyboard):
+    def _open(self) -> None:
         pass
 
 
-def keyboard(clock: Clock) -> tuple[AdamanipKeyboard, Keys]:
-    keys = Keys()
-    teleop = AdamanipKeyboard(AdamanipKeyboardConfig(), clock, keys)
-    teleop.connect()
-    return teleop, keys
+@pytest.fixture
+def keys(clock: Clock) -> Keys:
+    keys = Keys(AdamanipKeyboardConfig(), clock)
+    keys.connect()
+    return keys
 
 
-def test_keyboard_drives_while_keys_and_the_clutch_are_held(robot: Robot, clock: Clock) -> None:
-    teleop, keys = keyboard(clock)
-    call(teleop, robot)
+def test_keyboard_drives_while_keys_and_the_clutch_are_held(robot: Robot, keys: Keys) -> None:
+    call(keys, robot)
     keys.press("shift_r")
-    call(teleop, robot)  # the clutch closes at the measured pose
+    call(keys, robot)  # the clutch closes at the measured pose
     keys.press("w")
     keys.press("u")
     keys.press("g")
     keys.press("g")  # a key that is held repeats
-    pose = call(teleop, robot)
+    pose = call(keys, robot)
     np.testing.assert_allclose(pose[:3], (0.5 + 0.1 * DT, 0.0, 0.7 + 0.1 * DT), atol=1e-5)
     assert pose[9] == 0.0
     keys.release("shift_r")
-    stands = call(teleop, robot)
-    np.testing.assert_array_equal(call(teleop, robot), stands)  # the letters are still held
+    stands = call(keys, robot)
+    np.testing.assert_array_equal(call(keys, robot), stands)  # the letters are still held
     keys.release("w")
     keys.release("u")
     keys.press("shift_r")
     keys.press("backspace")
-    call(teleop, robot)
+    call(keys, robot)
     assert robot.session.details[RESET_WANTED] is True
 
 
-def test_text_that_is_typed_in_any_window_moves_nothing_and_labels_nothing(robot: Robot, clock: Clock) -> None:
-    teleop, keys = keyboard(clock)
-    start = call(teleop, robot)
+def test_text_that_is_typed_in_any_window_moves_nothing_and_labels_nothing(robot: Robot, keys: Keys) -> None:
+    start = call(keys, robot)
     for letter in "why would anybody judge a safe":
         keys.press(letter)
-        np.testing.assert_array_equal(call(teleop, robot), start)
+        np.testing.assert_array_equal(call(keys, robot), start)
         keys.release(letter)
     keys.press("shift_r")
-    call(teleop, robot)
+    call(keys, robot)
     assert OPERATOR_SUCCESS not in robot.session.details
 
 
-def test_a_keyboard_whose_listener_has_ended_is_an_error(robot: Robot, clock: Clock) -> None:
+def test_a_keyboard_whose_listener_has_ended_is_an_error(robot: Robot, keys: Keys) -> None:
     """Keys that were held then would be so for ever."""
-    teleop, keys = keyboard(clock)
-    call(teleop, robot)
+    call(keys, robot)
     keys._listener = types.SimpleNamespace(is_alive=lambda: False, stop=lambda: None)
     with pytest.raises(RobotError, match="not listened to"):
-        call(teleop, robot)
+        call(keys, robot)
 
 
 def test_a_clutch_key_that_sends_shortcuts_is_refused() -> None:
@@ -516,7 +489,8 @@ def test_phone_moves_the_goal_by_its_own_way_while_it_is_enabled(robot: Robot, c
             return self.told
 
     phone = Phone()
-    teleop = AdamanipPhone(AdamanipPhoneConfig(scale=0.5), clock, lambda _: phone)
+    teleop = AdamanipPhone(AdamanipPhoneConfig(scale=0.5), clock)
+    teleop._make_phone = lambda: phone  # type: ignore[method-assign]
     teleop.connect()
     assert call(teleop, robot)[0] == pytest.approx(0.5)
 

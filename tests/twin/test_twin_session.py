@@ -143,8 +143,8 @@ def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(re
 @pytest.mark.nightly
 def test_real_time_is_fast_enough_for_people() -> None:
     """One camera at 8 Hz or more, its frames at most 150 ms old (p95), fewer than 5 % of a 30 Hz loop's ticks late."""
-    from lerobot_env_adamanip.twin.adamanip_franka_sim import AdamanipFrankaSim
-    from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+    from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
+    from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 
     robot = AdamanipFrankaSim(AdamanipFrankaSimConfig(id="twin", category="microwave", seed=SEED))
     robot.connect()

@@ -1,1 +1,1 @@
-"""Teleoperators that integrate one absolute tool goal; each device class stands beside its light configuration."""
+"""Teleoperators that integrate one absolute tool goal. LeRobot finds the classes of `config_devices` in `devices`."""

@@ -1,4 +1,4 @@
-"""A teleoperator of the tool: integrates one absolute goal, anchored where the arm is, through the robot's filter."""
+"""Base of the teleoperators: one absolute tool goal, anchored at the measured pose, through the robot's filter."""
 
 from __future__ import annotations
 
@@ -9,27 +9,65 @@ from typing import Any
 
 from lerobot.teleoperators.teleoperator import Teleoperator
 
-from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, pose_from_vector, pose_vector
-from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSE_NAMES
+from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
-from lerobot_adamanip.hardware.teleoperators.config_tcp_teleop import TcpTeleopConfig
-from lerobot_adamanip.hardware.teleoperators.jog import JogDevice
+from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConfig
 from lerobot_adamanip.util.errors import RobotError
 
-FORGOTTEN = 1.0
-"""A teleoperator that was not asked for so long anchors anew [s]: the arm may be elsewhere by now."""
+MAX_PAUSE_S = 1.0
+"""After a longer pause between calls the goal is anchored again: the arm may be elsewhere."""
+REST_AFTER_S = 0.2
+"""A deflection that was not reported again for so long counts as rest."""
+LOST_AFTER_S = 1.0
+"""After so long the device counts as lost."""
+
+
+class StaleInputWatch:
+    """Detects a device that has stopped reporting, of which the library repeats the last value.
+
+    Args:
+        device: its name, for the error.
+        clock: returns seconds.
+    """
+
+    def __init__(self, device: str, clock: Callable[[], float]) -> None:
+        self._device, self._clock = device, clock
+        self._report: Any = None
+        self._reported_at = float("-inf")
+
+    def is_stale(self, report: Any, *, driving: bool) -> bool:
+        """Returns whether the device has not reported for `REST_AFTER_S` although its last report asks for a motion.
+
+        Args:
+            report: something that differs between two reports, e.g. a time stamp.
+            driving: whether the last report asks for a motion: a device at rest need not report.
+
+        Raises:
+            RobotError: it has not reported for `LOST_AFTER_S`.
+        """
+        now = self._clock()
+        if report != self._report or not driving:
+            self._report, self._reported_at = report, now
+        age = now - self._reported_at
+        if age > LOST_AFTER_S:
+            raise RobotError(
+                f"The {self._device} does not report any more, and its last report asks for a motion.",
+                got=f"no report for {age:.1f} s",
+                allowed=f"{LOST_AFTER_S:g} s",
+                hint="see to its cable, battery or connection, and start the command again",
+            )
+        return age > REST_AFTER_S
 
 
 class TcpTeleop(Teleoperator):
-    """Drives one absolute tool goal. What it returns has passed the robot's `SafetyFilter`, which changes it no more.
+    """Drives one absolute tool goal. Returned goals have passed the robot's `SafetyFilter`, which changes them no more.
 
-    The goal begins at the measured pose of the first reading that is newer than the latest reset, and does so again
-    when an episode begins or is given up, and after a second without calls. LeRobot connects a teleoperator before
-    the robot and shows it no observation: all that it knows of the arm stands on the `RobotRegistry`.
+    The goal is anchored at the measured pose of the first reading after a reset, when an episode begins or is given up,
+    and after a second without calls. LeRobot shows a teleoperator no observation: it reads the `RobotRegistry`.
 
     Args:
         config: see `TcpTeleopConfig`.
@@ -97,28 +135,25 @@ class TcpTeleop(Teleoperator):
         """Returns the goal by name, see `schema.POSE_NAMES`.
 
         Raises:
-            RobotError: it is not connected, no robot has told a reading yet, or the device has failed.
+            RobotError: it is not connected, no robot was observed yet, or the device has failed.
         """
         session, reading = self._robot()
         now = self._clock()
         dt = self._passed(session, now)
         self._called = now
         if self._filter is None:
-            if not self._anchored(session, reading):
+            if session.safety is None or reading.stamp <= self._anchored_after:
                 return _named(pose_vector(reading.tcp_in_base, reading.gripper))
+            self._filter = SafetyFilter(session.safety)
+            self._filter.anchor(reading.tcp_in_base, reading.gripper)
             dt = 0.0  # the robot, too, counts no time before its first target: both filters go on in step
         return _named(self._advance(session, reading, dt))
 
     # The goal --------------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Anchors anew at the next reading."""
+        """Anchors the goal at the next reading."""
         self._filter, self._anchored_after = None, self._clock()
-
-    @property
-    def goal(self) -> Target | None:
-        """(10,) the goal as it was let through; None before it is anchored."""
-        return None if self._filter is None else self._filter.last
 
     def _robot(self) -> tuple[RobotSession, ArmReading]:
         if not self._connected:
@@ -134,35 +169,23 @@ class TcpTeleop(Teleoperator):
         return session, session.reading
 
     def _passed(self, session: RobotSession, now: float) -> float:
-        """Returns the time since the last call [s]; anchors anew where it was long, or an episode has begun."""
+        """Returns the time since the last call [s]; drops the anchor if it was long or an episode has begun."""
         step = session.details.get(LOCKSTEP_DT)
         dt = now - self._called if step is None else float(step)  # where time passes by steps, no call is late
         begun = session is not self._session or session.episodes != self._episode
-        if begun or dt > FORGOTTEN:
+        if begun or dt > MAX_PAUSE_S:
             self._session, self._episode = session, session.episodes
             self._filter = None
             self._anchored_after = float("-inf") if begun else self._anchored_after
             self._begin(session, new_episode=begun)
-        return min(dt, FORGOTTEN)
-
-    def _anchored(self, session: RobotSession, reading: ArmReading) -> bool:
-        if reading.stamp > self._anchored_after:
-            self._anchor(session, reading)
-        return self._filter is not None
-
-    def _anchor(self, session: RobotSession, reading: ArmReading) -> None:
-        limits = session.safety
-        if not isinstance(limits, SafetyLimits):
-            raise RobotError("The robot tells no safety limits.", got=type(limits).__name__, allowed="SafetyLimits")
-        self._filter = SafetyFilter(limits)
-        self._filter.anchor(reading.tcp_in_base, reading.gripper)
+        return min(dt, MAX_PAUSE_S)
 
     def _to(self, wanted: Target, reading: ArmReading, dt: float) -> Target:
         """Moves the goal towards a target (10,), as far as the robot would let it."""
         assert self._filter is not None
         return self._filter.stream(wanted, reading.tcp_in_base, dt)
 
-    # What a kind of teleoperator does --------------------------------------------------------------------------------
+    # Subclasses ------------------------------------------------------------------------------------------------------
 
     @abc.abstractmethod
     def _open(self) -> None:
@@ -174,65 +197,10 @@ class TcpTeleop(Teleoperator):
 
     @abc.abstractmethod
     def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
-        """Returns the next goal (10,), ``dt`` [s] after the last one; it goes through `_to`."""
+        """Returns the next goal (10,), ``dt`` [s] after the last one, through `_to`."""
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
-        """Called before the goal is anchored anew."""
-
-
-class JogTeleop(TcpTeleop):
-    """Integrates what a hand-held device asks for.
-
-    Args:
-        config: see `TcpTeleopConfig`.
-        device: the device.
-        clock: returns seconds.
-    """
-
-    def __init__(
-        self, config: TcpTeleopConfig, device: JogDevice, clock: Callable[[], float] = time.perf_counter
-    ) -> None:
-        super().__init__(config, clock)
-        self._device, self._driving, self._gripper = device, False, 1.0
-
-    def _open(self) -> None:
-        self._device.open()
-
-    def _close(self) -> None:
-        self._device.close()
-
-    def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
-        self._driving = False
-        if new_episode:
-            session.details.pop(OPERATOR_SUCCESS, None)
-
-    def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
-        jog = self._device.read()
-        if jog.success:
-            session.details[OPERATOR_SUCCESS] = True
-        if jog.reset:
-            session.details[RESET_WANTED] = True
-        assert self._filter is not None
-        if jog.clutch and not self._driving:
-            held = self._filter.last
-            self._filter.anchor(reading.tcp_in_base, reading.gripper if held is None else float(held[GRIPPER_DIM]))
-            dt = 0.0  # what was asked before the clutch closed moves nothing
-        self._driving = jog.clutch
-        last = self._filter.last
-        assert last is not None
-        pose, gripper = pose_from_vector(last)
-        if jog.clutch:
-            shift, turn = jog.shift * (self.config.speed * dt), jog.turn * (self.config.angular_speed * dt)
-            pose[:3, 3] += shift
-            pose[:3, :3] = matrix_from_rotation_vector(turn) @ pose[:3, :3]
-        if jog.gripper is not None:
-            gripper = jog.gripper
-        elif jog.toggle:
-            gripper = 0.0 if gripper > 0.5 else 1.0
-        still = not jog.clutch or not (jog.shift.any() or jog.turn.any())
-        wanted = last.copy() if still else pose_vector(pose, gripper)
-        wanted[GRIPPER_DIM] = gripper
-        return self._to(wanted, reading, dt)
+        """Called before the goal is anchored."""
 
 
 def _named(target: Target) -> dict[str, float]:

@@ -17,9 +17,9 @@ from lerobot_adamanip.hardware.calibration.simulated import simulated_calibratio
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.util import files
-from lerobot_env_adamanip.twin.adamanip_twin import AdamanipTwin
-from lerobot_env_adamanip.twin.config_adamanip_franka_sim import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TWIN, TwinOptions, frame_capacity
+from lerobot_env_adamanip.twin.twin_camera import AdamanipTwin
 
 START_TIME, RESET_TIME = 600.0, 300.0
 """The simulator may take this long to start, and a scene to be put up [s]."""

@@ -1,4 +1,4 @@
-"""A keyboard, with keys that LeRobot's commands leave free; they drive while they and the clutch key are held."""
+"""Keyboard, with keys that LeRobot's commands leave free."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_keyboard import AdamanipKeyboardConfig
-from lerobot_adamanip.hardware.teleoperators.jog import Array, Jog
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
+from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipKeyboardConfig
+from lerobot_adamanip.hardware.teleoperators.jog import Array, Jog, JogTeleop
 from lerobot_adamanip.util.errors import RobotError
 
 SHIFTS = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "u": (2, 1.0), "j": (2, -1.0)}
@@ -19,27 +18,24 @@ SHIFTS = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "u": (2,
 TURNS = {"o": (0, 1.0), "l": (0, -1.0), "i": (1, 1.0), "k": (1, -1.0), "f": (2, 1.0), "h": (2, -1.0)}
 """Key -> axis of the base frame to turn about, and direction."""
 GRIPPER, SUCCESS, RESET = "g", "y", "backspace"
-"""Keys that are told once each time they are pressed."""
-LEROBOT_KEYS = frozenset({"n", "r", "q", "left", "right", "up", "down", "esc", "space", "tab", "enter"})
-"""What lerobot-record and lerobot-rollout listen to."""
+"""Keys that are reported once each time they are pressed."""
 
 
-class KeyboardDevice:
-    """Listens to keys with pynput, in its thread. Implements `JogDevice`.
+class AdamanipKeyboard(JogTeleop):
+    """Drives the tool while keys, and the clutch key, are held; pynput listens in a thread of its own."""
 
-    Args:
-        clutch_key: pynput's name of the key without which no other counts: keys are heard in every window.
-    """
+    config_class = AdamanipKeyboardConfig
+    name = "adamanip_keyboard"
+    config: AdamanipKeyboardConfig
 
-    def __init__(self, clutch_key: str = "shift_r") -> None:
-        self._clutch_key = clutch_key
+    def __init__(self, config: AdamanipKeyboardConfig, clock: Callable[[], float] = time.perf_counter) -> None:
+        super().__init__(config, clock)
         self._lock = threading.Lock()
         self._held: set[str] = set()
         self._pressed: set[str] = set()
         self._listener: Any = None
 
-    def open(self) -> None:
-        """Raises `RobotError` where no keys can be listened to."""
+    def _open(self) -> None:
         try:
             from pynput import keyboard
         except Exception as error:  # pynput fails in its own ways where there is no display
@@ -56,19 +52,18 @@ class KeyboardDevice:
         self._listener.start()
 
     def press(self, key: str) -> None:
-        """A key goes down, or repeats."""
+        """Handles a key that goes down, or repeats."""
         with self._lock:
-            if key not in self._held and self._clutch_key in self._held:
+            if key not in self._held and self.config.clutch_key in self._held:
                 self._pressed.add(key)
             self._held.add(key)
 
     def release(self, key: str) -> None:
-        """A key goes up."""
+        """Handles a key that goes up."""
         with self._lock:
             self._held.discard(key)
 
-    def read(self) -> Jog:
-        """Returns what the keys say now. Raises `RobotError` where keys are not heard any more."""
+    def _read(self) -> Jog:
         if self._listener is not None and not self._listener.is_alive():
             raise RobotError(
                 "The keyboard is not listened to any more.",
@@ -83,13 +78,12 @@ class KeyboardDevice:
             shift=_sum(SHIFTS, held),
             turn=_sum(TURNS, held),
             toggle=GRIPPER in pressed,
-            clutch=self._clutch_key in held,
+            clutch=self.config.clutch_key in held,
             success=SUCCESS in pressed,
             reset=RESET in pressed,
         )
 
-    def close(self) -> None:
-        """Stops listening; idempotent."""
+    def _close(self) -> None:
         listener, self._listener = self._listener, None
         if listener is not None:
             listener.stop()
@@ -104,21 +98,5 @@ def _sum(keys: dict[str, tuple[int, float]], held: set[str]) -> Array:
 
 
 def _name(key: Any) -> str:
-    """Letter or name of a key, as pynput tells it."""
     letter = getattr(key, "char", None)
     return str(letter).lower() if letter else str(getattr(key, "name", key))
-
-
-class AdamanipKeyboard(JogTeleop):
-    """Drives the tool while keys, and the clutch key, are held."""
-
-    config_class = AdamanipKeyboardConfig
-    name = "adamanip_keyboard"
-
-    def __init__(
-        self,
-        config: AdamanipKeyboardConfig,
-        clock: Callable[[], float] = time.perf_counter,
-        device: KeyboardDevice | None = None,
-    ) -> None:
-        super().__init__(config, device or KeyboardDevice(config.clutch_key), clock)

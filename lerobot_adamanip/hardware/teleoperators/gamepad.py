@@ -1,30 +1,26 @@
-"""A gamepad: left stick in the plane, right stick up and about the vertical, cross for the other two turns."""
+"""Gamepad: left stick in the plane, right stick up and about the vertical, cross for the other two turns."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.hardware.teleoperators.config_adamanip_gamepad import AdamanipGamepadConfig
-from lerobot_adamanip.hardware.teleoperators.jog import Jog, dead_zone
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import JogTeleop
+from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipGamepadConfig
+from lerobot_adamanip.hardware.teleoperators.jog import Jog, JogTeleop, dead_zone
 from lerobot_adamanip.util.errors import RobotError
 
 
-class GamepadDevice:
-    """Reads a pad with pygame, which needs no window. Implements `JogDevice`."""
+class AdamanipGamepad(JogTeleop):
+    """Drives the tool while the right shoulder button is held; by pygame, which needs no window."""
 
-    def __init__(self, config: AdamanipGamepadConfig) -> None:
-        self._config = config
-        self._pygame: Any = None
-        self._pad: Any = None
-        self._pressed: set[int] = set()
+    config_class = AdamanipGamepadConfig
+    name = "adamanip_gamepad"
+    config: AdamanipGamepadConfig
+    _pygame: Any = None
+    _pad: Any = None
 
-    def open(self) -> None:
-        """Raises `RobotError` without pygame or a pad."""
+    def _open(self) -> None:
         try:
             import pygame
         except ImportError as error:
@@ -34,18 +30,17 @@ class GamepadDevice:
         pygame.init()
         pygame.joystick.init()
         found = pygame.joystick.get_count()
-        if found <= self._config.index:
+        if found <= self.config.index:
             pygame.quit()
             raise RobotError(
-                "There is no such gamepad.", got=f"index {self._config.index}", allowed=f"{found} connected"
+                "There is no such gamepad.", got=f"index {self.config.index}", allowed=f"{found} connected"
             )
-        self._pygame, self._pad = pygame, pygame.joystick.Joystick(self._config.index)
+        self._pygame, self._pad = pygame, pygame.joystick.Joystick(self.config.index)
         self._pad.init()
-        self._pressed = set()
+        self._pressed: set[int] = set()
 
-    def read(self) -> Jog:
-        """Returns what sticks and buttons say now. Raises `RobotError` for a pad that was unplugged."""
-        pad, config = self._pad, self._config
+    def _read(self) -> Jog:
+        pad, config = self._pad, self.config
         removed = self._pygame.event.get(self._pygame.JOYDEVICEREMOVED)
         if any(event.instance_id == pad.get_instance_id() for event in removed):
             raise RobotError(
@@ -70,18 +65,7 @@ class GamepadDevice:
             reset=config.button_reset in new,
         )
 
-    def close(self) -> None:
-        """Gives the pad back; idempotent."""
+    def _close(self) -> None:
         if self._pygame is not None:
             self._pygame.quit()
             self._pygame = self._pad = None
-
-
-class AdamanipGamepad(JogTeleop):
-    """Drives the tool while the right shoulder button is held."""
-
-    config_class = AdamanipGamepadConfig
-    name = "adamanip_gamepad"
-
-    def __init__(self, config: AdamanipGamepadConfig, clock: Callable[[], float] = time.perf_counter) -> None:
-        super().__init__(config, GamepadDevice(config), clock)

@@ -16,7 +16,7 @@ from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.tcp_teleop import TcpTeleop
 from lerobot_adamanip.lerobot_patches.episode_signals import end_episode
 from lerobot_adamanip.util.errors import RobotError
-from lerobot_env_adamanip.twin.config_adamanip_scripted import AdamanipScriptedConfig
+from lerobot_env_adamanip.twin.config_devices import AdamanipScriptedConfig
 from lerobot_env_adamanip.twin.played_motion import PlayedMotion
 
 

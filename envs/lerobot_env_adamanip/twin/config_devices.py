@@ -1,22 +1,64 @@
-"""Options of the twin."""
+"""Options of the twin: its robot, its camera, and the teleoperator that plays experts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
 
+from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
+from lerobot.teleoperators.config import TeleoperatorConfig
 
 from lerobot_adamanip.contract.schema import IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConfig
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
-from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
 
 CLOCKS = ("realtime", "lockstep")
 DEPTH_SOURCES = ("render", "raycast")
 FRONT = "front"
 """Key of the twin's one camera."""
+
+
+@CameraConfig.register_subclass("adamanip_twin")
+@dataclass(kw_only=True)
+class AdamanipTwinConfig(CameraConfig):
+    """The front camera of the twin's scene, colour and depth of one moment. Its size is the robot's to say.
+
+    ``fps`` is how often it looks where time passes by itself (default 10: a picture takes some 50 ms of a processor);
+    in lockstep it looks once per observation. ``width`` and ``height`` are the twin's; others are refused.
+    """
+
+    use_rgb: bool = True
+    """Whether frames have colour."""
+
+    use_depth: bool = True
+    """Whether frames have depth."""
+
+
+@TeleoperatorConfig.register_subclass("adamanip_scripted")
+@dataclass(kw_only=True)
+class AdamanipScriptedConfig(TcpTeleopConfig):
+    """Plays this project's adaptive expert on the twin, at human speed; idle once it has nothing more to do."""
+
+    speed: float = 0.2
+    """Peak of each motion [m/s]."""
+
+    angular_speed: float = 0.8
+    """Likewise [rad/s]."""
+
+    pause: float = 0.3
+    """Between two motions [s], as a person looks before going on."""
+
+    trials: int = 1
+    """Failed tries before the expert changes its mind."""
+
+    seed: int = 0
+    """Of what the expert leaves to chance; an episode's own seed comes on top."""
+
+    stay: float = 0.5
+    """Once the expert has ended, the episode that is being recorded goes on for so long [s] and is ended then."""
 
 
 @RobotConfig.register_subclass("adamanip_franka_sim")

@@ -12,7 +12,7 @@ from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
-from lerobot_env_adamanip.twin.config_adamanip_twin import AdamanipTwinConfig
+from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES
 
 CAMERA_HZ = 10

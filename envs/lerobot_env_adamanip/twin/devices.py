@@ -1,0 +1,7 @@
+"""The classes that LeRobot looks for beside `config_devices`."""
+
+from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
+from lerobot_env_adamanip.twin.scripted import AdamanipScripted
+from lerobot_env_adamanip.twin.twin_camera import AdamanipTwin
+
+__all__ = ["AdamanipFrankaSim", "AdamanipScripted", "AdamanipTwin"]
