@@ -1,9 +1,10 @@
-"""Draws tasks.png: the nine tasks, each as the hand has just found out what opens it. Needs the simulator."""
+"""Draw tasks.webp: the adaptive expert at work on all nine tasks, in motion. Needs the simulator and a Vulkan device."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -19,38 +20,53 @@ SHOWN = {
     "window": ("window_003", 1), "door": ("door_001", 2), "lamp": ("lamp_010", 3),
 }  # fmt: skip
 """Category -> object and seed."""
-RENDERED, CROP, SIDE, BAR = 768, (60, 60, 708, 708), 300, 28
+RENDERED, CROP, SIDE, BAR = 512, (40, 58, 472, 490), 264, 24
+TICKS_A_FRAME, FRAMES, HOLD, FRAME_MS = 8, 88, 12, 100
+"""Control ticks between two pictures; frames an episode is shown in, and how long its end is held."""
 
 
-def last_view(category: str) -> Image.Image:
-    """Returns the front image after the adaptive expert has succeeded."""
+def episode(category: str) -> list[Image.Image]:
+    """Returns `FRAMES` pictures of one episode of the adaptive expert, evenly spread over it."""
     name, seed = SHOWN[category]
-    env = KeyframeEnv(category, objects=name, image_size=RENDERED, num_points=64, split="test")
+    env = KeyframeEnv(category, objects=name, image_size=RENDERED, num_points=64, observe_images=False, split="test")
     env.reset(seed=seed)
+    sim = env._running()
+    taken: list[Image.Image] = []
+    ticks, advance = 0, sim._tick
+
+    def watched(*command: Any) -> None:
+        nonlocal ticks
+        advance(*command)
+        if ticks % TICKS_A_FRAME == 0:
+            view = Image.fromarray(sim.views.image()).crop(CROP)
+            taken.append(view.resize((SIDE, SIDE), Image.Resampling.LANCZOS))
+        ticks += 1
+
+    sim._arm._tick_simulation = watched
     expert = make_expert(category, "adaptive", env.annotations, generator=np.random.default_rng(seed))
     goal, ended, truncated = next(expert), False, False
     while not (ended or truncated):
         *_, ended, truncated, _ = env.step(goal.action())
         if not (ended or truncated):
             goal = expert.send(env.feedback)
-    view = Image.fromarray(env.render())
     env.close()
-    return view
+    print(f"{category}: {ticks} control ticks, success {ended}", flush=True)
+    return [taken[k] for k in np.linspace(0, len(taken) - 1, FRAMES - HOLD).round().astype(int)] + HOLD * taken[-1:]
 
 
 def main(names: list[str]) -> None:
-    """Writes the picture beside this file, of all categories or of those named (to look at)."""
-    height = round(SIDE * (CROP[3] - CROP[1]) / (CROP[2] - CROP[0]))
-    font = ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 14)
+    """Writes the animation beside this file, of all categories or of those named (to look at)."""
+    font = ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 11)
     rows = -(-len(names) // 3)
-    sheet = Image.new("RGB", (3 * SIDE, rows * (height + BAR)), "white")
-    draw = ImageDraw.Draw(sheet)
+    frames = [Image.new("RGB", (3 * SIDE, rows * (SIDE + BAR)), "white") for _ in range(FRAMES)]
     for place, name in enumerate(names):
-        x, y = place % 3 * SIDE, place // 3 * (height + BAR)
-        view = last_view(name).crop(CROP).resize((SIDE - 4, height - 2), Image.Resampling.LANCZOS)
-        sheet.paste(view, (x, y))
-        draw.text((x + 6, y + height + 4), CATEGORIES[name].instruction, fill=(30, 30, 30), font=font)
-    sheet.save(Path(__file__).with_name("tasks.png"), optimize=True)
+        x, y = place % 3 * SIDE, place // 3 * (SIDE + BAR)
+        for frame, view in zip(frames, episode(name), strict=True):
+            frame.paste(view, (x, y))
+            ImageDraw.Draw(frame).text((x + 4, y + SIDE + 4), CATEGORIES[name].instruction, fill=(30, 30, 30), font=font)
+    first, *rest = frames
+    options: dict[str, Any] = {"quality": 62, "method": 6, "duration": FRAME_MS, "loop": 0}
+    first.save(Path(__file__).with_name("tasks.webp"), save_all=True, append_images=rest, **options)
 
 
 if __name__ == "__main__":
