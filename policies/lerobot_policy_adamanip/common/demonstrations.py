@@ -69,7 +69,7 @@ def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[An
         raise ConfigurationError(
             "The demonstrations lack columns that labels are made from.",
             got=f"no {', '.join(missing)}",
-            allowed="the columns of this project's contract, see docs/concepts.md",
+            allowed="the columns of this project's contract, see docs/dataset_columns.md",
             hint="adamanip collect",
         )
     table = source.to_table(columns=sorted({*keys, "index"})).sort_by("index")

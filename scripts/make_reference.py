@@ -1,0 +1,135 @@
+"""Write docs/command_line/*.md and docs/environments.md from the source of the options.
+
+Run ``python scripts/make_reference.py``; with ``--check`` it only says which page is stale.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from check_common import ROOT, document_command
+from lerobot.envs.configs import EnvConfig
+
+from lerobot_adamanip.cli.main import COMMANDS, load
+from lerobot_adamanip.contract.categories import CATEGORIES
+
+COMMAND_PAGES, ENVIRONMENTS = ROOT / "docs" / "command_line", ROOT / "docs" / "environments.md"
+GROUPS = {
+    "collect": ("Collect demonstrations", ("collect", "replay", "render", "keyframes")),
+    "datasets": ("Work with datasets", ("check", "repair", "stats", "view", "merge", "filter", "split", "push")),
+    "evaluate": ("Evaluate and compare", ("report", "benchmark", "bench")),
+    "setup": ("Objects, cameras, installation", ("doctor", "objects", "annotate", "calibrate")),
+}
+HEAD = "Generated from the source by `python scripts/make_reference.py`; a test compares the two.\n"
+
+
+class Option(NamedTuple):
+    """One field of an options' class: name, annotation as in the source, and its text."""
+
+    name: str
+    kind: str
+    text: str
+
+
+def options(cls: type) -> Iterator[Option]:
+    """Yields the documented fields of a dataclass and its bases, in order of definition."""
+    for each in reversed(cls.__mro__):
+        if each.__module__.split(".")[0] in ("lerobot_adamanip", "lerobot_env_adamanip"):
+            yield from _own_options(each)
+
+
+def _own_options(cls: type) -> Iterator[Option]:
+    source = textwrap.dedent(inspect.getsource(cls))
+    lines, body = source.splitlines(), ast.parse(source).body[0].body  # type: ignore[attr-defined]
+    for node, following in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(node, ast.AnnAssign) or "ClassVar" in ast.unparse(node.annotation):
+            continue
+        value = following.value if isinstance(following, ast.Expr) else None
+        text = value.value if isinstance(value, ast.Constant) and isinstance(value.value, str) else ""
+        if not text:
+            first = node.lineno - 1
+            while lines[first - 1].lstrip().startswith("# "):
+                first -= 1
+            text = " ".join(line.strip().removeprefix("# ") for line in lines[first : node.lineno - 1])
+        if text and not text.startswith(("Set by itself", "The former name", "Without effect")):
+            yield Option(node.target.id, ast.unparse(node.annotation), " ".join(text.split()))  # type: ignore[union-attr]
+
+
+def _table(rows: list[tuple[str, str, str]]) -> str:
+    cells = [tuple(cell.replace("|", "\\|") for cell in row) for row in rows]
+    return "\n".join(["| option | default | meaning |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)])
+
+
+def _default(cls: type, option: Option) -> str:
+    field = next(each for each in dataclasses.fields(cls) if each.name == option.name)
+    if field.default is dataclasses.MISSING:
+        return "required" if field.default_factory is dataclasses.MISSING else ""
+    return "" if field.default in (None, (), "") else f"`{field.default}`"
+
+
+def _section(name: str) -> str:
+    rows, positional = [], []
+    command = load(name)
+    for option in options(command):
+        if "Positional" in option.kind:
+            positional.append("DIR" if "Path" in option.kind and "tuple" not in option.kind else option.name.upper())
+            rows.append((f"`{positional[-1]}`", _default(command, option), option.text))
+        else:
+            rows.append((f"`--{option.name.replace('_', '-')}`", _default(command, option), option.text))
+    usage = " ".join(["adamanip", name, *positional, "[OPTIONS]"])
+    summary = COMMANDS[name].help[0].upper() + COMMANDS[name].help[1:]
+    return f"## {name}\n\n{summary}.\n\n```text\n{usage}\n```\n\n{_table(rows)}\n"
+
+
+def _command_pages() -> Iterator[tuple[Path, str]]:
+    lines = [
+        f"| [`{name}`]({page}.md#{name}) | {COMMANDS[name].help} |"
+        for page, (_, names) in GROUPS.items()
+        for name in names
+    ]
+    index = "\n".join(["| command | does |", "|---|---|", *lines])
+    text = "Every command has `--help`. Those that report numbers have `--json`. A dataset's folder comes first."
+    yield COMMAND_PAGES / "index.md", f"# Command line\n\n{HEAD}\n{text}\n\n{index}\n"
+    for page, (title, names) in GROUPS.items():
+        yield (
+            COMMAND_PAGES / f"{page}.md",
+            "\n".join([f"# Command line: {title.lower()}\n", HEAD, *map(_section, names)]),
+        )
+
+
+def _environments() -> str:
+    classes = {name: EnvConfig.get_choice_class(f"adamanip_{name}") for name in CATEGORIES}
+    suite = EnvConfig.get_choice_class("adamanip")
+    shared = [each for each in options(suite) if each.name != "categories"]
+    names = {each.name for each in shared}
+    rows = [(f"`--env.{each.name}`", _default(suite, each), each.text) for each in shared]
+    own = [(name, each) for name, cls in classes.items() for each in options(cls) if each.name not in names]
+    hidden = [f"| `{name}` | `--env.{each.name}` | {each.text} |" for name, each in own]
+    types = [f"| `adamanip_{name}` | {category.instruction} |" for name, category in CATEGORIES.items()]
+    return "\n".join([
+        "# Environments\n", HEAD,
+        "Options of `lerobot-train`, `lerobot-eval` and `KeyframeEnv(..., name=value)`.\n",
+        "## Which environments are there?\n",
+        "| `--env.type` | task |", "|---|---|", *types,
+        "| `adamanip` | all nine in turn; `--env.categories=safe,door` chooses |",
+        "\n## Options of every environment\n", _table(rows),
+        "\n## How do I fix a hidden value?\n", "| category | option | meaning |", "|---|---|---|", *hidden, "",
+    ])  # fmt: skip
+
+
+def main() -> int:
+    """Writes the pages, or says which differ; 0 if all is well."""
+    import lerobot_env_adamanip  # noqa: F401  (registers the configurations)
+
+    return document_command(__doc__, lambda: {**dict(_command_pages()), ENVIRONMENTS: _environments()})
+
+
+if __name__ == "__main__":
+    sys.exit(main())
