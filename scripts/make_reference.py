@@ -124,12 +124,12 @@ def _environments() -> str:
     ])  # fmt: skip
 
 
-def main() -> int:
-    """Writes the pages, or says which differ; 0 if all is well."""
+def documents() -> dict[Path, str]:
+    """Returns page -> text."""
     import lerobot_env_adamanip  # noqa: F401  (registers the configurations)
 
-    return document_command(__doc__, lambda: {**dict(_command_pages()), ENVIRONMENTS: _environments()})
+    return {**dict(_command_pages()), ENVIRONMENTS: _environments()}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(document_command(__doc__, documents))

@@ -205,3 +205,10 @@ def test_history_drawings_are_the_presets() -> None:
 def test_text_is_free_of_machine_paths() -> None:
     for document in DOCUMENTS:
         assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", (ROOT / document).read_text(encoding="utf-8"))
+
+
+def test_reference_pages_are_the_options_of_the_code() -> None:
+    from make_reference import documents
+
+    stale = [path.name for path, text in documents().items() if path.read_text(encoding="utf-8") != text]
+    assert stale == [], "run: python scripts/make_reference.py"
