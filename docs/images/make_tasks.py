@@ -63,7 +63,9 @@ def main(names: list[str]) -> None:
         x, y = place % 3 * SIDE, place // 3 * (SIDE + BAR)
         for frame, view in zip(frames, episode(name), strict=True):
             frame.paste(view, (x, y))
-            ImageDraw.Draw(frame).text((x + 4, y + SIDE + 4), CATEGORIES[name].instruction, fill=(30, 30, 30), font=font)
+            ImageDraw.Draw(frame).text(
+                (x + 4, y + SIDE + 4), CATEGORIES[name].instruction, fill=(30, 30, 30), font=font
+            )
     first, *rest = frames
     options: dict[str, Any] = {"quality": 62, "method": 6, "duration": FRAME_MS, "loop": 0}
     first.save(Path(__file__).with_name("tasks.webp"), save_all=True, append_images=rest, **options)
