@@ -13,8 +13,8 @@ from lerobot_adamanip.cli.progress import Progress, show_progress
 from lerobot_adamanip.collection.replay import check_replays
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.findings import CheckResult
-from lerobot_adamanip.datasets.check.repair import Repair as Mended
-from lerobot_adamanip.datasets.check.repair import repair
+from lerobot_adamanip.datasets.repair import Repair as Mended
+from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.evaluation.text_format import counted
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -55,7 +55,7 @@ class Check:
             hint = "--replay 3"
             raise ConfigurationError("Nothing to replay.", got=self.replay, allowed=">= 0", hint=hint)
         with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
-            mended = repair(self.root, progress=progress) if self.repair else None
+            mended = repair(self.root) if self.repair else None
             result = check(self.root, assets=self.assets, progress=progress)
             if self.replay and result.clean:
                 result = self._with_replays(result, progress)

@@ -12,7 +12,7 @@ import tyro
 
 from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.filter import filter_episodes
 
 
 @dataclass

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.datasets.editing.filter_split import EPISODE, Parts, split_episodes
+from lerobot_adamanip.datasets.split import EPISODE, Parts, split_episodes
 from lerobot_adamanip.util.errors import ConfigurationError
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, manifest_path
-from lerobot_adamanip.datasets.editing.selection import selection_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same, write_manifest
 from lerobot_adamanip.datasets.output_folder import count_episodes, is_free
 from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 

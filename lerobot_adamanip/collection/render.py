@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,6 @@ from lerobot_adamanip.collection.record import EnvFactory
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.editing.selection import identity, selection_path
-from lerobot_adamanip.datasets.editing.source import Rows, Source
 from lerobot_adamanip.datasets.manifest import (
     HIDDEN_STATE,
     Manifest,
@@ -40,7 +37,9 @@ from lerobot_adamanip.datasets.output_folder import (
 )
 from lerobot_adamanip.datasets.reading import episode_table, load_check, read_back
 from lerobot_adamanip.datasets.repository_names import require_repo_id
+from lerobot_adamanip.datasets.selection import identity, selection_path
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
+from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
@@ -67,11 +66,6 @@ class _Stored:
     def identity(self) -> str:
         """Hash of what tells the episodes apart from those of any other dataset."""
         return identity(self.source.root)
-
-    @cached_property
-    def rows(self) -> Rows:
-        """Reads an episode's rows; holds one episode at a time."""
-        return Rows()
 
 
 def add_pictures(
@@ -268,7 +262,7 @@ def _record(row: dict[str, Any], stored: _Stored, fingerprint: str) -> dict[str,
 
 def _columns(stored: _Stored, row: dict[str, Any]) -> tuple[str, dict[str, NDArray[Any]]]:
     """Returns an episode's task and columns."""
-    part = stored.rows.of(stored.source, row)
+    part = stored.source.rows(row)
     features = schema.dataset_features(stored.manifest.spec.environment.num_points, images=False)
     columns = {
         key: _array(part[key]).astype(feature["dtype"], copy=False).reshape(len(part), *feature["shape"])

@@ -17,8 +17,8 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.datasets.attempts import attempts_path, by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.editing.selection import selection_path
 from lerobot_adamanip.datasets.reading import episode_table, load_check
+from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance

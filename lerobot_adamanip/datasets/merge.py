@@ -1,4 +1,4 @@
-"""Several datasets in one."""
+"""`adamanip merge`: several datasets in one."""
 
 from __future__ import annotations
 
@@ -10,28 +10,26 @@ from typing import Any
 
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.schema import FRONT_IMAGE
-from lerobot_adamanip.datasets.editing.compose import Pieces, Progress, compose
-from lerobot_adamanip.datasets.editing.selection import Selection
-from lerobot_adamanip.datasets.editing.source import Source
+from lerobot_adamanip.datasets.compose import Pieces, Progress, compose
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.reading import as_typed, load_check, workspace_of
 from lerobot_adamanip.datasets.repository_names import require_repo_id
+from lerobot_adamanip.datasets.selection import Selection
+from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
-_FINGERPRINT = "fingerprint"
-
 
 @dataclass(frozen=True)
 class Merged:
-    """What was merged.
+    """Result of a merge.
 
     Attributes:
         episodes: in the new dataset.
-        parts_of_one: whether they were parts of one dataset, whose order they have again.
-        whole: whether they were all of it.
-        fingerprints: of the episodes; more than one tells of code that has changed in between.
+        parts_of_one: whether the sources were parts of one dataset, whose order the episodes have again.
+        whole: whether they were all parts of it.
+        fingerprints: of the episodes; more than one means that different code recorded them.
     """
 
     episodes: int
@@ -49,21 +47,21 @@ def merge(
 ) -> Merged:
     """Writes one dataset with the episodes of several.
 
-    Rows, pictures and the columns of episodes stay as they are; tasks, indices and statistics are those of the whole.
-    Half of a dataset is never at ``out``. Parts of one dataset (`adamanip filter`, `adamanip split`) come in the order
-    that their episodes have there, whatever the order of ``roots``: all parts together are that dataset again. Others
-    come one after another, and what tells of one collection alone (its manifest, its attempts) is not merged.
+    Rows, pictures and the columns of episodes stay; tasks, indices and statistics are those of the whole. ``out``
+    appears when it is complete. Parts of one dataset (`adamanip filter`, `adamanip split`) come in the order of that
+    dataset, whatever the order of ``roots``: all its parts together are that dataset again. Other datasets come one
+    after another, without the manifest and the attempts of their collections.
 
     Args:
         roots: of datasets with equal features; two or more.
         out: of the new one; a folder that does not exist.
         repo_id: ``local/<folder name>`` by default.
-        progress: told of episodes done, and all.
+        progress: called after each episode.
 
     Raises:
-        DatasetError: a part is missing, half written or of other features, parts of one dataset share episodes, or
-            something is at ``out``.
-        ConfigurationError: fewer than two parts, or this LeRobot writes datasets otherwise.
+        DatasetError: a part is missing, half written or of other features, two of them share episodes, or something is
+            at ``out``.
+        ConfigurationError: fewer than two parts, or this LeRobot writes datasets in another way.
     """
     _require_several(roots)
     require_repo_id(repo_id)
@@ -79,50 +77,15 @@ def merge(
 def merge_into(
     folder: Path, roots: Sequence[Path], repo_id: str, progress: Progress = lambda done, total: None
 ) -> Merged:
-    """As `merge`, into a folder that does not exist and that nobody else looks at."""
+    """As `merge`, into a folder that does not exist and belongs to the caller."""
     sources = [Source.open(root) for root in roots]
     _require_equal_features(sources)
     one_workspace(roots)
+    _require_each_once(sources)
     pieces, selection = _in_order(sources)
     compose(folder, pieces, repo_id, selection, progress)
     whole = selection is not None and selection.is_whole
     return Merged(len(pieces), selection is not None, whole, _fingerprints(sources))
-
-
-def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
-    """Returns the episodes in the order of the new dataset, and what it is a part of, if of one."""
-    pieces = [(source, episode) for source in sources for episode in range(source.info["total_episodes"])]
-    _require_each_once(sources)
-    first = sources[0].selection
-    known = [index for source in sources for index in source.selection.episodes]
-    if len({(each.selection.source, each.selection.source_episodes) for each in sources}) > 1:
-        return pieces, None
-    order = sorted(range(len(known)), key=known.__getitem__)
-    selection = Selection(first.source, first.source_episodes, tuple(sorted(known)))
-    return [pieces[place] for place in order], selection
-
-
-def _require_each_once(sources: Sequence[Source]) -> None:
-    """Raises `DatasetError` if two sources hold the same episode: the same dataset, or parts of it that overlap."""
-    known = Counter((each.selection.source, index) for each in sources for index in each.selection.episodes)
-    if twice := sorted(index for (_, index), count in known.items() if count > 1):
-        raise DatasetError(
-            "These datasets share episodes, which would be in the new one twice.",
-            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in the dataset that they come from)",
-            allowed="datasets, or parts of one, without a common episode",
-            hint="name each dataset once; for overlapping parts, one `adamanip filter` whose condition takes both",
-        )
-
-
-def _fingerprints(sources: Sequence[Source]) -> tuple[str, ...]:
-    found = {
-        value
-        for source in sources
-        if _FINGERPRINT in source.own_columns.column_names
-        for value in source.own_columns[_FINGERPRINT].to_pylist()
-        if value is not None  # a robot's episodes have none
-    }
-    return tuple(sorted(found))
 
 
 def _require_several(roots: Sequence[Path]) -> None:
@@ -135,6 +98,36 @@ def _require_several(roots: Sequence[Path]) -> None:
         )
 
 
+def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
+    """Returns the episodes in the order of the new dataset, and the dataset that all of them are a part of, if any."""
+    pieces = [(source, episode) for source in sources for episode in range(source.info["total_episodes"])]
+    if len({(each.selection.source, each.selection.source_episodes) for each in sources}) > 1:
+        return pieces, None
+    known = [index for source in sources for index in source.selection.episodes]
+    order = sorted(range(len(known)), key=known.__getitem__)
+    first = sources[0].selection
+    selection = Selection(first.source, first.source_episodes, tuple(sorted(known)))
+    return [pieces[place] for place in order], selection
+
+
+def _require_each_once(sources: Sequence[Source]) -> None:
+    """Raises `DatasetError` if two sources hold the same episode."""
+    known = Counter((each.selection.source, index) for each in sources for index in each.selection.episodes)
+    if twice := sorted(index for (_, index), count in known.items() if count > 1):
+        raise DatasetError(
+            "These datasets share episodes, which would be in the new one twice.",
+            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in the dataset that they come from)",
+            allowed="datasets, or parts of one, without a common episode",
+            hint="name each dataset once; for overlapping parts, one `adamanip filter` whose condition takes both",
+        )
+
+
+def _fingerprints(sources: Sequence[Source]) -> tuple[str, ...]:
+    columns = [source.own_columns for source in sources if "fingerprint" in source.own_columns.column_names]
+    # Episodes that a robot recorded have none.
+    return tuple(sorted({value for each in columns for value in each["fingerprint"].to_pylist() if value is not None}))
+
+
 def _require_equal_features(sources: Sequence[Source]) -> None:
     first, *others = (_features(source.info) for source in sources)
     for source, features in zip(sources[1:], others, strict=True):
@@ -145,6 +138,12 @@ def _require_equal_features(sources: Sequence[Source]) -> None:
                 allowed="the same columns, of the same shapes",
                 hint=_way_to_equal(differing, sources[0], source),
             )
+
+
+def _features(info: dict[str, Any]) -> dict[str, Any]:
+    """Returns the features by kind and shape, and the frame rate; other descriptions may differ."""
+    kinds = {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in info["features"].items()}
+    return {**kinds, "fps": info["fps"]}
 
 
 def _way_to_equal(differing: Sequence[str], *pair: Source) -> str:
@@ -161,7 +160,7 @@ def _way_to_equal(differing: Sequence[str], *pair: Source) -> str:
 
 def one_workspace(roots: Sequence[Path]) -> Workspace:
     """Returns the box of the clouds of all these datasets; raises `DatasetError` if they differ."""
-    found = {root: workspace_of(root, load_check(root, recordings=True)["features"]) for root in roots}
+    found = {root: workspace_of(root, load_check(root, recordings=True, old_clouds=True)["features"]) for root in roots}
     if len(set(found.values())) > 1:
         raise DatasetError(
             "The clouds of these datasets have different workspaces.",
@@ -170,9 +169,3 @@ def one_workspace(roots: Sequence[Path]) -> Workspace:
             hint="leave one of them out",
         )
     return found[roots[0]]
-
-
-def _features(info: dict[str, Any]) -> dict[str, Any]:
-    """Features by kind and shape, and the frame rate; what a video's file says of itself may differ."""
-    kinds = {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in info["features"].items()}
-    return {**kinds, "fps": info["fps"]}

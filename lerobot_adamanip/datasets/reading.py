@@ -28,13 +28,16 @@ _KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 _DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
 
-def load_check(root: str | Path, *, num_points: int | None = None, recordings: bool = False) -> dict[str, Any]:
+def load_check(
+    root: str | Path, *, num_points: int | None = None, recordings: bool = False, old_clouds: bool = False
+) -> dict[str, Any]:
     """Checks a dataset without decoding it, and returns its ``meta/info.json``.
 
     Args:
         root: folder of a LeRobotDataset.
         num_points: points per cloud it has to have; any number if None.
-        recordings: whether a robot's recording will do, whose rows are ticks and have no cloud.
+        recordings: accept a robot's recording too, whose rows are ticks and have no cloud.
+        old_clouds: accept clouds of shape (N, 3) too, as version 0.2 stored them.
 
     Raises:
         DatasetError: if it is missing, half written (no metadata, no Parquet footer, rows or videos missing), or lacks
@@ -46,7 +49,7 @@ def load_check(root: str | Path, *, num_points: int | None = None, recordings: b
     info = _info(folder)
     _check_rows(folder, info)
     if not is_dense(info["features"]):
-        _check_features(folder, info, num_points)
+        _check_features(folder, info, num_points, old_clouds)
     elif not recordings:
         raise _recording(folder, info["features"])
     return info
@@ -240,16 +243,18 @@ def _check_rows(folder: Path, info: dict[str, Any]) -> None:
             raise _half_written(f"{folder}: no videos of {key}")
 
 
-def _check_features(folder: Path, info: dict[str, Any], num_points: int | None) -> None:
+def _check_features(folder: Path, info: dict[str, Any], num_points: int | None, old_clouds: bool) -> None:
     features = info["features"]
     found = {key: tuple(feature["shape"]) for key, feature in features.items()}
     cloud = found.get(schema.POINT_CLOUD, ())
+    if len(cloud) == 2 and old_clouds:
+        cloud = found[schema.POINT_CLOUD] = (cloud[0] * cloud[1],)
     if len(cloud) == 2:
         raise DatasetError(
             "The clouds of this dataset are stored as before version 0.3.",
             got=f"{schema.POINT_CLOUD} of shape {cloud} in {as_typed(folder)}",
             allowed=f"shape ({3 * cloud[0]},)",
-            hint=f"adamanip repair {as_typed(folder)}",
+            hint=f"adamanip filter {as_typed(folder)} --out {as_typed(folder)}-flat",
         )
     points = num_points or (cloud[0] // 3 if cloud and cloud[0] % 3 == 0 else schema.DEFAULT_NUM_POINTS)
     expected = schema.dataset_features(points)

@@ -4,8 +4,8 @@ Changes:
     `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
     ``LeRobotDataset.resume``, which first mends such a recording. An episode gets files of its own, complete when it is
     saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A kill
-    in between leaves files that nothing counts. `datasets.check.repair` moves them away, or counts them if
-    they are whole. The writer also keeps calibrations and safety limits of the connected robot beside its recording.
+    in between leaves files that nothing counts, and `datasets.repair` moves them away. The writer also keeps
+    calibrations and safety limits of the connected robot beside its recording.
 Why:
     LeRobot completes its Parquet files when a session ends.
 Without it:
@@ -187,8 +187,8 @@ def _rows(folder: Path) -> int:
 
 def mend(root: Path) -> None:
     """Mends a recording of our robots that a kill has left; does nothing to any other dataset, or to none."""
-    from lerobot_adamanip.datasets.check.repair import repair
     from lerobot_adamanip.datasets.reading import read_info
+    from lerobot_adamanip.datasets.repair import repair
 
     try:
         if not is_dense(read_info(root)["features"]):

@@ -16,10 +16,10 @@ from demos_helpers import InThisProcess, fakes, make_spec, patiently, same_bytes
 from lerobot_adamanip.collection import executors as crews
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
-from lerobot_adamanip.datasets.check.repair import repair
-from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.output_folder import COLLECTING, RENDERING, lock_path
 from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError
 

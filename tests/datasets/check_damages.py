@@ -33,8 +33,6 @@ class Damage(NamedTuple):
     found: Sequence[Place]
     mended: bool = False
     """Whether a repair leaves nothing to be found."""
-    episodes: int = 6
-    """That are there after the repair."""
 
 
 def cut(name: str, share: float) -> Callable[[Path], object]:

@@ -26,7 +26,7 @@ from lerobot_adamanip.datasets.cards.collected import COLUMNS, read_dataset_card
 from lerobot_adamanip.datasets.cards.templates import check_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.contents import contents
-from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.evaluation.log import append_record

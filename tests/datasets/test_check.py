@@ -24,25 +24,25 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check import reading
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Report
-from lerobot_adamanip.datasets.check.repair import repair
 from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
 from lerobot_adamanip.datasets.merge import merge
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.reading import open_dataset
+from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.datasets.statistics import cloud_statistics
 from lerobot_adamanip.util.errors import DatasetError
 
 NAN = float("nan")
 FAR = [9.0, 9.0, 9.0]
 DAMAGES = [
-    Damage("data cut off", to.cut(DATA, 0.5), [("unreadable", DATA, 0, None)], mended=True, episodes=5),
-    Damage("data without footer", to.cut(DATA, 0.9999), [("unreadable", DATA, 0, None)], mended=True),
+    Damage("data cut off", to.cut(DATA, 0.5), [("unreadable", DATA, 0, None)]),
+    Damage("data without footer", to.cut(DATA, 0.9999), [("unreadable", DATA, 0, None)]),
     Damage("data lost", to.remove(DATA), [("missing", DATA, 0, None)]),
     Damage("pages overwritten", to.break_pages(2), [("unreadable", DATA, 2, None)]),
     Damage("video lost", to.remove(VIDEO), [("missing", VIDEO, 0, None)]),
-    Damage("video cut off", to.cut(VIDEO, 0.7), [("unreadable", VIDEO, 3, 2)], mended=True, episodes=3),
-    Damage("video short", to.edit_film(lambda frames: frames[:-2]), [("video-length", VIDEO, 5, 2)], True, 5),
-    Damage("video long", to.edit_film(lambda frames: [*frames, frames[-1]]), [("unlisted", VIDEO, None, None)], True),
+    Damage("video cut off", to.cut(VIDEO, 0.7), [("unreadable", VIDEO, 3, 2)]),
+    Damage("video short", to.edit_film(lambda frames: frames[:-2]), [("video-length", VIDEO, 5, 2)]),
+    Damage("video long", to.edit_film(lambda frames: [*frames, frames[-1]]), [("unlisted", VIDEO, None, None)]),
     Damage(
         "video of another episode", to.edit_film(lambda frames: [*frames[4:8], *frames[:4], *frames[8:]]),
         [("video-content", VIDEO, 0, None), ("video-content", VIDEO, 1, None)],
@@ -60,7 +60,7 @@ DAMAGES = [
     Damage("point far away", to.edit_cell(schema.POINT_CLOUD, 5, 3, to.at((0,), 9.0)), [("workspace", DATA, 5, 3)]),
     Damage("row lost", to.without_row(3, 2), [("length", DATA, 3, None)]),
     Damage(
-        "last episode's rows lost", to.edit_rows(to.without_last_episode), [("length", DATA, 5, None)], True, 5
+        "last episode's rows lost", to.edit_rows(to.without_last_episode), [("length", DATA, 5, None)],
     ),
     Damage("index jumps", to.edit_cell("index", 2, 1, lambda _: 99), [("index", DATA, 2, 1)]),
     Damage("frame_index jumps", to.edit_cell("frame_index", 4, 2, lambda _: 7), [("index", DATA, 4, 2)]),
@@ -82,8 +82,8 @@ DAMAGES = [
     Damage("statistics cut off", to.cut(STATS, 0.5), [("unreadable", STATS, None, None)], mended=True),
     Damage("statistics of an episode", to.edit_episode(2, **{"stats/action/mean": to.more}),
            [("episode-statistics", DATA, 2, None), ("statistics", STATS, None, None)]),
-    Damage("description lost", to.remove(INFO), [("missing", INFO, None, None)], mended=True),
-    Damage("description cut off", to.cut(INFO, 0.5), [("unreadable", INFO, None, None)], mended=True),
+    Damage("description lost", to.remove(INFO), [("missing", INFO, None, None)]),
+    Damage("description cut off", to.cut(INFO, 0.5), [("unreadable", INFO, None, None)]),
     Damage("wrong totals", to.edit_json(INFO, lambda info: info.update(total_frames=29)),
            [("count", INFO, None, None)], mended=True),
     Damage("older format", to.edit_json(INFO, lambda info: info.update(codebase_version="v2.1")),
@@ -95,7 +95,7 @@ DAMAGES = [
     Damage("hidden state as an observation", to.edit_json(
         INFO, lambda info: info["features"].update({"observation.hidden": info["features"].pop(schema.TRIAL)})),
         [("schema", INFO, None, None), ("schema", INFO, None, None), ("schema", DATA, 0, None)]),
-    Damage("tasks lost", to.remove(TASKS), [("missing", TASKS, None, None)], mended=True),
+    Damage("tasks lost", to.remove(TASKS), [("missing", TASKS, None, None)]),
     Damage("metadata lost", to.without_metadata(4), [
         ("count", INFO, None, None), ("unlisted", DATA, 4, None), ("unlisted", VIDEO, None, None),
     ]),
@@ -166,7 +166,7 @@ def test_what_a_repair_mends_is_clean(copy: Path, damage: Damage) -> None:
         assert result.findings == ()
         assert done.left == []
         assert done.mended
-        assert result.episodes == damage.episodes
+        assert result.episodes == 6
         assert len(open_dataset(copy, video_backend="pyav")) == result.rows
     else:
         assert not result.clean
@@ -252,24 +252,14 @@ def test_findings_of_a_kind_are_listed_up_to_a_number_and_counted_beyond() -> No
         report.add("odd", "wrong")
 
 
-def test_a_damaged_middle_is_left_alone(copy: Path) -> None:
-    to.without_row(2, 1)(copy)
-    before = (copy / DATA).read_bytes()
-    done = repair(copy)
-    assert "episode 2 is damaged" in done.left[0]
-    assert (copy / DATA).read_bytes() == before
-    assert not done.backup.exists()
-
-
 def test_what_is_taken_out_lies_beside_the_dataset(copy: Path) -> None:
     to.leave("meta/.info.json.17.tmp")(copy)
-    to.edit_rows(to.without_last_episode)(copy)
-    metadata, description = (copy / META).read_bytes(), (copy / INFO).read_bytes()
+    to.edit_json(STATS, to.of_another)(copy)
+    stats = (copy / STATS).read_bytes()
     backup = repair(copy).backup
     assert backup == copy.with_name("dataset.before-repair")
-    assert (backup / META).read_bytes() == metadata
-    assert (backup / INFO).read_bytes() == description
-    assert (backup / "meta/.info.json.17.tmp").exists()
+    assert (backup / STATS).read_bytes() == stats
+    assert (backup / "meta/.info.json.17.tmp").read_bytes() == b"half"
 
 
 def test_replays_tell_what_does_not_happen_again(copy: Path) -> None:

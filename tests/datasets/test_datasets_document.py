@@ -10,9 +10,9 @@ import pytest
 from doc_data import collect_fake_demos
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.datasets.editing.episode_facts import episode_facts
-from lerobot_adamanip.datasets.editing.source import Source
+from lerobot_adamanip.datasets.episode_facts import episode_facts
 from lerobot_adamanip.datasets.reading import load_check, read_back
+from lerobot_adamanip.datasets.source import Source
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
 

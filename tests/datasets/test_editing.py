@@ -19,15 +19,15 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.editing import cutting
-from lerobot_adamanip.datasets.editing import filter_split as choose
-from lerobot_adamanip.datasets.editing.conditions import Facts, parse_condition
-from lerobot_adamanip.datasets.editing.episode_facts import episode_facts, recoveries
-from lerobot_adamanip.datasets.editing.filter_split import assign, filter_episodes, split_episodes
-from lerobot_adamanip.datasets.editing.selection import read_selection, selection_path
-from lerobot_adamanip.datasets.editing.source import Source
+from lerobot_adamanip.datasets import cutting
+from lerobot_adamanip.datasets.conditions import Facts, parse_condition
+from lerobot_adamanip.datasets.episode_facts import episode_facts, recoveries
+from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.merge import merge
 from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset
+from lerobot_adamanip.datasets.selection import read_selection, selection_path
+from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.split import assign, split_episodes
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.util.video import write_video
 
@@ -210,10 +210,10 @@ def test_packets_are_copied_and_encoded_anew_only_where_they_must(
     source = Source.open(finished)
     (file,) = (finished / "videos").rglob("*.mp4")
     first, length = source.row(2)["dataset_from_index"], source.row(2)["length"]
-    assert cutting._copied(file, tmp_path / "cut.mp4", first, first + length, schema.FPS) == length
+    assert cutting._copied(file, tmp_path / "cut.mp4", (first, first + length), schema.FPS) == length
     ramp = (np.full((64, 64, 3), 20 * number, np.uint8) for number in range(10))
     write_video(tmp_path / "one_key_frame.mp4", ramp, schema.FPS)
-    assert cutting._copied(tmp_path / "one_key_frame.mp4", tmp_path / "other.mp4", 3, 7, schema.FPS) is None
+    assert cutting._copied(tmp_path / "one_key_frame.mp4", tmp_path / "other.mp4", (3, 7), schema.FPS) is None
     seen = frames(file)
     np.testing.assert_array_equal(frames(tmp_path / "cut.mp4"), seen[first : first + length])
     monkeypatch.setattr(cutting, "_copied", lambda *_: None)
@@ -235,7 +235,7 @@ def frames(path: Path) -> np.ndarray:
 def test_a_video_that_is_too_short_is_named(finished: Path, tmp_path: Path) -> None:
     shutil.copytree(finished, tmp_path / "copy")
     (file,) = (tmp_path / "copy" / "videos").rglob("*.mp4")
-    cutting._copied(file, tmp_path / "short.mp4", 0, 10, schema.FPS)
+    cutting._copied(file, tmp_path / "short.mp4", (0, 10), schema.FPS)
     shutil.move(tmp_path / "short.mp4", file)
     with pytest.raises(AdaManipError, match="does not fit its episode"):
         filter_episodes(tmp_path / "copy", [], tmp_path / "part")
@@ -434,7 +434,7 @@ def test_damage_is_named_and_leaves_nothing(unpictured: Path, tmp_path: Path) ->
     swapped = table["episode_index"].to_pylist()[::-1]
     pq.write_table(table.set_column(table.schema.get_field_index("episode_index"), "episode_index", [swapped]), path)
     with pytest.raises(AdaManipError, match="episode 0: its rows are not where they should be"):
-        choose.filter_episodes(tmp_path / "copy", [], tmp_path / "part")
+        filter_episodes(tmp_path / "copy", [], tmp_path / "part")
     assert not (tmp_path / "part").exists()
 
 

@@ -13,7 +13,7 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.editing.filter_split import filter_episodes
+from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.merge import merge
 from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset
 from lerobot_adamanip.util.errors import AdaManipError

@@ -1,261 +1,143 @@
-"""What LeRobot's own recorder leaves when it is killed: every episode whose saving had ended is there again."""
+"""A repair keeps the episodes that `meta/info.json` counts, and moves away what a killed recorder has left."""
 
 from __future__ import annotations
 
-import io
-import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from dense_helpers import STOPS, add, begun, dense_episode
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
+from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.check.repair import repair
-from lerobot_adamanip.datasets.check.salvage import salvage
-from lerobot_adamanip.datasets.check.thrift import Reader, Writer
-from lerobot_adamanip.datasets.reading import load_check, open_dataset
+from lerobot_adamanip.datasets.filter import filter_episodes
+from lerobot_adamanip.datasets.reading import load_check, open_dataset, read_info
+from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
-POINTS, PIXELS, REPO = 24, 64, "local/killed"
-LENGTHS = (5, 7, 4, 6)
+EPISODE = dense_episode(STOPS[:2])
 
 
 class KilledError(Exception):
     """Stands for the end of the process: the folder is looked at as it is then."""
 
 
-def frame(episode: int, row: int) -> dict[str, Any]:
-    draw = np.random.default_rng([episode, row])
-    turned = transform(draw.uniform(0.4, 0.6, 3), rotation_about(draw.normal(size=3), draw.uniform(0, 3)))
-    pose = pose_vector(turned, float(draw.random()))
-    lower, upper = DEFAULT_WORKSPACE.lower, DEFAULT_WORKSPACE.upper
-    labels = {key: np.zeros(1, dtype) for key, dtype in schema.LABEL_DTYPES.items()}
-    return {
-        schema.POINT_CLOUD: draw.uniform(lower, upper, (POINTS, 3)).astype(np.float32).reshape(-1),
-        schema.STATE: np.concatenate([pose, draw.normal(size=14)]).astype(np.float32),
-        schema.EFFORT: draw.normal(size=7).astype(np.float32),
-        schema.FRONT_IMAGE: np.full((PIXELS, PIXELS, 3), 30 + 40 * episode, np.uint8),
-        schema.ACTION: pose,
-        schema.EXECUTED: pose,
-        schema.JOINTS: np.zeros(len(schema.JOINT_NAMES), np.float32),
-        **labels,
-        schema.DONE: np.array([row == LENGTHS[episode] - 1]),
-        "task": f"open number {episode % 2}",
-    }
-
-
-def begun(root: Path) -> Any:
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    return LeRobotDataset.create(REPO, schema.FPS, schema.dataset_features(POINTS, PIXELS), root=root)
-
-
-def resumed(root: Path) -> Any:
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    return LeRobotDataset.resume(REPO, root=root)
-
-
-def add(dataset: Any, episode: int, rows: int | None = None) -> None:
-    for row in range(LENGTHS[episode] if rows is None else rows):
-        dataset.add_frame(frame(episode, row))
-
-
-def save(dataset: Any, *episodes: int) -> None:
-    for episode in episodes:
-        add(dataset, episode)
-        dataset.save_episode()
-
-
-def raises(*_: Any, **__: Any) -> Any:
+def die(*_: Any, **__: Any) -> Any:
     raise KilledError
 
 
-def in_an_episode(root: Path, _: pytest.MonkeyPatch) -> Any:
+def die_at(name: str) -> Callable[..., None]:
+    write = files.write_atomically
+    return lambda path, content: die() if path.name == name else write(path, content)
+
+
+def durable(root: Path) -> Any:
+    """A recording of our robot with one saved episode, and a second one whose rows are added."""
     dataset = begun(root)
-    save(dataset, 0, 1, 2)
-    add(dataset, 3, 2)
+    for _ in range(2):
+        add(dataset, EPISODE)
+        if not dataset.num_episodes:
+            dataset.save_episode(parallel_encoding=False)
     return dataset
 
 
-def before_its_video(root: Path, patch: pytest.MonkeyPatch) -> Any:
-    dataset = begun(root)
-    save(dataset, 0, 1, 2)
-    patch.setattr(dataset.writer, "_save_episode_video", raises)
-    add(dataset, 3)
-    with pytest.raises(KilledError):
-        dataset.save_episode()
-    return dataset
+KILLS: dict[str, Callable[[pytest.MonkeyPatch, Any], object]] = {
+    "in an episode": lambda patch, dataset: patch.setattr(dataset, "save_episode", die),
+    "before its rows are whole": lambda patch, dataset: patch.setattr(dataset.writer, "close_writer", die),
+    "before its videos": lambda patch, dataset: patch.setattr(dataset.writer, "_save_episode_video", die),
+    "before its metadata": lambda patch, dataset: patch.setattr(dataset.meta, "save_episode", die),
+    "before its metadata are whole": lambda patch, dataset: patch.setattr(dataset.meta, "_close_writer", die),
+    "before its metadata are synced": lambda patch, dataset: patch.setattr(dataset.meta, "_sync_latest", die),
+    "before it is counted": lambda patch, dataset: patch.setattr(files, "write_atomically", die_at("info.json")),
+}
 
 
-def before_its_metadata(root: Path, patch: pytest.MonkeyPatch) -> Any:
-    dataset = begun(root)
-    save(dataset, 0, 1, 2)
-    patch.setattr(dataset.meta, "save_episode", raises)
-    add(dataset, 3)
-    with pytest.raises(KilledError):
-        dataset.save_episode()
-    return dataset
+@pytest.fixture
+def patched(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.delenv(lerobot_patches.NO_PATCHES, raising=False)
+    lerobot_patches.apply()
+    yield
+    lerobot_patches.restore()
 
 
-def while_finishing(root: Path, patch: pytest.MonkeyPatch) -> Any:
-    dataset = begun(root)
-    save(dataset, 0, 1, 2)
-    patch.setattr(dataset.meta, "finalize", raises)
-    with pytest.raises(KilledError):
-        dataset.finalize()
-    return dataset
-
-
-def while_describing(root: Path, patch: pytest.MonkeyPatch) -> Any:
-    dataset = in_an_episode(root, patch)
-    content = (root / "meta" / "info.json").read_bytes()
-    (root / "meta" / "info.json").write_bytes(content[:-20])
-    (root / "meta" / "stats.json").write_bytes(b"")
-    dataset.writer.close_writer()
-    return dataset
-
-
-def in_a_second_session(root: Path, _: pytest.MonkeyPatch) -> Any:
-    first = begun(root)
-    save(first, 0, 1)
-    first.finalize()
-    dataset = resumed(root)
-    save(dataset, 2)
-    add(dataset, 3, 2)
-    return dataset
-
-
-KILLS = {
-    in_an_episode: 3, before_its_video: 3, before_its_metadata: 4, while_finishing: 3, while_describing: 3,
-    in_a_second_session: 3,
-}  # fmt: skip
-"""How a recording ends, and the episodes that are there in full: rows and frames."""
-
-
-@pytest.mark.parametrize(("kill", "episodes"), KILLS.items(), ids=[kill.__name__ for kill in KILLS])
-def test_every_saved_episode_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kill: Callable[[Path, pytest.MonkeyPatch], Any], episodes: int
+@pytest.mark.usefixtures("patched")
+@pytest.mark.parametrize("kill", KILLS)
+def test_every_saved_episode_is_kept_and_recording_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kill: str
 ) -> None:
-    dataset = kill(tmp_path / "recording", monkeypatch)
+    dataset = durable(tmp_path / "recording")
+    with monkeypatch.context() as patch:
+        KILLS[kill](patch, dataset)
+        with pytest.raises(KilledError):
+            dataset.save_episode(parallel_encoding=False)
     root = Path(shutil.copytree(tmp_path / "recording", tmp_path / "killed"))  # as it is at this moment
-    monkeypatch.undo()
-    dataset.finalize()
+    dataset.writer._lock.close()
     assert not check(root).clean
     done = repair(root)
     assert done.left == []
-    assert check(root).findings == ()
-    found = open_dataset(root, video_backend="pyav")
-    assert (found.num_episodes, len(found)) == (episodes, sum(LENGTHS[:episodes]))
-    row = 0
-    for episode in range(episodes):
-        for number in range(LENGTHS[episode]):
-            item, wanted = found[row], frame(episode, number)
-            for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
-                np.testing.assert_array_equal(item[key], wanted[key])
-            assert item["task"] == wanted["task"]
-            assert abs(float(item[schema.FRONT_IMAGE].mean()) - (30 + 40 * episode) / 255) < 0.02
-            row += 1
-    # What it took out lies beside it.
     assert done.backup.is_dir()
-
-
-def test_recording_goes_on_after_a_repair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    dataset = in_an_episode(tmp_path / "recording", monkeypatch)
-    root = Path(shutil.copytree(tmp_path / "recording", tmp_path / "killed"))
-    dataset.finalize()
-    repair(root)
-    again = resumed(root)
-    save(again, 3)
+    assert check(root).findings == ()
+    assert repair(root).mended == []
+    again = LeRobotDataset.resume("local/dense", root=root)
+    add(again, EPISODE)
+    again.save_episode(parallel_encoding=False)
     again.finalize()
-    assert load_check(root)["total_episodes"] == 4
-    assert check(root).clean
+    assert check(root).findings == ()
+    rows = pq.read_table(sorted((root / "data").glob("*/*.parquet")))[schema.ACTION].to_pylist()
+    np.testing.assert_array_equal(np.array(rows, np.float32), np.concatenate([EPISODE.asked] * 2))
 
 
-def recorded(root: Path, cloud: tuple[int, ...]) -> Path:
-    """Three episodes whose clouds have this shape, as LeRobot records them."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+def test_what_no_recorder_of_ours_leaves_is_named_and_left_alone(finished: Path, tmp_path: Path) -> None:
+    info, described = "meta/info.json", "meta/episodes/chunk-000/file-000.parquet"
+    for name, said in (
+        (info, "unreadable: meta/info.json"),
+        (described, "counts 6 episodes, and meta/episodes describes 0"),
+    ):
+        root = Path(shutil.copytree(finished, tmp_path / Path(name).parent.name))
+        (root / name).write_bytes((root / name).read_bytes()[:-20])
+        before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
+        done = repair(root)
+        assert said in done.left[0]
+        assert {path: path.read_bytes() for path in root.rglob("*") if path.is_file()} == before
+        assert not done.backup.exists()
 
-    features = schema.dataset_features(POINTS, images=False)
-    features[schema.POINT_CLOUD]["shape"] = cloud
-    dataset = LeRobotDataset.create(REPO, schema.FPS, features, root=root)
-    for episode in range(3):
-        for row in range(LENGTHS[episode]):
-            values = {key: value for key, value in frame(episode, row).items() if key in (*features, "task")}
-            dataset.add_frame({**values, schema.POINT_CLOUD: values[schema.POINT_CLOUD].reshape(cloud)})
-        dataset.save_episode()
+
+# Version 0.2 ------------------------------------------------------------------------------------------------------
+
+
+def with_clouds(source: Path, root: Path, *shape: int) -> Path:
+    """The rows of a dataset as LeRobot records them, with clouds of this shape."""
+    features = schema.dataset_features(8, images=False)
+    features[schema.POINT_CLOUD]["shape"] = shape
+    dataset = LeRobotDataset.create("local/old", schema.FPS, features, root=root)
+    rows = pq.read_table(sorted((source / "data").glob("*/*.parquet"))).to_pylist()
+    for row, following in zip(rows, [*rows[1:], None], strict=True):
+        values = {key: np.array(row[key], each["dtype"]).reshape(each["shape"]) for key, each in features.items()}
+        dataset.add_frame({**values, "task": "open the fake"})
+        if following is None or following["episode_index"] != row["episode_index"]:
+            dataset.save_episode()
     dataset.finalize()
     return root
 
 
-@pytest.mark.parametrize("writes", [0, 1, 2, 3, None])
-def test_clouds_of_version_0_2_are_stored_as_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int | None
-) -> None:
-    """Whatever interrupts it: after so many files, or nothing."""
-    old, new = recorded(tmp_path / "old", (POINTS, 3)), recorded(tmp_path / "new", (3 * POINTS,))
-    assert ["adamanip repair" in finding.message for finding in check(old).findings] == [True]
-    with pytest.raises(DatasetError, match="adamanip repair"):
+def test_a_filter_stores_clouds_of_version_0_2_as_rows(unpictured: Path, tmp_path: Path) -> None:
+    old, new = (with_clouds(unpictured, tmp_path / str(len(shape)), *shape) for shape in ((8, 3), (24,)))
+    assert ["adamanip filter" in finding.message for finding in check(old).findings if finding.kind == "schema"] == [
+        True
+    ]
+    with pytest.raises(DatasetError, match="adamanip filter"):
         load_check(old)
-    if writes is not None:
-        left, write = iter(range(writes)), files.write_atomically
-        monkeypatch.setattr(
-            files, "write_atomically", lambda *given: raises() if next(left, None) is None else write(*given)
-        )
-        with pytest.raises(KilledError):
-            repair(old)
-        monkeypatch.undo()
-    mended = repair(old)
-    assert mended.left == []
-    assert check(old).findings == ()
+    for source, out in ((old, "from_old"), (new, "from_new")):
+        filter_episodes(source, [], tmp_path / out)
     for name in ("data/chunk-000/file-000.parquet", "meta/tasks.parquet"):
-        assert pq.read_table(old / name).equals(pq.read_table(new / name))
-    assert json.loads((old / "meta" / "info.json").read_text()) == json.loads((new / "meta" / "info.json").read_text())
-    assert open_dataset(old)[3][schema.POINT_CLOUD].shape == (3 * POINTS,)
-    assert repair(old).mended == []
-
-
-def test_rows_of_a_file_without_its_end(tmp_path: Path) -> None:
-    dataset = begun(tmp_path / "recording")
-    save(dataset, 0, 1, 2)
-    path = tmp_path / "recording" / "data" / "chunk-000" / "file-000.parquet"
-    features = json.loads((tmp_path / "recording" / "meta" / "info.json").read_text())["features"]
-    left = path.read_bytes()
-    dataset.finalize()
-    whole = pq.read_table(path)
-    (tmp_path / "cut").write_bytes(left)
-    saved = salvage(tmp_path / "cut", features)
-    assert saved is not None
-    assert saved[1] == sum(LENGTHS[:3])
-    assert pq.read_table(io.BytesIO(saved[0])).equals(whole)
-    for share in (0.2, 0.5, 0.9, 0.99):  # whole episodes, whatever is left of the file
-        (tmp_path / "cut").write_bytes(left[: int(share * len(left))])
-        saved = salvage(tmp_path / "cut", features)
-        rows = 0 if saved is None else saved[1]
-        assert rows in (0, *np.cumsum(LENGTHS[:3]).tolist())
-        assert rows < len(whole)
-        if saved is not None:
-            assert pq.read_table(io.BytesIO(saved[0])).equals(whole.slice(0, rows))
-    (tmp_path / "cut").write_bytes(b"nothing of the kind")
-    assert salvage(tmp_path / "cut", features) is None
-
-
-def test_a_footer_is_read_and_written_as_it_is() -> None:
-    sink = io.BytesIO()
-    table = pa.table({"a": [1, 2], "b": [[True], [False, None]], "c": ["x", None]})
-    pq.write_table(table, sink, row_group_size=1)
-    content = sink.getvalue()
-    footer = content[-8 - int.from_bytes(content[-8:-4], "little") : -8]
-    assert bytes(Writer().struct(Reader(footer).struct())) == footer
-    for end in range(0, len(footer), 7):
-        with pytest.raises((IndexError, ValueError)):
-            Reader(footer[:end]).struct()
+        assert pq.read_table(tmp_path / "from_old" / name).equals(pq.read_table(tmp_path / "from_new" / name)), name
+    assert check(tmp_path / "from_old").kinds() <= check(unpictured).kinds()
+    assert read_info(tmp_path / "from_old")["features"][schema.POINT_CLOUD]["shape"] == [24]
+    assert open_dataset(tmp_path / "from_old")[3][schema.POINT_CLOUD].shape == (24,)

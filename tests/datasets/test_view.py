@@ -21,7 +21,7 @@ from PIL import Image
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
-from lerobot_adamanip.datasets.editing.episode_facts import recoveries
+from lerobot_adamanip.datasets.episode_facts import recoveries
 from lerobot_adamanip.datasets.view import viewer
 from lerobot_adamanip.datasets.view.episode import ViewedEpisode, read_episode
 from lerobot_adamanip.datasets.view.still import draw, drawn, write_still

@@ -20,8 +20,8 @@ from demos_helpers import fakes, make_spec, patiently
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.editing.source import Source
 from lerobot_adamanip.datasets.reading import open_dataset, read_back
+from lerobot_adamanip.datasets.source import Source
 
 ROOT = Path(__file__).resolve().parents[2]
 UPSTREAM = ROOT / "docs" / "upstream"

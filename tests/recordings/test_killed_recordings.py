@@ -19,8 +19,8 @@ from recorded_robot import SAVED
 
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.check.repair import repair
 from lerobot_adamanip.datasets.reading import read_info
+from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
@@ -143,7 +143,7 @@ def killed_again_and_again(folder: Path, kills: int, *, streaming: bool, seed: i
         done = repair(root)
         assert done.left == [], done.left
         episodes = require_readable(root, saved)
-        # An episode that was whole, but not yet counted, when it was killed, is kept as well.
+        # An episode may be counted when its process is killed before it says so.
         assert len(saved) <= episodes <= len(saved) + 1
         if episodes > len(saved):
             length = episode_length(root, episodes - 1)

@@ -21,9 +21,9 @@ from lerobot_adamanip.datasets.attempts import (
 from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
 from lerobot_adamanip.datasets.collect_command import collect_command
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.editing.selection import Selection, read_selection, selection_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.reading import episode_records
+from lerobot_adamanip.datasets.selection import Selection, read_selection, selection_path
 from lerobot_adamanip.util.fingerprint import combined
 
 COLUMNS = {

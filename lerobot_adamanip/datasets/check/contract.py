@@ -44,7 +44,7 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
                 told = f"{key}: {name} {found!r:.80}, not {right!r:.80}"
                 report.add(
                     "schema",
-                    told + ("; `adamanip repair DIR` stores it so" if is_old_cloud(key, feature) else ""),
+                    told + ("; `adamanip filter DIR --out NEW` stores it so" if is_old_cloud(key, feature) else ""),
                     INFO,
                 )
     for key in features:

@@ -22,23 +22,18 @@ class Kind(NamedTuple):
 
 
 _NO = "no"
-_AT_END = "at the dataset's end"
 KINDS: Mapping[str, Kind] = {
-    "missing": Kind(
-        "a file that the dataset names is not there", _AT_END + ", and descriptions that can be made again"
-    ),
+    "missing": Kind("a file that the dataset names is not there", "`meta/stats.json` alone"),
     "unreadable": Kind(
-        "a file, or a part of it, is cut off or cannot be parsed", "as `missing`; rows before the cut stay"
+        "a file, or a part of it, is cut off or cannot be parsed", "`meta/stats.json`, and files of no saved episode"
     ),
     "leftover": Kind("a temporary file or picture of a process that ended early", "moved away"),
-    "unlisted": Kind(
-        "rows, or frames of a video, of no episode", "whole episodes get metadata, the rest is moved away"
-    ),
-    "metadata": Kind("an episode's metadata contradicts itself, or the dataset is of another format", _AT_END),
+    "unlisted": Kind("rows, or frames of a video, of no episode", "files of no saved episode are moved away"),
+    "metadata": Kind("an episode's metadata contradicts itself, or the dataset is of another format", _NO),
     "count": Kind("totals in `meta/info.json` are not those of the episodes", "counted again"),
     "schema": Kind("a column is missing, or of another type, shape or names than the contract's", _NO),
     "shape": Kind("a cell is empty, or of another shape than its column", _NO),
-    "length": Kind("an episode has more or fewer rows than its metadata says", _AT_END),
+    "length": Kind("an episode has more or fewer rows than its metadata says", _NO),
     "index": Kind("`index`, `frame_index` or `episode_index` do not count on", _NO),
     "timestamp": Kind("the time of a row, or of a frame, is not its number over the frame rate", _NO),
     "task": Kind("a row's task does not exist, or is not its episode's", _NO),
@@ -47,7 +42,7 @@ KINDS: Mapping[str, Kind] = {
     "workspace": Kind("a cloud has points outside the workspace", _NO),
     "gripper": Kind("a gripper's opening is not in [0, 1]", _NO),
     "label": Kind("a label is none of the contract's codes, or contradicts those before it", _NO),
-    "video-length": Kind("a video is shorter than its episodes, or cut elsewhere than they are", _AT_END),
+    "video-length": Kind("a video is shorter than its episodes, or cut elsewhere than they are", _NO),
     "video-content": Kind("a video shows something else than its episode's statistics say", _NO),
     "episode-statistics": Kind("an episode's statistics are not those of its rows", _NO),
     "statistics": Kind("`meta/stats.json` is not that of the episodes", "computed again"),

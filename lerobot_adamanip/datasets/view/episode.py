@@ -16,8 +16,8 @@ from lerobot_adamanip.catalog import is_asset_id, make_object
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
 from lerobot_adamanip.contract.pointcloud import as_points
-from lerobot_adamanip.datasets.editing.source import Rows, Source
 from lerobot_adamanip.datasets.reading import load_check, open_dataset
+from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.util.json_fields import parse
@@ -107,7 +107,7 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
     if not 0 <= number < total:
         raise ConfigurationError("No such episode.", got=number, allowed=f"0 to {total - 1}", hint="--episode 0")
     row = source.row(number)
-    table = Rows().of(source, row)
+    table = source.rows(row)
     columns = {name: np.asarray(table[name].to_pylist()) for name in table.column_names if name in _READ}
     length = len(table)
     sent = length - 1 if columns.get(schema.DONE, np.zeros(1))[-1] else length

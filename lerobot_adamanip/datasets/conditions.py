@@ -1,26 +1,23 @@
-"""Choosing episodes by what is known of them: a small grammar of comparisons, in which nothing is evaluated as code."""
+"""Conditions on episodes: ``failed_tries>=1``, ``object_id=safe_000,safe_003``. Nothing is evaluated as code."""
 
 from __future__ import annotations
 
-import difflib
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest
 
 Value = bool | int | float | str
 Facts = Mapping[str, Value | None]
-"""What is known of an episode, by name; None if it is not known."""
+"""An episode's values by name; None if unknown."""
 _ORDERED: Mapping[str, Callable[[Any, Any], bool]] = {
     ">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt,
 }  # fmt: skip
-_EQUAL, _UNEQUAL = ("=", "=="), "!="
 _GRAMMAR = re.compile(r"\s*([A-Za-z_][\w.]*)\s*(==|!=|>=|<=|=|>|<)\s*(.*?)\s*", re.DOTALL)
 _WORDS = {"true": True, "false": False}
-_SHOWN = 6
 
 
 @dataclass(frozen=True)
@@ -28,10 +25,10 @@ class Condition:
     """A comparison of one column.
 
     Attributes:
-        column: name of what is compared.
-        operation: ``=``, ``==``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``.
-        values: to compare with; several, of which one has to be equal (none, for ``!=``).
-        ranges: first and end (itself left out) of whole numbers, for ``=`` and ``!=``.
+        column: its name.
+        operation: ``=``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``.
+        values: to compare with; for ``=`` one of them has to be equal, for ``!=`` none.
+        ranges: first and end (exclusive) of whole numbers, for ``=`` and ``!=``.
     """
 
     column: str
@@ -40,26 +37,26 @@ class Condition:
     ranges: tuple[tuple[int, int], ...] = ()
 
     def holds(self, facts: Facts) -> bool:
-        """Whether an episode fulfils it. What is not known of an episode fulfils nothing."""
-        found = facts[self.column]
+        """Whether an episode fulfils it; an unknown value fulfils nothing."""
+        found: Any = facts[self.column]
         if found is None:
             return False
         if self.operation in _ORDERED:
             return _ORDERED[self.operation](found, self.values[0])
-        equal = found in self.values or any(first <= found < end for first, end in self.ranges)  # type: ignore[operator]
-        return equal is not (self.operation == _UNEQUAL)
+        equal = found in self.values or any(first <= found < end for first, end in self.ranges)
+        return equal is (self.operation == "=")
 
 
 def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
-    """Returns the condition that a text like ``failed_tries>=1`` or ``object_id=safe_000,safe_003`` states.
+    """Parses a condition.
 
     Args:
         text: a column's name, an operation and a value of the column's kind; for ``=`` and ``!=`` several, separated
-            by commas, and of whole numbers ranges like ``0:10`` (10 left out).
-        facts: of the episodes to choose from; they tell which columns there are, and of which kind.
+            by commas, and of whole numbers ranges like ``0:10`` (10 excluded).
+        facts: of the episodes to choose from: their columns, and the kind of each.
 
     Raises:
-        ConfigurationError: the text is none, names no column, or compares it with what it cannot be.
+        ConfigurationError: the text is no condition, names no column, or its value is of another kind.
     """
     match = _GRAMMAR.fullmatch(text)
     if match is None or not match[3]:
@@ -69,9 +66,8 @@ def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
             allowed="COLUMN OPERATION VALUE, operation one of =, !=, <, <=, >, >=",
             hint="--where 'failed_tries>=1'",
         )
-    column, operation, value = match.groups()
+    column, operation, value = match[1], match[2].replace("==", "="), match[3]
     kind = _kind(column, operation + value, facts)
-    operation = "=" if operation in _EQUAL else operation
     if operation in _ORDERED:
         if kind in (bool, str):
             raise _unfit(text, column, facts, f"= or !=, since {column} is no number")
@@ -94,7 +90,7 @@ def choose(conditions: Sequence[str], facts: Sequence[Facts]) -> list[int]:
         raise ConfigurationError(
             "No episode fulfils the conditions.",
             got=" and ".join(conditions),
-            allowed="; ".join(f"{column}: {_told(column, facts)}" for column in columns),
+            allowed="; ".join(f"{column}: {_range(column, facts)}" for column in columns),
             hint="a wider condition",
         )
     return chosen
@@ -104,7 +100,9 @@ def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
     kinds = {type(each[column]) for each in facts if each.get(column) is not None}
     if not kinds:
         names = sorted({name for each in facts for name, value in each.items() if value is not None})
-        near = _nearest(column, names)
+        word = column.lower()
+        begun = [name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word)]
+        near = begun[0] if begun else nearest(word, names)
         raise ConfigurationError(
             "Episodes have no such column.",
             got=repr(column),
@@ -114,21 +112,13 @@ def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
     return float if kinds == {int, float} else kinds.pop() if len(kinds) == 1 else str
 
 
-def _nearest(column: str, names: Sequence[str]) -> str | None:
-    """Returns the column that a word stands for: one that begins or ends so, or else looks alike."""
-    word = column.lower()
-    ends = [name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word)]
-    near = ends or difflib.get_close_matches(word, names, n=1, cutoff=0.5)
-    return near[0] if near else None
-
-
 def _value(text: str, column: str, kind: type, word: str, facts: Sequence[Facts]) -> Value:
     try:
         if kind is bool:
             return _WORDS[word.lower()]
         return float(word) if kind is int and re.fullmatch(r"-?\d+\.\d*", word) else kind(word)
     except (KeyError, ValueError):
-        raise _unfit(text, column, facts, _told(column, facts)) from None
+        raise _unfit(text, column, facts, _range(column, facts)) from None
 
 
 def _unfit(text: str, column: str, facts: Sequence[Facts], allowed: str) -> ConfigurationError:
@@ -139,12 +129,11 @@ def _unfit(text: str, column: str, facts: Sequence[Facts], allowed: str) -> Conf
     )
 
 
-def _told(column: str, facts: Sequence[Facts]) -> str:
-    """Returns what values a column has."""
-    values = [each[column] for each in facts if each[column] is not None]
+def _range(column: str, facts: Sequence[Facts]) -> str:
+    """Returns the values of a column as text."""
+    values: list[Any] = [each[column] for each in facts if each[column] is not None]
     if all(isinstance(value, bool) for value in values):
         return "true or false" if len(set(values)) == 2 else f"always {str(values[0]).lower()}"
     if all(isinstance(value, int | float) for value in values):
-        return f"{min(values):g} to {max(values):g}"  # type: ignore[type-var]
-    names = sorted({str(value) for value in values})
-    return ", ".join(names[:_SHOWN]) + (f" ... ({len(names)} in all)" if len(names) > _SHOWN else "")
+        return f"{min(values):g} to {max(values):g}"
+    return listed(sorted({str(value) for value in values}))

@@ -1,4 +1,4 @@
-"""An episode's frames out of a video file, by copying its packets: LeRobot begins each episode with a key frame."""
+"""Cut an episode's frames out of a video file by copying packets: LeRobot begins each episode with a key frame."""
 
 from __future__ import annotations
 
@@ -14,48 +14,45 @@ from lerobot_adamanip.util.errors import DatasetError
 def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[str, Any], fps: int) -> bytes:
     """Returns a video file of one episode's frames.
 
-    Packets are copied, so nothing is lost. Where the episode does not begin with a key frame, as after LeRobot's own
-    cutting, its frames are encoded anew, with the settings that the dataset names.
+    Packets are copied without loss. Where the episode does not begin with a key frame, as after LeRobot's own cutting,
+    its frames are encoded again with the settings that the dataset names.
 
     Args:
         root: of the dataset.
         key: of the video column.
-        feature: what the dataset says of the column.
+        feature: the column's description.
         row: of the episode, in ``meta/episodes``.
         fps: of the dataset.
 
     Raises:
-        DatasetError: the file has not as many frames there as the episode has rows.
+        DatasetError: the file holds another number of frames than the episode has rows, or depth would be encoded
+            again.
     """
-    at = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")}
-    path = root / VIDEO_PATH.format(video_key=key, chunk_index=at["chunk_index"], file_index=at["file_index"])
-    first, end = round(at["from_timestamp"] * fps), round(at["to_timestamp"] * fps)
+    chunk, file, begin, end = (
+        row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
+    )
+    path = root / VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=file)
+    span = (round(begin * fps), round(end * fps))
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         cut = Path(scratch) / "episode.mp4"
-        frames = _copied(path, cut, first, end, fps)
-        if frames is None and (feature.get("info") or {}).get("is_depth_map"):
-            raise DatasetError(
-                "Depth cannot be encoded anew without loss.",
-                got=f"episode {row['episode_index']} begins within a group of frames of {path}",
-                allowed="videos in which each episode begins with a key frame, as `lerobot-record` writes them",
-                hint="the recording of before it was edited",
-            )
+        frames = _copied(path, cut, span, fps)
         if frames is None:
-            frames = _encoded_anew(path, cut, (first, end), fps, feature)
+            frames = _encoded_anew(path, cut, span, fps, feature)
         if frames != row["length"]:
             raise DatasetError(
                 "A video does not fit its episode.",
-                got=f"episode {row['episode_index']}: {frames} frames from {first} on in {path}",
+                got=f"episode {row['episode_index']}: {frames} frames from {span[0]} on in {path}",
                 allowed=f"{row['length']} frames, as many as rows",
-                hint="adamanip check",
+                hint=f"adamanip check {root.name}",
             )
         return cut.read_bytes()
 
 
-def _copied(path: Path, out: Path, first: int, end: int, fps: int) -> int | None:
+def _copied(path: Path, out: Path, span: tuple[int, int], fps: int) -> int | None:
     """Copies the packets of some frames; returns how many, or None if the first is no key frame."""
     import av
 
+    first, end = span
     with av.open(str(path)) as source, av.open(str(out), "w", options={"movflags": "faststart"}) as target:
         stream: Any = source.streams.video[0]
         copy = target.add_stream_from_template(stream)
@@ -82,21 +79,28 @@ def _copied(path: Path, out: Path, first: int, end: int, fps: int) -> int | None
     return frames
 
 
-def _encoded_anew(path: Path, out: Path, frames: tuple[int, int], fps: int, feature: Mapping[str, Any]) -> int:
+def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, feature: Mapping[str, Any]) -> int:
     import av
     from lerobot.configs.video import encoder_config_from_video_info
     from lerobot.datasets.video_utils import encode_video_frames
 
     from lerobot_adamanip.datasets.encoding import ENCODER_THREADS
 
+    if (feature.get("info") or {}).get("is_depth_map"):
+        raise DatasetError(
+            "Depth cannot be encoded anew without loss.",
+            got=f"an episode that begins within a group of frames, at frame {span[0]} of {path}",
+            allowed="videos in which each episode begins with a key frame, as `lerobot-record` writes them",
+            hint="the recording of before it was edited",
+        )
     folder, found = out.with_suffix(""), 0
     folder.mkdir()
     with av.open(str(path)) as container:
         frame: Any
         for number, frame in enumerate(container.decode(video=0)):
-            if number >= frames[1]:
+            if number >= span[1]:
                 break
-            if number >= frames[0]:
+            if number >= span[0]:
                 frame.to_image().save(folder / f"frame-{found:06d}.png")
                 found += 1
     if found:

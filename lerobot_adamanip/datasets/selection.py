@@ -1,6 +1,6 @@
-"""``meta/selection.json``: which episodes of which dataset a part of it holds, so that parts find together again.
+"""``meta/selection.json``: which episodes of which dataset a part holds, so that `adamanip merge` can restore it.
 
-A part of a part names the first dataset, not the one between. Written by us, read from anywhere, so checked.
+A part of a part names the first dataset. The file may come from anywhere, so every field is checked.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
@@ -19,14 +18,13 @@ from lerobot_adamanip.util.json_fields import integer, listing, read, table, tex
 
 FORMAT = 1
 _MOST = 10_000_000
-_MOST_COMMANDS = 100
 _SELECTION = table(
     {
         "format": integer(FORMAT, FORMAT),
         "source": text(r"[0-9a-f]{32}", "a hash"),
         "source_episodes": integer(1, _MOST),
         "episodes": listing(integer(0, _MOST), 1, _MOST),
-        "made_with": listing(text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command"), 0, _MOST_COMMANDS),
+        "made_with": listing(text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command"), 0, 100),
     }
 )
 
@@ -36,10 +34,10 @@ class Selection:
     """Episodes of a dataset.
 
     Attributes:
-        source: hash of the dataset's metadata, which hold statistics of every episode.
+        source: hash of the dataset's metadata, see `identity`.
         source_episodes: how many it has.
         episodes: their indices there, in the order of the part.
-        made_with: commands that chose them, in order; each takes DATASET, which the one before has made.
+        made_with: the commands that chose them, in order; each takes DATASET, the result of the one before.
     """
 
     source: str
@@ -52,35 +50,31 @@ class Selection:
         """Whether these are all episodes of the dataset, each once, in its order."""
         return self.episodes == tuple(range(self.source_episodes))
 
-    def of(self, chosen: list[int], command: Sequence[str]) -> Selection:
-        """Returns the selection that takes these of its own episodes, by their places in it.
+    def of(self, chosen: Sequence[int], command: Sequence[str]) -> Selection:
+        """Returns the selection of some of these episodes.
 
         Args:
-            chosen: the places.
-            command: that chose them, without a path.
+            chosen: their places in `episodes`.
+            command: the words of the command that chose them, without a path.
         """
         episodes = tuple(self.episodes[place] for place in chosen)
         return Selection(self.source, self.source_episodes, episodes, (*self.made_with, shlex.join(command)))
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary."""
-        return {"format": FORMAT, **vars(self), "episodes": list(self.episodes), "made_with": list(self.made_with)}
-
 
 def selection_path(root: Path) -> Path:
-    """Returns where a part of a dataset says what it holds."""
+    """Returns the path of a part's selection."""
     return root / "meta" / "selection.json"
 
 
 def read_selection(root: Path, episodes: int) -> Selection:
-    """Returns what a part says that it holds; of any other dataset, all its own episodes.
+    """Returns the selection of a part; of any other dataset, all its own episodes.
 
     Args:
         root: of the dataset.
         episodes: how many it has.
 
     Raises:
-        DatasetError: the file cannot be, or is of another number of episodes.
+        DatasetError: the file cannot be read, or names another number of episodes.
     """
     path = selection_path(root)
     if not path.exists():
@@ -88,7 +82,7 @@ def read_selection(root: Path, episodes: int) -> Selection:
     try:
         written = read(path, max_bytes=100_000_000)
         if isinstance(written, dict):
-            written = {"made_with": [], **written}  # version 0.2 has no commands in it
+            written = {"made_with": [], **written}  # version 0.2 wrote no commands
         content = _SELECTION("the selection", written)
         content.pop("format")
         found = Selection(**content)
@@ -105,9 +99,10 @@ def read_selection(root: Path, episodes: int) -> Selection:
 
 
 def write_selection(root: Path, selection: Selection) -> None:
-    """Writes what a part holds. A dataset that is whole is no part: it gets no file."""
+    """Writes the selection of a part; a whole dataset gets no file."""
     if not selection.is_whole:
-        files.write_atomically(selection_path(root), (json.dumps(selection.to_json(), sort_keys=True) + "\n").encode())
+        content = json.dumps({"format": FORMAT, **vars(selection)}, sort_keys=True)
+        files.write_atomically(selection_path(root), f"{content}\n".encode())
 
 
 def identity(root: Path) -> str:

@@ -1,0 +1,221 @@
+"""Write a dataset of chosen episodes of other datasets: the one path of merge, filter and split.
+
+Rows, videos, columns of episodes and statistics stay; indices are numbered anew. LeRobot's own tools encode videos
+again and drop columns of episodes that they do not know.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
+from lerobot_adamanip.contract.schema import POINT_CLOUD
+from lerobot_adamanip.datasets.appending import append_rows, can_append
+from lerobot_adamanip.datasets.cutting import cut_episode
+from lerobot_adamanip.datasets.reading import as_typed, read_back, workspace_of
+from lerobot_adamanip.datasets.selection import Selection, write_selection
+from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.statistics import sort_statistics, write_episodes
+from lerobot_adamanip.datasets.writing import cameras_json
+from lerobot_adamanip.hardware.features import CALIBRATIONS, KEY_FRAMES, SAFETY, is_dense
+from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.json_fields import parse
+
+Progress = Callable[[int, int], None]
+"""Called with the number of episodes done, and of all."""
+Pieces = Sequence[tuple[Source, int]]
+"""Datasets and indices of their episodes, in the order of the new dataset."""
+_OF_COLLECTION = ("meta/collection.json", "meta/attempts.jsonl")
+_OF_ROBOT = (CALIBRATIONS, SAFETY)
+_CAMERA = "camera"
+
+
+def compose(
+    out: Path, pieces: Pieces, repo_id: str, selection: Selection | None, progress: Progress = lambda done, total: None
+) -> None:
+    """Writes a dataset of these episodes, and reads it back.
+
+    Args:
+        out: a folder that does not exist.
+        pieces: the episodes; one or more, of datasets with equal features.
+        repo_id: for LeRobot.
+        selection: the dataset that the new one is a part of, if of one; its manifest and attempts are copied.
+        progress: called after each episode.
+
+    Raises:
+        DatasetError: a source is damaged, or the sources are recordings with different calibrations.
+        ConfigurationError: this LeRobot writes datasets in another way.
+    """
+    sources = list({source.root: source for source, _ in pieces}.values())
+    _require_same_calibrations(sources)
+    dataset = _create(out, sources[0].info, repo_id)
+    schema, lengths = _arrow_schema(dataset.meta.features), []
+    for done, (source, episode) in enumerate(pieces, start=1):
+        lengths.append(_append(dataset, schema, source, episode))
+        files.crash_point("episode assembled")
+        progress(done, len(pieces))
+    dataset.finalize()
+    files.crash_point("dataset written")
+    _restore_info(out, sources)
+    _describe(out, pieces, selection)
+    files.crash_point("dataset described")
+    files.sync_tree(out)
+    files.crash_point("dataset synced")
+    read_back(out, lengths)
+    files.crash_point("dataset verified")
+
+
+def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
+    import av
+    import datasets
+    import lerobot
+    from lerobot.configs.video import encoder_config_from_video_info
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.utils.constants import DEFAULT_FEATURES
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+    own = {key: feature for key, feature in info["features"].items() if key not in DEFAULT_FEATURES}
+    videos = [feature.get("info") for feature in own.values() if feature["dtype"] == "video"]
+    dataset = LeRobotDataset.create(
+        repo_id=repo_id,
+        fps=info["fps"],
+        features={key: {**feature, "shape": tuple(feature["shape"])} for key, feature in own.items()},
+        root=out,
+        robot_type=info.get("robot_type"),
+        rgb_encoder=encoder_config_from_video_info(videos[0]) if videos else None,
+        video_backend="pyav",
+        video_files_size_in_mb=info.get("video_files_size_in_mb"),
+        data_files_size_in_mb=info.get("data_files_size_in_mb"),
+    )
+    if info.get("chunks_size"):
+        dataset.meta.update_chunk_settings(chunks_size=info["chunks_size"])
+    if not can_append(dataset):
+        raise ConfigurationError(
+            "This LeRobot writes datasets otherwise.",
+            got=f"lerobot {lerobot.__version__}",
+            allowed="a version of docs/compatibility.md",
+            hint="pip install 'lerobot==0.6.1'",
+        )
+    return dataset
+
+
+def _append(dataset: Any, schema: pa.Schema, source: Source, episode: int) -> int:
+    row = source.row(episode)
+    table = source.rows(row)
+    tasks = [source.tasks[index] for index in table["task_index"].to_pylist()]
+    videos = {
+        key: cut_episode(source.root, key, feature, row, source.info["fps"])
+        for key, feature in dataset.meta.features.items()
+        if feature["dtype"] == "video"
+    }
+    stats = source.stats(episode, table)
+    return append_rows(dataset, _with_types(table, schema), row["tasks"], tasks, stats=stats, videos=videos)
+
+
+def _arrow_schema(features: dict[str, Any]) -> pa.Schema:
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
+    return get_hf_features_from_features(features).arrow_schema
+
+
+def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Returns rows with LeRobot's types; its editing tools store the same values as other kinds of lists."""
+    from datasets.table import table_cast
+
+    if table.schema.equals(schema, check_metadata=True):
+        return table
+    plain = table.select(schema.names)
+    cast = plain if plain.schema.equals(schema) else table_cast(plain, schema)
+    return cast.replace_schema_metadata(schema.metadata)
+
+
+def _restore_info(out: Path, sources: Sequence[Source]) -> None:
+    """Replaces LeRobot's description of the new videos by that of the old ones, where all sources agree."""
+    path = out / "meta" / "info.json"
+    info = json.loads(path.read_text(encoding="utf-8"))
+    for key, feature in info["features"].items():
+        told = [source.info["features"][key].get("info") or {} for source in sources]
+        if any(told):
+            agreed = {name for name, value in told[0].items() if all(each.get(name) == value for each in told)}
+            feature["info"] = {name: value for name, value in told[0].items() if name in agreed}
+    box = workspace_of(sources[0].root, sources[0].info["features"])
+    if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest
+        told = info["features"][POINT_CLOUD].setdefault("info", {})
+        told["workspace"] = {"lower": list(box.lower), "upper": list(box.upper)}
+    files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
+
+
+def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
+    """Adds what LeRobot does not write: episodes' own columns, cameras, calibrations, and the collection's files."""
+    sort_statistics(out)
+    rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
+    columns = pa.concat_tables(rows, promote_options="permissive")
+    _write_columns(out, columns)
+    if cameras := _cameras(columns):
+        files.write_atomically(out / "meta" / "cameras.json", cameras_json(cameras))
+    first = pieces[0][0]
+    if is_dense(first.info["features"]):
+        _copy(first.root, out, _OF_ROBOT)
+        _write_known_key_frames(out, pieces)
+    if selection is not None:
+        write_selection(out, selection)
+        _copy(first.root, out, _OF_COLLECTION)
+
+
+def _write_columns(root: Path, columns: pa.Table) -> None:
+    for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
+        table = pq.read_table(path)
+        mine = columns.take(table["episode_index"])
+        for name in mine.column_names:
+            if name not in table.column_names:
+                table = table.append_column(name, mine[name])
+        write_episodes(path, table)
+
+
+def _cameras(columns: pa.Table) -> list[dict[str, Any]]:
+    """Returns the camera's parameters in each episode; nothing if those of an episode are unknown."""
+    texts = columns[_CAMERA].to_pylist() if _CAMERA in columns.column_names else []
+    try:
+        cameras = [parse(text) for text in texts if isinstance(text, str)]
+    except ValueError:
+        return []
+    return cameras if len(cameras) == len(columns) and all(isinstance(each, dict) for each in cameras) else []
+
+
+def _require_same_calibrations(sources: Sequence[Source]) -> None:
+    """Raises `DatasetError` for recordings of different cameras: a dataset holds one calibration."""
+    dense = [source for source in sources if is_dense(source.info["features"])]
+    if len({tuple(_content(source.root / name) for name in _OF_ROBOT) for source in dense}) > 1:
+        names = " ".join(as_typed(source.root) for source in dense)
+        raise DatasetError(
+            "These recordings have different camera calibrations or safety limits, and one can hold only one.",
+            got=", ".join(source.root.name for source in dense),
+            allowed=f"recordings with the same {' and '.join(_OF_ROBOT)}",
+            hint=f"adamanip keyframes {names} --out BOTH converts each with its own",
+        )
+
+
+def _write_known_key_frames(out: Path, pieces: Pieces) -> None:
+    """Copies the line of each episode, if all have one."""
+    known = {source.root: (_content(source.root / KEY_FRAMES) or b"").splitlines() for source, _ in pieces}
+    if all(episode < len(known[source.root]) for source, episode in pieces):
+        lines = [known[source.root][episode] + b"\n" for source, episode in pieces]
+        files.write_atomically(out / KEY_FRAMES, b"".join(lines))
+
+
+def _copy(source: Path, out: Path, names: Sequence[str]) -> None:
+    for name in names:
+        if (content := _content(source / name)) is not None:
+            files.write_atomically(out / name, content)
+
+
+def _content(path: Path) -> bytes | None:
+    return path.read_bytes() if path.is_file() else None

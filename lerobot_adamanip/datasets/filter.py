@@ -1,0 +1,54 @@
+"""`adamanip filter`: a dataset of the episodes that fulfil conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from lerobot_adamanip.datasets.compose import Progress, compose
+from lerobot_adamanip.datasets.conditions import choose
+from lerobot_adamanip.datasets.episode_facts import episode_facts
+from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
+from lerobot_adamanip.datasets.repository_names import require_repo_id
+from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.util import files
+
+
+def filter_episodes(
+    root: Path,
+    conditions: Sequence[str],
+    out: Path | None,
+    *,
+    repo_id: str | None = None,
+    progress: Progress = lambda done, total: None,
+) -> list[int]:
+    """Writes a dataset with the episodes that fulfil every condition; returns their indices.
+
+    Rows, pictures and the columns of episodes stay; indices begin at 0 again. ``out`` appears when it is complete.
+
+    Args:
+        root: of a dataset.
+        conditions: see `conditions.parse_condition`; none for all episodes.
+        out: of the new one; a folder that does not exist. None to write nothing.
+        repo_id: ``local/<folder name>`` by default.
+        progress: called after each episode.
+
+    Raises:
+        ConfigurationError: a condition names no column or a value of another kind, or no episode fulfils them all.
+        DatasetError: the dataset is missing or damaged, or something is at ``out``.
+    """
+    require_repo_id(repo_id)
+    if out is None:
+        return choose(conditions, episode_facts(Source.open(root)))
+    with owned_output(out, WRITING) as output:
+        output.require_free()
+        source = Source.open(root)
+        chosen = choose(conditions, episode_facts(source))
+        output.require_room(files.tree_bytes(source.root) * len(chosen) // source.info["total_episodes"])
+        built, name = output.fresh("dataset"), output.root.name
+        words = [word for condition in conditions for word in ("--where", condition)]
+        selection = source.selection.of(chosen, ["adamanip", "filter", "DATASET", *words, "--out", name])
+        pieces = [(source, episode) for episode in chosen]
+        compose(built, pieces, repo_id or f"local/{name}", selection, progress)
+        output.publish(built)
+    return chosen

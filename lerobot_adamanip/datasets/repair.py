@@ -1,0 +1,143 @@
+"""Repair what a killed recorder leaves.
+
+The recorder of our robots (`lerobot_patches.durable_recording`) gives every episode files of its own, and counts the
+episode in ``meta/info.json`` last. A repair keeps the counted episodes and moves everything else into
+``<dataset>.before-repair``. It deletes nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lerobot_adamanip.datasets.check.dataset import require_dataset
+from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.check.layout import INFO, STATS, Layout, leftovers, read_layout
+from lerobot_adamanip.datasets.check.statistics import aggregated, check_statistics, stored_statistics
+from lerobot_adamanip.datasets.output_folder import lock_output, require_not_written, resolve_output
+from lerobot_adamanip.util import files
+
+
+@dataclass
+class Repair:
+    """Result of a repair.
+
+    Attributes:
+        root: folder of the dataset.
+        backup: folder with the original of every file that was moved or changed; absent if none was.
+        mended: one line for each change, in order.
+        left: one line for each damage that was left as it is.
+    """
+
+    root: Path
+    backup: Path
+    mended: list[str] = field(default_factory=list)
+    left: list[str] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """Returns the result as text."""
+        told = [f"mended: {line}" for line in self.mended] + [f"cannot be mended: {line}" for line in self.left]
+        return told + ([f"what was there before: {self.backup}"] if self.backup.exists() else [])
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary."""
+        backup = str(self.backup) if self.backup.exists() else None
+        return {"mended": self.mended, "left": self.left, "backup": backup}
+
+    def move_away(self, path: Path, why: str) -> None:
+        """Moves a file or folder into the backup."""
+        name = path.relative_to(self.root)
+        shutil.move(path, self._place(name))
+        files.crash_point("moved aside")
+        self._did(f"{name.as_posix()}: moved away, {why}")
+
+    def replace(self, name: str, content: Mapping[str, Any], what: str) -> None:
+        """Writes a JSON file; copies the one that was there into the backup."""
+        if (self.root / name).exists():
+            shutil.copy2(self.root / name, self._place(Path(name)))
+            files.crash_point("moved aside")
+        files.write_atomically(self.root / name, (json.dumps(content, indent=4) + "\n").encode())
+        self._did(f"{name}: {what}")
+
+    def _place(self, name: Path) -> Path:
+        place = self.backup / name
+        while place.exists():
+            place = place.with_name(place.name + ".again")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        return place
+
+    def _did(self, line: str) -> None:
+        self.mended.append(line)
+        files.crash_point("partly mended")
+
+
+def repair(root: str | Path) -> Repair:
+    """Repairs a dataset whose recorder was killed. Can be interrupted and run again.
+
+    Raises:
+        DatasetError: there is no dataset, or another process is writing it.
+    """
+    folder = resolve_output(require_dataset(root))
+    done = Repair(folder, folder.with_name(folder.name + ".before-repair"))
+    with lock_output(folder, optional=True):
+        require_not_written(folder)
+        for path in list(leftovers(folder)):
+            done.move_away(path, "left by a process that ended early")
+        layout = _readable_layout(done)
+        if layout is not None:
+            _move_uncounted(done, layout)
+            _write_totals(done)
+    return done
+
+
+def _readable_layout(done: Repair) -> Layout | None:
+    """Returns the metadata if they describe every counted episode; else notes why not."""
+    report = Report()
+    layout = read_layout(done.root, report)
+    counted = 0 if layout is None else layout.info["total_episodes"]
+    if layout is None or report.counts["metadata"]:
+        done.left.append(str(report.findings[0]))
+    elif not counted:
+        done.left.append(f"{INFO} counts no episode: none was saved")
+    elif len(layout.episodes) < counted:
+        done.left.append(
+            f"{INFO} counts {counted} episodes, and meta/episodes describes {len(layout.episodes)} of them. No kill of "
+            "this project's recorders does that; get the files of meta/episodes back from a copy"
+        )
+    else:
+        return layout
+    return None
+
+
+def _move_uncounted(done: Repair, layout: Layout) -> None:
+    described = {each.listed_in for each in layout.episodes if each.number < layout.info["total_episodes"]}
+    kept = [each for each in layout.episodes if each.listed_in in described]
+    used = described | {each.file for each in kept} | {part.file for each in kept for part in each.videos.values()}
+    for pattern in ("meta/episodes/*/*.parquet", "data/*/*.parquet", "videos/*/*/*.mp4"):
+        for path in sorted(done.root.glob(pattern)):
+            if path.relative_to(done.root).as_posix() not in used:
+                done.move_away(path, "no saved episode is in it")
+
+
+def _write_totals(done: Repair) -> None:
+    layout = read_layout(done.root, Report())
+    assert layout is not None
+    told = {name: layout.info.get(name) for name in ("total_episodes", "total_frames", "total_tasks")}
+    tasks = len(layout.tasks) or told["total_tasks"]
+    true = {"total_episodes": len(layout.episodes), "total_frames": layout.rows, "total_tasks": tasks}
+    if told != true:
+        info = {**layout.info, **true, "splits": {"train": f"0:{len(layout.episodes)}"}}
+        done.replace(INFO, info, f"{len(layout.episodes)} episodes, {layout.rows} rows, counted again")
+        layout.info.update(true)
+    report, stored = Report(), stored_statistics(layout.table)
+    check_statistics(layout, stored, report)
+    if not report.clean:
+        stats = aggregated(stored, layout.picture_keys)
+        plain = {key: {name: np.asarray(value).tolist() for name, value in stats[key].items()} for key in sorted(stats)}
+        done.replace(STATS, plain, "computed again from the episodes")
