@@ -12,7 +12,7 @@ from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.progress import Progress, show_progress
 from lerobot_adamanip.collection.replay import check_replays
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.check.findings import CheckResult
+from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.repair import Repair as Mended
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.evaluation.text_format import counted
@@ -66,7 +66,7 @@ class Check:
             _print(result, mended)
         return 0 if result.clean else 1
 
-    def _with_replays(self, result: CheckResult, progress: Progress) -> CheckResult:
+    def _with_replays(self, result: Report, progress: Progress) -> Report:
         from lerobot_env_adamanip.make_env import make_keyframe_env
 
         count = min(self.replay, result.episodes)
@@ -74,7 +74,7 @@ class Check:
         report = check_replays(
             self.root, chosen, make_keyframe_env, tolerance=self.tolerance, assets=self.assets, progress=progress
         )
-        return replace(result, findings=tuple(report.findings), counts=dict(report.counts))
+        return replace(result, findings=report.findings, counts=report.counts)
 
 
 @dataclass
@@ -95,7 +95,7 @@ class Repair:
         return Check(self.root, repair=True, json=self.json).run()
 
 
-def _print(result: CheckResult, mended: Mended | None) -> None:
+def _print(result: Report, mended: Mended | None) -> None:
     for line in [] if mended is None else mended.lines():
         print(line)
     for kind, count in result.counts.items():

@@ -11,7 +11,6 @@ from typing import Any
 
 import check_damages as to
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from check_damages import ATTEMPTS, CAMERAS, COLLECTION, DATA, INFO, META, STATS, TASKS, VIDEO, Damage
@@ -21,9 +20,8 @@ from sound_demos import collect_sound, make_sound_env
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.collection.replay import check_replays
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.check import reading
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Report
+from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Report, Rows
 from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
 from lerobot_adamanip.datasets.merge import merge
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
@@ -142,7 +140,7 @@ def places(root: Path) -> list[to.Place]:
 
 def test_nothing_is_found_in_a_sound_dataset(sound: Path) -> None:
     result = check(sound)
-    assert result.findings == ()
+    assert result.findings == []
     assert (result.clean, result.episodes, result.rows) == (True, 6, 28)
 
 
@@ -163,7 +161,7 @@ def test_what_a_repair_mends_is_clean(copy: Path, damage: Damage) -> None:
     done = repair(copy)
     result = check(copy)
     if damage.mended:
-        assert result.findings == ()
+        assert result.findings == []
         assert done.left == []
         assert done.mended
         assert result.episodes == 6
@@ -195,7 +193,7 @@ def test_a_check_changes_nothing(sound: Path) -> None:
 def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(tmp_path: Path) -> None:
     one, other = (collect_sound(tmp_path / str(seed), seed=seed, observe_images=False) for seed in (0, 1))
     merge([one, other], tmp_path / "both")
-    assert check(tmp_path / "both").findings == ()
+    assert check(tmp_path / "both").findings == []
     merge([one, another(one, tmp_path / "again")], tmp_path / "twice")
     found = check(tmp_path / "twice").findings
     assert {(each.kind, each.episode) for each in found} == {("facts", number) for number in range(6, 12)}
@@ -203,24 +201,18 @@ def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(tmp_path: Pa
 
 def test_a_dataset_without_pictures_or_columns_of_ours_is_clean(sound: Path, tmp_path: Path) -> None:
     plain = collect_sound(tmp_path / "plain", observe_images=False)
-    assert check(plain).findings == ()
+    assert check(plain).findings == []
     for name in ("collection.json", "attempts.jsonl", "cameras.json"):
         (plain / "meta" / name).unlink()
     table = pq.read_table(plain / META)
     own = [name for name in table.column_names if "/" not in name and name not in to.OF_LEROBOT]
     pq.write_table(table.drop_columns(own), plain / META)
-    assert check(plain).findings == ()
+    assert check(plain).findings == []
 
 
-def test_episodes_are_read_whole_however_few_rows_are_held(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "_BATCH_BYTES", 1)
-    assert check(sound).findings == ()
-
-
-def test_episodes_may_go_on_in_another_row_group(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_episodes_may_go_on_in_another_row_group(copy: Path) -> None:
     pq.write_table(pq.read_table(copy / DATA), copy / DATA, row_group_size=3)
-    monkeypatch.setattr(reading, "_BATCH_BYTES", 1)
-    assert check(copy).findings == ()
+    assert check(copy).findings == []
 
 
 @pytest.mark.parametrize(("rows", "points"), [(20, 1024), (45, 512)])
@@ -231,14 +223,13 @@ def test_lerobots_rounding_is_no_finding_and_a_true_difference_is(rows: int, poi
     draw = np.random.default_rng(rows)
     cloud = (draw.uniform((0.3, -0.3, 0.5), (0.8, 0.3, 0.9), (rows, points, 3)) // 0.1 * 0.1).astype(np.float32)
     cloud = cloud.reshape(rows, -1)
-    key, at = schema.POINT_CLOUD, reading.Rows(DATA, np.zeros(rows, np.int64), np.arange(rows))
-    batch = reading.Batch(at, pa.table({"index": np.arange(rows)}))
+    key, where = schema.POINT_CLOUD, Rows(DATA, np.zeros(rows, np.int64), np.arange(rows))
     stats = cloud_statistics(cloud) if ours else get_feature_stats(cloud, 0, keepdims=False)
     told = {name: value[None].astype(float) for name, value in stats.items()}
     for name in (None, "min", "max", "mean", "std", "q10", "q50", "q90", "count"):
         report = Report()
         changed = told if name is None else {**told, name: told[name] * 1.1 + 0.03}
-        check_episode_statistics(batch, {key: cloud}, {key: changed}, {0: 0}, report)
+        check_episode_statistics(where, {key: cloud}, {key: changed}, {0: 0}, report)
         assert report.clean == (name is None), name
 
 

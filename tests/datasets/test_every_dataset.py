@@ -121,7 +121,7 @@ def test_it_is_accepted_by_every_command(
             assert wanted in told.partition("try:")[2], (maker, taker, told)
     merged = tmp_path / "merged"
     assert read_info(merged)["total_episodes"] == read_info(made[maker])["total_episodes"]
-    assert check(merged).findings == ()
+    assert check(merged).findings == []
     if maker in (RECORDING, ROLLOUT):  # its cameras' calibration came along
         assert main(["keyframes", str(merged), "--out", str(tmp_path / "again"), "--num-points", str(POINTS)]) == 0
         assert read_info(tmp_path / "again")["total_frames"] == read_info(tmp_path / "keyframes")["total_frames"]

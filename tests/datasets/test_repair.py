@@ -83,13 +83,13 @@ def test_every_saved_episode_is_kept_and_recording_goes_on(
     done = repair(root)
     assert done.left == []
     assert done.backup.is_dir()
-    assert check(root).findings == ()
+    assert check(root).findings == []
     assert repair(root).mended == []
     again = LeRobotDataset.resume("local/dense", root=root)
     add(again, EPISODE)
     again.save_episode(parallel_encoding=False)
     again.finalize()
-    assert check(root).findings == ()
+    assert check(root).findings == []
     rows = pq.read_table(sorted((root / "data").glob("*/*.parquet")))[schema.ACTION].to_pylist()
     np.testing.assert_array_equal(np.array(rows, np.float32), np.concatenate([EPISODE.asked] * 2))
 
@@ -138,6 +138,6 @@ def test_a_filter_stores_clouds_of_version_0_2_as_rows(unpictured: Path, tmp_pat
         filter_episodes(source, [], tmp_path / out)
     for name in ("data/chunk-000/file-000.parquet", "meta/tasks.parquet"):
         assert pq.read_table(tmp_path / "from_old" / name).equals(pq.read_table(tmp_path / "from_new" / name)), name
-    assert check(tmp_path / "from_old").kinds() <= check(unpictured).kinds()
+    assert check(tmp_path / "from_old").counts.keys() <= check(unpictured).counts.keys()
     assert read_info(tmp_path / "from_old")["features"][schema.POINT_CLOUD]["shape"] == [24]
     assert open_dataset(tmp_path / "from_old")[3][schema.POINT_CLOUD].shape == (24,)

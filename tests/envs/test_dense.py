@@ -56,7 +56,7 @@ def test_a_dense_collection_is_a_recording_that_goes_on(tmp_path: Path) -> None:
     assert collect_dense(root, spec(), make_expert, max_attempts=5) == 1
     lines: list[dict[str, Any]] = [json.loads(line) for line in (root / KEY_FRAMES).read_text().splitlines()]
     assert [line["success"] for line in lines] == [True]
-    assert check(root).findings == ()
+    assert check(root).findings == []
     assert collect_dense(root, spec(), make_expert, max_attempts=5) == 1  # nothing is left to do
     before = (root / KEY_FRAMES).read_bytes()
     with pytest.raises(DatasetError, match="something else at the root"):

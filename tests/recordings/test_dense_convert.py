@@ -55,11 +55,11 @@ def rows_of(root: Path) -> list[dict[str, Any]]:
 
 
 def test_a_recording_passes_the_check(recording: Path) -> None:
-    assert check(recording).findings == ()
+    assert check(recording).findings == []
 
 
 def test_converted_demonstrations_pass_the_check(converted: Path) -> None:
-    assert check(converted).findings == ()
+    assert check(converted).findings == []
 
 
 def test_every_action_is_an_accepted_target(recording: Path, converted: Path) -> None:
@@ -123,7 +123,7 @@ def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
     rest = int(np.flatnonzero((episode.sent == STOPS[2].goal).all(axis=1))[0]) + 6
     corrected = replace(episode, corrected=ticks >= rest)
     root = write_recording(tmp_path / "rollout", corrected)
-    assert check(root).findings == ()
+    assert check(root).findings == []
     made = convert([root], tmp_path / "made", replace(OPTIONS, successful=True))
     assert made.episodes == 1
     rows = rows_of(tmp_path / "made")
@@ -144,7 +144,7 @@ def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_p
     _keep_safety(root)  # as the recorder does
     ROBOTS.close("arm")
     assert limits_from_json((root / SAFETY).read_bytes()) == limits
-    assert check(root).findings == ()
+    assert check(root).findings == []
     recording = DenseRecording.open(root)
     read = recording.episode(0)
     for asked, sent in zip(read.asked[:-1], read.sent[1:], strict=True):

@@ -1,4 +1,4 @@
-"""Columns against the contract: `lerobot_adamanip.contract.schema`."""
+"""Check columns against the contract: `lerobot_adamanip.contract.schema`."""
 
 from __future__ import annotations
 
@@ -15,18 +15,12 @@ OF_LEROBOT: Mapping[str, str] = {
 }  # fmt: skip
 """Columns that LeRobot adds to every dataset, and their dtypes."""
 REQUIRED = (schema.POINT_CLOUD, schema.STATE, schema.ACTION)
-"""Without these a dataset is none of ours; of the others a robot may lack some, and a collection has all."""
+"""Columns of every dataset of ours; a robot's may lack others, a collection has all."""
 _IMAGES = "observation.images."
 
 
 def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *, collected: bool) -> None:
-    """Reports columns that are missing, or are not as the contract has them.
-
-    Args:
-        features: of the dataset, as LeRobot describes them.
-        report: takes the findings.
-        collected: whether `adamanip collect` made it, so that every column has to be there.
-    """
+    """Reports columns that are missing or differ from the contract; ``collected`` datasets need every column."""
     if is_dense(features):
         _check_dense(features, report)
         return
@@ -41,24 +35,16 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
             found, right = _plain(feature.get(name)), _plain(wanted.get(name))
             as_pictures = name == "dtype" and right == "video" and found == "image"
             if found != right and not as_pictures and not (name == "names" and right is None):
-                told = f"{key}: {name} {found!r:.80}, not {right!r:.80}"
-                report.add(
-                    "schema",
-                    told + ("; `adamanip filter DIR --out NEW` stores it so" if is_old_cloud(key, feature) else ""),
-                    INFO,
-                )
+                is_old = key == schema.POINT_CLOUD and len(feature.get("shape") or ()) == 2
+                hint = "; `adamanip filter DIR --out NEW` stores it so" if is_old else ""
+                report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}{hint}", INFO)
     for key in features:
         if key.startswith("observation.") and key not in contract and not key.startswith(_IMAGES):
             report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
 
 
-def is_old_cloud(key: str, feature: Mapping[str, Any]) -> bool:
-    """Whether a column is a cloud in two dimensions (N, 3), as datasets of version 0.2 and before have it."""
-    return key == schema.POINT_CLOUD and len(feature.get("shape") or ()) == 2
-
-
 def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
-    """Of a robot's recording: its numbers come in the order of their names, and LeRobot's columns are there."""
+    """Checks a robot's recording: names in the contract's order, and LeRobot's columns."""
     for key, names in ((schema.STATE, schema.STATE_NAMES), (schema.ACTION, schema.POSE_NAMES)):
         found = names_of(features[key])
         if found[: len(names)] != list(names) or list(features[key]["shape"]) != [len(found)]:
@@ -69,7 +55,7 @@ def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> N
 
 
 def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """The contract, with as many points, and pictures of the size, that the dataset has."""
+    """Returns the contract for the dataset's number of points and size of pictures."""
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
     points = schema.DEFAULT_NUM_POINTS if not cloud else cloud[0] if len(cloud) == 2 else max(1, cloud[0] // 3)
@@ -79,7 +65,7 @@ def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
 
 
 def _plain(value: object) -> object:
-    """Lists for tuples, and for names in groups, as robots of LeRobot have them."""
+    """Returns lists for tuples, and for names in groups, as LeRobot's robots have them."""
     if isinstance(value, Mapping):
         return [name for group in value.values() for name in group]
     return list(value) if isinstance(value, tuple) else value

@@ -1,9 +1,9 @@
-"""Episode columns of ours, and what of a collection lies beside them: manifest, attempts, cameras."""
+"""Check the episodes' own columns, and the files of their collection: manifest, attempts, cameras."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,8 @@ from lerobot_adamanip.assets import is_asset_id, parse_asset_id
 from lerobot_adamanip.catalog import category_of, parse_object_id
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
-from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.check.layout import ATTEMPTS, CAMERAS, Layout
-from lerobot_adamanip.datasets.check.reading import Batch
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec, episode_seed, manifest_path
 from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, read_manifest
 from lerobot_adamanip.datasets.reading import JSON_COLUMNS
@@ -35,7 +34,7 @@ _SEED = integer(0, 2**63 - 1)
 
 @dataclass(frozen=True)
 class Collected:
-    """What a dataset says of its collection.
+    """Collection that a dataset names.
 
     Attributes:
         manifest: None where the folder of its external assets is not known.
@@ -47,7 +46,7 @@ class Collected:
 
 
 def read_collection(root: Path, assets: Path | None, report: Report) -> Collected | None:
-    """Returns what ``meta/collection.json`` says; None if there is none (a merged dataset), or it cannot be."""
+    """Reads ``meta/collection.json``; None if there is none (a merged dataset), or, with a finding, if invalid."""
     path = manifest_path(root)
     if not path.exists():
         return None
@@ -70,9 +69,9 @@ def _cause(error: BaseException) -> str:
     return "" if error.__cause__ is None else f" {error.__cause__}"[:200]
 
 
-def count_labels(batch: Batch, columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, dict[str, int]]]:
-    """Yields each episode with what its rows count: ``tries``, ``failed_tries``, ``success``."""
-    starts = batch.starts()
+def count_labels(where: Rows, columns: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, int]]:
+    """Returns episode -> ``tries``, ``failed_tries`` and ``success``, counted from its rows."""
+    starts = where.starts()
     sums = {}
     if schema.TRIED in columns:
         sums["tries"] = np.add.reduceat((columns[schema.TRIED] >= 0).astype(np.int64), starts)
@@ -80,31 +79,31 @@ def count_labels(batch: Batch, columns: Mapping[str, NDArray[Any]]) -> Iterator[
         sums["failed_tries"] = np.add.reduceat(columns[schema.FAILED].astype(np.int64), starts)
     if schema.SUCCESS in columns:
         sums["success"] = np.maximum.reduceat(columns[schema.SUCCESS].astype(np.int64), starts)
-    for place, number in enumerate(batch.where.episodes[starts].tolist()):
-        yield number, {name: int(values[place]) for name, values in sums.items()}
+    numbers = where.episodes[starts].tolist()
+    return {number: {name: int(values[at]) for name, values in sums.items()} for at, number in enumerate(numbers)}
 
 
-def check_course(batch: Batch, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
-    """Checks the course of recorded episodes: failed tries are counted on, success stays, the last row alone ends.
+def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
+    """Checks recorded episodes: failed tries are counted on, success stays, the last row alone ends the episode.
 
     For datasets with columns of episodes (`check_facts`): `EpisodeRecorder` writes both.
     """
-    starts = batch.starts()
-    first = np.zeros(len(batch.where), bool)
+    starts = where.starts()
+    first = np.zeros(len(where), bool)
     first[starts] = True
-    last = np.r_[first[1:], True]
     if schema.DONE in columns:
-        wrong = columns[schema.DONE].astype(bool) != last
-        report.add_rows("label", f"{schema.DONE} is not in the last row alone", batch.where, wrong)
+        wrong = columns[schema.DONE].astype(bool) != np.r_[first[1:], True]
+        report.add_rows("label", f"{schema.DONE} is not in the last row alone", where, wrong)
     if schema.SUCCESS in columns:
         success = columns[schema.SUCCESS].astype(np.int8)
         wrong = ~first & (np.diff(success, prepend=success[:1]) < 0)
-        report.add_rows("label", f"{schema.SUCCESS} ends again", batch.where, wrong)
+        report.add_rows("label", f"{schema.SUCCESS} ends again", where, wrong)
     if schema.TRIAL in columns and schema.FAILED in columns:
-        before = np.cumsum(columns[schema.FAILED].astype(np.int64)) - columns[schema.FAILED].astype(np.int64)
+        failed = columns[schema.FAILED].astype(np.int64)
+        before = np.cumsum(failed) - failed
         counted = before - np.repeat(before[starts], np.diff(np.r_[starts, len(before)]))
         wrong = (columns[schema.TRIAL] != counted) & (columns[schema.TRIAL] != UNLABELLED)
-        report.add_rows("label", f"{schema.TRIAL} is not the number of failed tries before", batch.where, wrong)
+        report.add_rows("label", f"{schema.TRIAL} is not the number of failed tries before", where, wrong)
 
 
 def has_facts(layout: Layout) -> bool:
@@ -120,7 +119,7 @@ def check_facts(
     Args:
         layout: of the dataset.
         collected: what it says of its collection.
-        counted: episode -> what its rows count, see `count_labels`.
+        counted: see `count_labels`.
         report: takes the findings.
     """
     if not has_facts(layout):

@@ -1,9 +1,9 @@
-"""What a check finds: its kinds, one finding, and the list that grows while a dataset is read."""
+"""Findings of a check: their kinds, one finding, and the report that collects them."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Progress = Callable[[str, int, int], None]
-"""Told of a stage's name, how much of it is done, and how much there is."""
+"""Called with a stage's name, how much of it is done, and how much there is."""
 
 
 class Kind(NamedTuple):
-    """What a kind of finding means, and what `adamanip check --repair` does about it."""
+    """Meaning of a kind of finding, and what `adamanip check --repair` does about it."""
 
     meaning: str
     repair: str
@@ -52,14 +52,14 @@ KINDS: Mapping[str, Kind] = {
     "attempts": Kind("`meta/attempts.jsonl` tells otherwise of an episode, or has lost lines", _NO),
     "replay": Kind("the simulator does not do again what was recorded (`--replay`)", _NO),
 }
-"""Kind -> what it means. docs/checking.md shows this table."""
+"""Kind -> meaning. docs/checking.md shows this table."""
 MOST_OF_A_KIND = 200
 """Findings of a kind that are listed; more are counted."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is wrong.
+    """One finding.
 
     Attributes:
         kind: one of `KINDS`.
@@ -83,51 +83,9 @@ class Finding:
         return f"{self.kind}: {', '.join(place)}{': ' if place else ''}{self.message}"
 
 
-@dataclass
-class Report:
-    """Findings so far.
-
-    Attributes:
-        findings: at most `MOST_OF_A_KIND` of each kind.
-        counts: kind -> how many there are.
-        damaged: episodes with a finding about their rows. What follows from it is not told again.
-    """
-
-    findings: list[Finding] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
-    damaged: set[int] = field(default_factory=set)
-
-    def add(
-        self, kind: str, message: str, file: str | None = None, episode: int | None = None, frame: int | None = None
-    ) -> None:
-        """Takes a finding."""
-        if kind not in KINDS:
-            raise ValueError(f"No kind of finding: {kind}")
-        self.counts[kind] += 1
-        if episode is not None:
-            self.damaged.add(episode)
-        if self.counts[kind] <= MOST_OF_A_KIND:
-            self.findings.append(Finding(kind, message, file, episode, frame))
-
-    def add_rows(self, kind: str, message: str, where: Rows, wrong: NDArray[np.bool_]) -> None:
-        """Takes one finding for each episode that has wrong rows, at the first of them."""
-        if not wrong.any():
-            return
-        episodes, frames = where.episodes[wrong], where.frames[wrong]
-        for episode in np.unique(episodes).tolist():
-            mine = frames[episodes == episode]
-            more = f", and {len(mine) - 1} more rows" if len(mine) > 1 else ""
-            self.add(kind, message + more, where.file, episode, int(mine.min()))
-
-    @property
-    def clean(self) -> bool:
-        """Whether nothing was found."""
-        return not self.counts
-
-
 @dataclass(frozen=True)
 class Rows:
-    """Where rows belong.
+    """Places of R rows.
 
     Attributes:
         file: path within the dataset.
@@ -139,40 +97,58 @@ class Rows:
     episodes: NDArray[np.int64]
     frames: NDArray[np.int64]
 
-    def __getitem__(self, part: slice) -> Rows:
-        """Some of the rows."""
-        return Rows(self.file, self.episodes[part], self.frames[part])
-
     def __len__(self) -> int:
         return len(self.episodes)
 
+    def starts(self) -> NDArray[np.int64]:
+        """Returns the first row of each run of one episode's rows."""
+        return np.flatnonzero(np.r_[True, np.diff(self.episodes) != 0])
 
-@dataclass(frozen=True)
-class CheckResult:
-    """What a check found.
+
+@dataclass
+class Report:
+    """Findings of a check.
 
     Attributes:
         root: of the dataset.
-        episodes: checked.
-        rows: checked.
+        episodes: that were checked.
+        rows: that were checked.
         findings: at most `MOST_OF_A_KIND` of each kind.
         counts: kind -> how many there are.
+        damaged: episodes with a finding about their rows. What follows from it is not reported again.
     """
 
-    root: str
-    episodes: int
-    rows: int
-    findings: tuple[Finding, ...]
-    counts: Mapping[str, int]
+    root: str = ""
+    episodes: int = 0
+    rows: int = 0
+    findings: list[Finding] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    damaged: set[int] = field(default_factory=set)
+
+    def add(
+        self, kind: str, message: str, file: str | None = None, episode: int | None = None, frame: int | None = None
+    ) -> None:
+        """Adds a finding; raises ValueError for an unknown kind."""
+        if kind not in KINDS:
+            raise ValueError(f"No kind of finding: {kind}")
+        self.counts[kind] += 1
+        if episode is not None:
+            self.damaged.add(episode)
+        if self.counts[kind] <= MOST_OF_A_KIND:
+            self.findings.append(Finding(kind, message, file, episode, frame))
+
+    def add_rows(self, kind: str, message: str, where: Rows, wrong: NDArray[np.bool_]) -> None:
+        """Adds one finding for each episode that has wrong rows, at the first of them."""
+        episodes, frames = where.episodes[wrong], where.frames[wrong]
+        for episode in np.unique(episodes).tolist():
+            mine = frames[episodes == episode]
+            more = f", and {len(mine) - 1} more rows" if len(mine) > 1 else ""
+            self.add(kind, message + more, where.file, episode, int(mine.min()))
 
     @property
     def clean(self) -> bool:
         """Whether nothing was found."""
         return not self.counts
-
-    def kinds(self) -> set[str]:
-        """Returns the kinds found."""
-        return set(self.counts)
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
@@ -180,8 +156,6 @@ class CheckResult:
         return {**plain, "counts": dict(self.counts), "findings": [asdict(each) for each in self.findings]}
 
 
-def listed(names: Iterable[object], most: int = 4) -> str:
-    """Returns ``a, b, c, d and 3 more``."""
-    found = [str(name) for name in names]
-    rest = f" and {len(found) - most} more" if len(found) > most else ""
-    return ", ".join(found[:most]) + rest
+def first_line(error: BaseException) -> str:
+    """Returns the first line of an error's message, or its kind if it has none."""
+    return str(error).partition("\n")[0][:200] or type(error).__name__

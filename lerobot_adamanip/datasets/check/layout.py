@@ -1,9 +1,9 @@
-"""What a dataset says of itself, before a row is read: features, tasks, episodes and the files they are in."""
+"""Read and check a dataset's metadata: features, tasks, episodes and the files they are in."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,12 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.check.findings import Report, first_line
 from lerobot_adamanip.datasets.reading import DATA_PATH, VIDEO_PATH, read_info
 
 INFO, STATS, TASKS, CAMERAS, ATTEMPTS = (
     f"meta/{name}" for name in ("info.json", "stats.json", "tasks.parquet", "cameras.json", "attempts.jsonl")
 )
-EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VERSION = "v3.0"
 _FRAME = 1e-3
 """Times that differ by less are equal [s]: LeRobot keeps them as sums of durations."""
@@ -25,12 +24,7 @@ _FRAME = 1e-3
 
 @dataclass(frozen=True)
 class VideoPart:
-    """Where an episode's frames are in a video.
-
-    Attributes:
-        file: path within the dataset.
-        start, end: times within the file [s].
-    """
+    """Place of an episode's frames: file within the dataset, and times within the file [s]."""
 
     file: str
     start: float
@@ -39,16 +33,16 @@ class VideoPart:
 
 @dataclass(frozen=True)
 class Episode:
-    """What the metadata says of an episode.
+    """Metadata of an episode.
 
     Attributes:
         number: its index.
         length: rows.
         file: of its rows, path within the dataset.
-        start, end: first row of the dataset that is its, and the one after its last.
+        start, end: first row of the dataset that belongs to it, and the one after its last.
         tasks: texts.
-        listed_in: file that says all this.
-        videos: column -> where its frames are.
+        listed_in: file of ``meta/episodes`` that holds these metadata.
+        videos: column -> place of its frames.
     """
 
     number: int
@@ -58,12 +52,12 @@ class Episode:
     end: int
     tasks: tuple[str, ...]
     listed_in: str
-    videos: dict[str, VideoPart] = field(default_factory=dict)
+    videos: dict[str, VideoPart]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A dataset as its metadata has it.
+    """A dataset as its metadata describe it.
 
     Attributes:
         root: its folder.
@@ -103,9 +97,9 @@ class Layout:
     @property
     def data_keys(self) -> list[str]:
         """Columns that are in the Parquet files."""
-        return [key for key in self.features if key not in self.video_keys]
+        return [key for key, feature in self.features.items() if feature["dtype"] != "video"]
 
-    @cached_property
+    @property
     def rows(self) -> int:
         """Rows of all episodes, as the metadata counts them."""
         return sum(episode.length for episode in self.episodes)
@@ -144,7 +138,7 @@ def read_layout(root: Path, report: Report) -> Layout | None:
     if info.get("codebase_version") != VERSION:
         report.add("metadata", f"codebase_version is {info.get('codebase_version')!r}, not {VERSION!r}", INFO)
     tasks = _tasks(root, report)
-    table = read_episode_files(root, report)
+    table = _episode_table(root, report)
     videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
     episodes = _episodes(table, videos, report)
     layout = Layout(root, info, tasks or {}, episodes, table)
@@ -161,11 +155,11 @@ def _tasks(root: Path, report: Report) -> dict[int, str] | None:
     except FileNotFoundError:
         report.add("missing", "texts of the tasks", TASKS)
     except (OSError, ValueError, TypeError, KeyError, StopIteration, pa.ArrowException) as error:
-        report.add("unreadable", _said(error), TASKS)
+        report.add("unreadable", first_line(error), TASKS)
     return None
 
 
-def read_episode_files(root: Path, report: Report) -> pa.Table:
+def _episode_table(root: Path, report: Report) -> pa.Table:
     """Returns the rows of all readable files of ``meta/episodes``, by episode, with column ``listed_in``."""
     tables = []
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
@@ -176,7 +170,7 @@ def read_episode_files(root: Path, report: Report) -> pa.Table:
                 raise KeyError("the file does not list episodes")
             tables.append(table.append_column("listed_in", pa.array([name] * len(table), pa.string())))
         except (OSError, KeyError, pa.ArrowException) as error:
-            report.add("unreadable", _said(error), name)
+            report.add("unreadable", first_line(error), name)
     if not tables:
         if not report.counts["unreadable"]:
             report.add("missing", "metadata of the episodes", "meta/episodes")
@@ -192,8 +186,7 @@ def _episodes(table: pa.Table, videos: Iterable[str], report: Report) -> list[Ep
         try:
             found.append(_episode(row, videos))
         except (KeyError, TypeError, ValueError) as error:
-            told = f"it lacks or garbles {error}"
-            report.add("metadata", told, row["listed_in"], row["episode_index"])
+            report.add("metadata", f"it lacks or garbles {error}", row["listed_in"], row["episode_index"])
     return found
 
 
@@ -204,40 +197,31 @@ def _episode(row: dict[str, Any], videos: Iterable[str]) -> Episode:
             raise ValueError(f"{name} = {value!r}")
         return value
 
-    def seconds(name: str) -> float:
-        return float(row[name])
+    def place(prefix: str) -> dict[str, int]:
+        return {name: number(f"{prefix}/{name}") for name in ("chunk_index", "file_index")}
+
+    def part(key: str) -> VideoPart:
+        start, end = (float(row[f"videos/{key}/{name}_timestamp"]) for name in ("from", "to"))
+        return VideoPart(VIDEO_PATH.format(video_key=key, **place(f"videos/{key}")), start, end)
 
     return Episode(
         number("episode_index"),
         number("length"),
-        DATA_PATH.format(chunk_index=number("data/chunk_index"), file_index=number("data/file_index")),
+        DATA_PATH.format(**place("data")),
         number("dataset_from_index"),
         number("dataset_to_index"),
         tuple(row["tasks"]),
         row["listed_in"],
-        {
-            key: VideoPart(
-                VIDEO_PATH.format(
-                    video_key=key,
-                    chunk_index=number(f"videos/{key}/chunk_index"),
-                    file_index=number(f"videos/{key}/file_index"),
-                ),
-                seconds(f"videos/{key}/from_timestamp"),
-                seconds(f"videos/{key}/to_timestamp"),
-            )
-            for key in videos
-        },
+        {key: part(key) for key in videos},
     )
 
 
 def _check_counts(layout: Layout, report: Report, tasks_known: bool) -> None:
-    info, episodes = layout.info, layout.episodes
-    if info["total_episodes"] != len(layout.table):
-        message = f"total_episodes = {info['total_episodes']}, but metadata of {len(layout.table)} are there"
-        report.add("count", message, INFO)
-    elif info["total_frames"] != sum(episode.length for episode in episodes) and len(episodes) == len(layout.table):
-        rows = sum(episode.length for episode in episodes)
-        report.add("count", f"total_frames = {info['total_frames']}, but the episodes have {rows} rows", INFO)
+    info, listed = layout.info, len(layout.table)
+    if info["total_episodes"] != listed:
+        report.add("count", f"total_episodes = {info['total_episodes']}, but metadata of {listed} are there", INFO)
+    elif info["total_frames"] != layout.rows and len(layout.episodes) == listed:
+        report.add("count", f"total_frames = {info['total_frames']}, but the episodes have {layout.rows} rows", INFO)
     if tasks_known and info.get("total_tasks") != len(layout.tasks):
         report.add("count", f"total_tasks = {info.get('total_tasks')}, but {len(layout.tasks)} are there", INFO)
 
@@ -263,7 +247,7 @@ def _check_order(layout: Layout, report: Report) -> None:
 
 
 def leftovers(root: Path) -> Iterator[Path]:
-    """Yields temporary files and folders that a process which ended early has left."""
+    """Yields temporary files and folders of a process that ended early."""
     yield from sorted(root.rglob(".*.tmp"))
     yield from sorted(path for path in root.glob("tmp*") if path.is_dir())  # LeRobot encodes videos in such
     if any(path.is_file() for path in (root / "images").rglob("*")):  # empty, it is what LeRobot always leaves
@@ -271,19 +255,9 @@ def leftovers(root: Path) -> Iterator[Path]:
 
 
 def unlisted_files(layout: Layout) -> Iterator[str]:
-    """Yields Parquet and video files in which no episode is."""
+    """Yields Parquet and video files without an episode."""
     known = set(layout.by_data_file()) | {file for _, file in layout.by_video_file()}
     for pattern in ("data/*/*.parquet", "videos/*/*/*.mp4"):
         for path in sorted(layout.root.glob(pattern)):
             if (name := path.relative_to(layout.root).as_posix()) not in known:
                 yield name
-
-
-def _said(error: Exception) -> str:
-    return str(error).partition("\n")[0][:200] or type(error).__name__
-
-
-__all__ = [
-    "ATTEMPTS", "CAMERAS", "EPISODES", "INFO", "STATS", "TASKS", "VERSION", "Episode", "Layout", "VideoPart",
-    "leftovers", "read_episode_files", "read_layout", "unlisted_files",
-]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Statistics against rows: of each episode, as LeRobot's writer computes them, and of the dataset."""
+"""Check statistics: of each episode against its rows, and of the dataset against its episodes."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lerobot_adamanip.datasets.check.findings import Report, listed
+from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.check.layout import STATS, Layout
-from lerobot_adamanip.datasets.check.reading import Batch, numeric, points_last
+from lerobot_adamanip.datasets.check.reading import points_last
 from lerobot_adamanip.datasets.pose_statistics import unscaled_poses
 from lerobot_adamanip.datasets.reading import MAX_STATISTICS_BYTES
 from lerobot_adamanip.datasets.statistics import QUANTILES
+from lerobot_adamanip.util.arrow import numeric_array
+from lerobot_adamanip.util.errors import listed
 from lerobot_adamanip.util.json_fields import read
 
 OF_PLACE = ("index", "episode_index", "task_index")
-"""Columns whose statistics nobody uses; LeRobot's merging leaves them as they were."""
+"""Columns whose statistics are not used; LeRobot's merging leaves them as they were."""
 NEEDED = frozenset(("min", "max", "mean", "std", "count"))
 _BINS = 5000
 """LeRobot reads quantiles off a histogram of so many bins."""
@@ -32,52 +34,45 @@ Statistics = dict[str, dict[str, NDArray[np.float64]]]
 
 
 def stored_statistics(table: pa.Table) -> Stored:
-    """Returns the statistics of every episode, by row of ``meta/episodes``; of odd ones, none."""
+    """Returns the statistics of every episode, by row of ``meta/episodes``; without irregular ones."""
     found: Stored = {}
     for name in table.column_names:
-        prefix, _, rest = name.partition("/")
-        if prefix != "stats":
-            continue
-        key, _, statistic = rest.rpartition("/")
-        values = numeric(table, name)
+        values = numeric_array(table[name]) if name.startswith("stats/") and len(table) else None
         if values is not None:
+            key, _, statistic = name.removeprefix("stats/").rpartition("/")
             found.setdefault(key, {})[statistic] = values.reshape(len(values), -1).astype(np.float64, copy=False)
     return found
 
 
 def check_episode_statistics(
-    batch: Batch, columns: Mapping[str, NDArray[Any]], stored: Stored, row_of: Mapping[int, int], report: Report
+    where: Rows, columns: Mapping[str, NDArray[Any]], stored: Stored, row_of: Mapping[int, int], report: Report
 ) -> None:
     """Compares episodes' statistics with their rows; skips episodes whose rows are known to be damaged.
 
     Args:
-        batch: rows of whole episodes.
+        where: places of the rows, whole episodes.
         columns: (R, ...) values.
         stored: statistics of all episodes.
         row_of: episode -> its row in ``stored``.
         report: takes one finding for each episode.
     """
-    starts = batch.starts()
-    numbers = batch.where.episodes[starts]
-    rows = [row_of.get(number, 0) for number in numbers.tolist()]  # an episode without metadata is known as damaged
+    starts = where.starts()
+    numbers = where.episodes[starts].tolist()
+    rows = [row_of.get(number, 0) for number in numbers]  # an episode without metadata is known as damaged
     wrong: dict[int, list[str]] = {}
     for key, values in columns.items():
         if key in OF_PLACE:
             continue
-        told = stored.get(key)
-        if told is None or not set(told) >= NEEDED:
-            _note(wrong, numbers, np.ones(len(numbers), bool), f"none of {key}")
-            continue
-        chosen = {name: each[rows] for name, each in told.items()}
-        _note(wrong, numbers, _differ(values, starts, chosen), key)
+        told, what = stored.get(key, {}), key
+        if set(told) >= NEEDED:
+            differ = _differ(values, starts, {name: each[rows] for name, each in told.items()})
+        else:
+            differ, what = np.ones(len(numbers), bool), f"none of {key}"
+        for number in np.array(numbers)[differ].tolist():
+            wrong.setdefault(number, []).append(what)
     for number, keys in wrong.items():
         if number not in report.damaged:
-            report.add("episode-statistics", f"not those of its rows: {listed(keys)}", batch.where.file, number)
-
-
-def _note(wrong: dict[int, list[str]], numbers: NDArray[Any], which: NDArray[np.bool_], what: str) -> None:
-    for number in numbers[which].tolist():
-        wrong.setdefault(number, []).append(what)
+            report.add("episode-statistics", f"not those of its rows: {listed(keys)}", where.file, number)
 
 
 def _differ(values: NDArray[Any], starts: NDArray[np.int64], told: dict[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
@@ -133,20 +128,18 @@ def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
     from lerobot.datasets.compute_stats import aggregate_stats
 
     whole = {key: told for key, told in stored.items() if set(told) >= NEEDED}
-    episodes = min((len(told["count"]) for told in whole.values()), default=0)
-    if not episodes:
-        return {}
-
-    def shaped(key: str, name: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        return value.reshape(-1, 1, 1) if key in pictures and name != "count" else value
 
     def of_episode(row: int) -> Statistics:
         return {
-            key: {name: shaped(key, name, values[row]) for name, values in told.items()} for key, told in whole.items()
+            key: {
+                name: values[row].reshape(-1, 1, 1) if key in pictures and name != "count" else values[row]
+                for name, values in told.items()
+            }
+            for key, told in whole.items()
         }
 
-    found: Statistics = aggregate_stats([of_episode(row) for row in range(episodes)])
-    return found
+    episodes = min((len(told["count"]) for told in whole.values()), default=0)
+    return aggregate_stats([of_episode(row) for row in range(episodes)]) if episodes else {}
 
 
 def read_statistics(root: Path) -> Statistics:
@@ -177,8 +170,8 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
         report.add("unreadable", str(error)[:200], STATS)
         return
     if not stored or len(layout.table) != layout.info["total_episodes"]:
-        return  # of which episodes they are cannot be told
-    # Of what is no column, LeRobot cannot tell whether it is of pictures; a lost column is a finding of its own.
+        return  # it is unknown which episodes they are of
+    # A lost column is a finding of its own.
     of_columns = {key: each for key, each in stored.items() if key in layout.info["features"]}
     wrong = []
     true = aggregated(of_columns, layout.picture_keys)
@@ -189,7 +182,7 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
         if key not in told:
             wrong.append(f"none of {key}")
         elif names := [name for name in right if not any(_same(told[key], of[key], name) for of in (true, fixed))]:
-            wrong.append(f"{key} ({listed(names, 3)})")
+            wrong.append(f"{key} ({listed(names)})")
     if wrong:
         report.add("statistics", f"not those of the episodes: {listed(wrong)}", STATS)
 

@@ -1,4 +1,4 @@
-"""Values of rows: finite, of the right shape; rotations orthonormal, clouds in the workspace, labels of the codes."""
+"""Check values of rows: finite, of the right shape, rotations orthonormal, clouds in the workspace, known labels."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
 from lerobot_adamanip.contract.pointcloud import Workspace, as_points
-from lerobot_adamanip.datasets.check.findings import Report
-from lerobot_adamanip.datasets.check.reading import Batch, points_last
+from lerobot_adamanip.datasets.check.findings import Report, Rows
+from lerobot_adamanip.datasets.check.reading import points_last
 from lerobot_adamanip.hardware.features import UNLABELLED
+from lerobot_adamanip.util.arrow import numeric_array
 
+Columns = dict[str, NDArray[Any]]
+"""Column -> (R, ...) values."""
 ORTHONORMAL = 1e-3
-"""How far a row of a rotation may be from length 1, and two from being orthogonal."""
+"""Largest deviation of a rotation's row from length 1, and of two from being orthogonal."""
 MARGIN = 1e-4
-"""Rounding: how far a point may be outside the workspace [m], and an opening outside [0, 1]."""
+"""Allowed for rounding: of a point outside the workspace [m], and of an opening outside [0, 1]."""
 LABELS: Mapping[str, tuple[int, int]] = {
     schema.PHASE: (UNLABELLED, max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
     schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (UNLABELLED, 10_000),
@@ -28,45 +31,41 @@ LABELS: Mapping[str, tuple[int, int]] = {
 
 
 def check_values(
-    batch: Batch, features: Mapping[str, Mapping[str, Any]], workspace: Workspace, report: Report
-) -> dict[str, NDArray[Any]]:
-    """Checks rows; returns those columns, (R, ...), whose every cell is of the column's shape."""
-    columns = {}
+    where: Rows, table: pa.Table, features: Mapping[str, Mapping[str, Any]], workspace: Workspace, report: Report
+) -> Columns:
+    """Checks rows; returns the columns in which every cell has the column's shape."""
+    columns: Columns = {}
     for key, feature in features.items():
         if feature["dtype"] in ("video", "image", "string", "language"):
             continue
-        values = batch.column(key)
+        values = numeric_array(table[key])
         shape = tuple(feature["shape"])
         shape = () if shape == (1,) else shape
         if values is None or values.shape[1:] != shape:
-            _report_shape(batch, key, shape, report)
+            _report_shape(where, table, key, shape, report)
             continue
         columns[key] = values
         if values.dtype.kind == "f":
             broken = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
-            report.add_rows("not-finite", f"NaN or infinity in {key}", batch.where, broken)
+            report.add_rows("not-finite", f"NaN or infinity in {key}", where, broken)
     with np.errstate(invalid="ignore"):
-        _check_poses(batch, columns, report)
-        _check_clouds(batch, columns, workspace, report)
-    _check_labels(batch, columns, report)
+        _check_poses(where, columns, report)
+        _check_clouds(where, columns, workspace, report)
+    _check_labels(where, columns, report)
     return columns
 
 
-def _report_shape(batch: Batch, key: str, shape: tuple[int, ...], report: Report) -> None:
-    """Looks at each cell, which is slow, and done only where something is wrong."""
-    chunks = batch.table.column(key).chunks
-    plain = [chunk.storage if isinstance(chunk, pa.ExtensionArray) else chunk for chunk in chunks]
-    cells = [cell for chunk in plain for cell in chunk.to_pylist()]
-    wrong = np.array([_shape(cell) != shape for cell in cells])
-    if not wrong.any():
-        wrong[0] = True  # not of a kind that could be looked at
-    told = {str(_shape(cell)) for cell, bad in zip(cells, wrong.tolist(), strict=True) if bad}
-    message = f"{key} has cells of shape {', '.join(sorted(told)[:3])}, not {shape}"
-    report.add_rows("shape", message, batch.where, wrong)
+def _report_shape(where: Rows, table: pa.Table, key: str, shape: tuple[int, ...], report: Report) -> None:
+    chunks = [chunk.storage if isinstance(chunk, pa.ExtensionArray) else chunk for chunk in table[key].chunks]
+    shapes = [_shape(cell) for chunk in chunks for cell in chunk.to_pylist()]
+    wrong = np.array([each != shape for each in shapes])
+    wrong[0] |= not wrong.any()  # a kind of cell that has no shape
+    told = sorted({str(each) for each, bad in zip(shapes, wrong.tolist(), strict=True) if bad})
+    report.add_rows("shape", f"{key} has cells of shape {', '.join(told[:3])}, not {shape}", where, wrong)
 
 
 def _shape(cell: object) -> tuple[int, ...] | None:
-    """Shape of nested lists; None for an empty cell, or lists of different lengths."""
+    """Returns the shape of nested lists; None for an empty cell, or lists of different lengths."""
     if cell is None:
         return None
     if not isinstance(cell, list):
@@ -76,23 +75,21 @@ def _shape(cell: object) -> tuple[int, ...] | None:
     return None if only is None else (len(cell), *only)
 
 
-def _check_poses(batch: Batch, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
-    for key in (schema.STATE, schema.ACTION):
-        if key not in columns:
-            continue
+def _check_poses(where: Rows, columns: Columns, report: Report) -> None:
+    for key in (key for key in (schema.STATE, schema.ACTION) if key in columns):
         values = columns[key].astype(np.float64)
         finite = np.isfinite(values).all(axis=1)
         rows = values[:, schema.ROTATION_DIMS].reshape(-1, 2, 3)
         stretched = np.abs(np.linalg.norm(rows, axis=2) - 1.0).max(axis=1)
         slanted = np.abs((rows[:, 0] * rows[:, 1]).sum(axis=1))
         off = finite & (np.maximum(stretched, slanted) > ORTHONORMAL)
-        report.add_rows("rotation", f"rotation 6D of {key} is not orthonormal", batch.where, off)
+        report.add_rows("rotation", f"rotation 6D of {key} is not orthonormal", where, off)
         opening = values[:, schema.GRIPPER_DIM]
         beyond = finite & ((opening < -MARGIN) | (opening > 1.0 + MARGIN))
-        report.add_rows("gripper", f"gripper of {key} is not in [0, 1]", batch.where, beyond)
+        report.add_rows("gripper", f"gripper of {key} is not in [0, 1]", where, beyond)
 
 
-def _check_clouds(batch: Batch, columns: Mapping[str, NDArray[Any]], workspace: Workspace, report: Report) -> None:
+def _check_clouds(where: Rows, columns: Columns, workspace: Workspace, report: Report) -> None:
     if schema.POINT_CLOUD not in columns or columns[schema.POINT_CLOUD].shape[-1] % 3:
         return
     clouds = points_last(as_points(columns[schema.POINT_CLOUD]))
@@ -101,23 +98,15 @@ def _check_clouds(batch: Batch, columns: Mapping[str, NDArray[Any]], workspace: 
     # A camera that sees nothing gives zeros: see `pointcloud.farthest_point_order`.
     nothing = ((lowest == 0.0) & (highest == 0.0)).all(axis=1)
     finite = np.isfinite(lowest).all(axis=1) & np.isfinite(highest).all(axis=1)
-    off = finite & beyond.any(axis=1) & ~nothing
     box = f"{tuple(workspace.lower)} to {tuple(workspace.upper)}"
-    report.add_rows("workspace", f"points outside {box} m", batch.where, off)
+    report.add_rows("workspace", f"points outside {box} m", where, finite & beyond.any(axis=1) & ~nothing)
 
 
-def _check_labels(batch: Batch, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
+def _check_labels(where: Rows, columns: Columns, report: Report) -> None:
     for key, (least, most) in LABELS.items():
         if key in columns:
             wrong = (columns[key] < least) | (columns[key] > most)
-            report.add_rows("label", f"{key} is not in {least} ... {most}", batch.where, wrong)
+            report.add_rows("label", f"{key} is not in {least} ... {most}", where, wrong)
     if schema.TRIED in columns and schema.FAILED in columns:
         wrong = columns[schema.FAILED].astype(bool) & (columns[schema.TRIED] < 0)
-        report.add_rows("label", f"{schema.FAILED} without a try", batch.where, wrong)
-
-
-def arrow_kind(kind: pa.DataType) -> str:
-    """Returns the dtype of an Arrow column's numbers, as LeRobot names it: ``float32``."""
-    while pa.types.is_nested(kind) or isinstance(kind, pa.ExtensionType):
-        kind = kind.storage_type if isinstance(kind, pa.ExtensionType) else kind.value_type
-    return {"float": "float32", "double": "float64"}.get(str(kind), str(kind))
+        report.add_rows("label", f"{schema.FAILED} without a try", where, wrong)

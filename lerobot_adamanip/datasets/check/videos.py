@@ -1,9 +1,8 @@
-"""Videos: every frame decoded, as many as the episodes have rows, at the rows' times, showing what statistics say."""
+"""Check videos: decode every frame; compare number and times with the rows, and colours with the statistics."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +14,15 @@ from lerobot_adamanip.datasets.check.layout import Episode, Layout
 from lerobot_adamanip.datasets.check.statistics import Stored
 
 CONTENT = 0.08
-"""How far the mean of an episode's decoded pictures may be from what was recorded, of 1: coding is lossy."""
+"""Largest difference of an episode's mean colour from the recorded one, of 1: coding is lossy."""
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A decoded frame: time [s], mean colour (3,) of 0 to 1, height and width [px]."""
-
-    time: float
-    colour: NDArray[np.float64]
-    size: tuple[int, int]
+Frame = tuple[float, NDArray[np.float64], tuple[int, int]]
+"""Time [s], mean colour (3,) of 0 to 1, height and width [px]."""
 
 
-def decoded(path: Path) -> Iterator[Frame]:
-    """Yields the frames of a video; raises OSError where it cannot be decoded any further."""
+def _decoded(path: Path) -> Iterator[Frame]:
+    """Yields the frames of a video; raises OSError where decoding fails."""
     import av
 
     av.logging.set_libav_level(av.logging.FATAL)
@@ -37,19 +31,19 @@ def decoded(path: Path) -> Iterator[Frame]:
             for frame in container.decode(video=0):
                 picture = frame.to_ndarray(format="rgb24")
                 colour = picture.reshape(-1, 3).mean(axis=0) / 255.0
-                yield Frame(float(frame.time or 0.0), colour, (picture.shape[0], picture.shape[1]))
+                yield float(frame.time or 0.0), colour, (picture.shape[0], picture.shape[1])
     except (av.FFmpegError, IndexError, ValueError) as error:
         raise OSError(f"cannot be decoded: {error}") from error
 
 
-def check_videos(layout: Layout, stored: Stored, report: Report, progress: Callable[[int], None]) -> None:
+def check_videos(layout: Layout, stored: Stored, report: Report, progress: Callable[[], None]) -> None:
     """Checks every video that an episode is in.
 
     Args:
         layout: of the dataset.
         stored: statistics of the episodes.
         report: takes the findings.
-        progress: told of frames decoded.
+        progress: called after each frame.
     """
     for (key, file), episodes in layout.by_video_file().items():
         path = layout.root / file
@@ -64,7 +58,7 @@ def check_videos(layout: Layout, stored: Stored, report: Report, progress: Calla
 
 
 class _Video:
-    """A video file while it is read: to which episode a frame belongs, and what it showed."""
+    """A video file, and the mean colour of each of its episodes."""
 
     def __init__(self, layout: Layout, key: str, file: str, episodes: Sequence[Episode], report: Report) -> None:
         self._key, self._file, self._fps, self._report = key, file, layout.fps, report
@@ -77,30 +71,30 @@ class _Video:
         self._sums = np.zeros((len(episodes), 3))
         self._counts = np.zeros(len(episodes), np.int64)
 
-    def read(self, path: Path, progress: Callable[[int], None]) -> None:
-        """Decodes the file."""
+    def read(self, path: Path, progress: Callable[[], None]) -> None:
+        """Decodes the file and checks number, size and times of its frames."""
         total, broken = 0, ""
         try:
-            for frame in decoded(path):
-                if total == 0 and frame.size != self._size:
-                    told = f"{self._key} has frames of {frame.size}, not {self._size}"
+            for time, colour, size in _decoded(path):
+                if total == 0 and size != self._size:
+                    told = f"{self._key} has frames of {size}, not {self._size}"
                     self._report.add("schema", told, self._file, self._episodes[0].number)
-                self._take(total, frame)
+                self._take(total, time, colour)
                 total += 1
-                progress(1)
+                progress()
         except OSError as error:
             broken = str(error)[:200]
         self._check_length(total, broken)
 
-    def _take(self, number: int, frame: Frame) -> None:
+    def _take(self, number: int, time: float, colour: NDArray[np.float64]) -> None:
         place = next((at for at, (start, end) in enumerate(self._spans) if start <= number < end), None)
         if place is None:
             return
-        self._sums[place] += frame.colour
+        self._sums[place] += colour
         self._counts[place] += 1
-        if abs(frame.time - number / self._fps) > 1e-3 and self._episodes[place].number not in self._report.damaged:
+        if abs(time - number / self._fps) > 1e-3 and self._episodes[place].number not in self._report.damaged:
             first = self._spans[place][0]
-            told = f"a frame of {self._key} is shown at {frame.time:.3f} s, not {number / self._fps:.3f}"
+            told = f"a frame of {self._key} is shown at {time:.3f} s, not {number / self._fps:.3f}"
             self._report.add("timestamp", told, self._file, self._episodes[place].number, number - first)
 
     def _check_length(self, total: int, broken: str) -> None:
@@ -118,7 +112,7 @@ class _Video:
             self._report.add("unlisted", f"{after} frames of {self._key} after those of the last episode", self._file)
 
     def compare(self, means: NDArray[np.float64], row_of: dict[int, int]) -> None:
-        """Compares what was shown with each episode's statistics."""
+        """Compares mean colours with the episodes' statistics."""
         for place, episode in enumerate(self._episodes):
             whole = self._counts[place] == episode.length
             if self._is_depth or not whole or episode.number in self._report.damaged:
