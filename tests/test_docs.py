@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import importlib
 import re
 import subprocess
 import sys
@@ -17,13 +19,15 @@ from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.contract import schema
 
 
-def python_blocks() -> list[Any]:
+def python_blocks(*documents: str) -> list[Any]:
+    """Blocks that run by themselves, of all documents or of those named."""
     return [
         pytest.param(
             block, id=f"{block.document}-{block.number}", marks=[pytest.mark.sim] * block.mark.startswith("sim")
         )
         for block in blocks("python")
         if not block.mark.startswith(("new: ", "edit: "))  # tests/test_extending.py has these
+        and block.document in (documents or DOCUMENTS)
     ]
 
 
@@ -124,20 +128,34 @@ def test_make_targets_exist() -> None:
     assert set(re.findall(r"\bmake ([a-z]+)\b(?=[`\n ]*(?:#|`|$|\())", text)) <= targets
 
 
-def run_block(code: str, folder: Path) -> None:
-    # In a process of its own: an example must not lean on what another test has imported.
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
+def run_block(block: Block, folder: Path) -> None:
+    if block.mark == "outputs/demos":
+        collect_fake_demos(folder / "outputs" / "demos")
+    if block.mark == "assets":
+        write_asset_safe(folder / "assets" / "safe" / "sa1")
+    done = subprocess.run([sys.executable, "-c", block.code], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
 
 
 @pytest.mark.usefixtures("no_vulkan")
-@pytest.mark.parametrize("block", python_blocks())
+@pytest.mark.parametrize("block", python_blocks("README.md", "docs/extending.md"))
 def test_python_runs(block: Block, tmp_path: Path) -> None:
-    if block.mark == "outputs/demos":
-        collect_fake_demos(tmp_path / "outputs" / "demos")
-    if block.mark == "assets":
-        write_asset_safe(tmp_path / "assets" / "safe" / "sa1")
-    run_block(block.code, tmp_path)
+    run_block(block, tmp_path)
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("no_vulkan")
+@pytest.mark.parametrize("block", python_blocks())
+def test_python_of_other_pages_runs(block: Block, tmp_path: Path) -> None:
+    run_block(block, tmp_path)
+
+
+def test_what_python_imports_of_ours_is_there() -> None:
+    for block in blocks("python"):
+        for node in ast.walk(ast.parse(block.code)):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("lerobot_") and not block.mark:
+                module = importlib.import_module(str(node.module))
+                assert [each.name for each in node.names if not hasattr(module, each.name)] == [], block.document
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)

@@ -54,16 +54,17 @@ def headings(text: str) -> list[str]:
     return re.findall(r"^## (.*)$", re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL), re.MULTILINE)
 
 
-@pytest.mark.parametrize(
-    "path", [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *DOCUMENTS]
-)
-def test_every_document_is_a_page_with_all_its_sections(site: Path, path: Path) -> None:
-    page = article(site, address(ROOT, path.relative_to(ROOT).as_posix()))
-    text = html.unescape(re.sub(r"<[^>]+>", "", page))
-    for heading in headings(path.read_text(encoding="utf-8")):
-        assert re.sub(r"[`*\\]|\]\([^)]*\)|\[", "", heading) in text, heading
+@pytest.mark.nightly
+def test_every_document_is_a_page_with_all_its_sections(site: Path) -> None:
+    above = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
+    for path in (*above, *DOCUMENTS):
+        page = article(site, address(ROOT, path.relative_to(ROOT).as_posix()))
+        text = html.unescape(re.sub(r"<[^>]+>", "", page))
+        for heading in headings(path.read_text(encoding="utf-8")):
+            assert re.sub(r"[`*\\]|\]\([^)]*\)|\[", "", heading) in text, (path, heading)
 
 
+@pytest.mark.nightly
 def test_lists_and_tables_stand_apart_from_the_text_before_them(site: Path) -> None:
     """GitHub makes a list of "- " under a paragraph; the site's Markdown would run it into one line."""
     for page in site.rglob("index.html"):
@@ -71,6 +72,7 @@ def test_lists_and_tables_stand_apart_from_the_text_before_them(site: Path) -> N
         assert not [text for text in paragraphs if re.search(r"^(- |\* |\d+\. |\|)", text, re.MULTILINE)], page
 
 
+@pytest.mark.nightly
 def test_no_page_loads_anything_from_another_host(site: Path) -> None:
     loaded = r'<(?:script|img|link|iframe)[^>]*(?:src|href)="?(?:https?:)?//[^>]*>'
     pages = list(site.rglob("*.html"))
@@ -79,6 +81,7 @@ def test_no_page_loads_anything_from_another_host(site: Path) -> None:
         assert not re.findall(loaded, page.read_text(encoding="utf-8")), page
 
 
+@pytest.mark.nightly
 def test_code_outside_docs_is_shown_as_it_is(site: Path) -> None:
     shown = html.unescape(re.sub(r"<[^>]+>", "", article(site, "repository/examples/own_expert.py.md")))
     source = (ROOT / "examples" / "own_expert.py").read_text(encoding="utf-8")
@@ -86,6 +89,7 @@ def test_code_outside_docs_is_shown_as_it_is(site: Path) -> None:
     assert 'href="repository/examples/own_expert.py/"' in article(site, "index.md")
 
 
+@pytest.mark.nightly
 def test_the_reference_is_read_not_imported(built: tuple[Path, set[str]]) -> None:
     site, imported = built
     mine = {"lerobot_adamanip", "lerobot_env_adamanip", "lerobot_policy_adamanip"}

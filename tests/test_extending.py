@@ -130,6 +130,7 @@ assert make_category_table.main() == 0
 """
 
 
+@pytest.mark.nightly
 def test_the_page_of_categories_gets_its_row(tree: Path) -> None:
     run(tree, MAKE_THE_PAGE)
     page = (tree / "docs" / "categories.md").read_text(encoding="utf-8")
@@ -153,6 +154,7 @@ assert result.success, result
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_the_tenth_category_is_opened_in_the_simulator(tree: Path) -> None:
     run(tree, IN_THE_SIMULATOR)
@@ -200,6 +202,7 @@ assert json.loads(line)["key_frames"] == 4
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_the_method_of_the_page_is_trained_and_evaluated_by_lerobot(tree: Path, tmp_path: Path) -> None:
     record_toy(tmp_path / "demos", [toy_world("safe_000", 1)], "adaptive")

@@ -53,6 +53,7 @@ def demos(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.nightly
 def test_vqbet_trains_its_codes_and_itself(demos: Path) -> None:
     words = documented("lerobot-train", "type=vqbet")
     picture = '{"type": "VISUAL", "shape": [3, 64, 64]}'
@@ -94,6 +95,7 @@ def trained_dp3(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, run(documented("lerobot-train", "dp3_untrained"), folder, *short, path=site)
 
 
+@pytest.mark.nightly
 def test_a_policy_that_reads_what_lerobots_dp3_reads_is_trained(trained_dp3: tuple[Path, str]) -> None:
     """The cloud comes under its name, in metres, and in as many steps as the state; the checkpoint keeps the rename."""
     folder, said = trained_dp3
@@ -114,6 +116,7 @@ def test_a_cloud_gets_its_shape_before_and_after_it_is_renamed(name: str) -> Non
     assert CloudToPointsStep().observation({name: torch.zeros(2, 12)})[name].shape == (2, 4, 3)
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_a_policy_that_reads_what_lerobots_dp3_reads_is_evaluated(trained_dp3: tuple[Path, str]) -> None:
     folder, _ = trained_dp3

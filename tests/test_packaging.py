@@ -111,12 +111,14 @@ def test_wheel_name_is_one_that_lerobot_looks_for(wheel: Path) -> None:
     assert "License-Expression: Apache-2.0" in lines
 
 
+@pytest.mark.nightly
 def test_the_release_works_in_an_environment_of_its_own(dist: Path) -> None:
     done = smoke_test(dist, "--no-simulator")
     assert done.returncode == 0, done.stdout + done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()] == ["ok"] * 4
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 @pytest.mark.timeout(900)  # `adamanip doctor` renders, in a process of its own
 def test_an_environment_of_the_release_resets(dist: Path) -> None:

@@ -36,6 +36,7 @@ def test_a_machine_that_was_set_up_passes() -> None:
     assert (status, ok) == (0, True)
 
 
+@pytest.mark.nightly
 def test_without_a_vulkan_driver_clouds_are_possible_and_pictures_are_not() -> None:
     status, rows, ok = doctor_json(NO_VULKAN)
     assert (status, ok) == (0, True)

@@ -81,6 +81,7 @@ def test_no_worker_is_told_where_the_collection_lives(tmp_path: Path) -> None:
     assert not any(isinstance(value, CollectionPaths) for value in vars(job).values())
 
 
+@pytest.mark.nightly
 def test_a_dead_a_hung_and_a_poisonous_item_cost_only_themselves(tmp_path: Path, two: TwoNodes) -> None:
     # Long enough for a new actor to start on a machine that is busy with other tests.
     results = {

@@ -135,8 +135,14 @@ def test_the_points_are_many(stage: Stage) -> None:
     assert passed["repair"] == set(files.REPAIR_POINTS)
 
 
-@pytest.mark.parametrize("second", COMMANDS)
-@pytest.mark.parametrize("first", COMMANDS)
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        pytest.param(first, second, marks=() if second in (first, "repair") else pytest.mark.nightly)
+        for first in COMMANDS
+        for second in COMMANDS
+    ],
+)
 def test_nothing_finished_is_lost(stage: Stage, tmp_path: Path, first: str, second: str) -> None:
     for number, (point, left) in enumerate(stage.killed[first]):
         root = tmp_path / str(number) / "dataset"

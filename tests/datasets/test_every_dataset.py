@@ -26,6 +26,8 @@ COLLECTED = (
 ROBOTS = ("keyframes", "keyframes of a roll-out")
 MIXED = ("keyframes, mixed with collect", "merge", "merge of corrections", "filter of a mix")
 MAKERS = (*COLLECTED, *ROBOTS, *MIXED, *DENSE)
+EACH_KIND = ("collect", "collect --policy", "keyframes", "filter of a mix", RECORDING, TICKS_ALONE)
+"""Makers that every run of the tests tries."""
 TAKERS = ("check", "stats", "view", "push", "filter", "split", "merge", "replay", "keyframes", "train")
 NEED_KEY_FRAMES = ("stats", "view", "push", "replay", "train")
 REFUSED: Mapping[tuple[str, str], str] = {
@@ -107,7 +109,9 @@ def test_every_dataset_is_made(made: Mapping[str, Path]) -> None:
     assert set(made) == set(MAKERS)
 
 
-@pytest.mark.parametrize("maker", MAKERS)
+@pytest.mark.parametrize(
+    "maker", [pytest.param(name, marks=() if name in EACH_KIND else pytest.mark.nightly) for name in MAKERS]
+)
 def test_it_is_accepted_by_every_command(
     maker: str, made: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

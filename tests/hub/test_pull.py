@@ -77,6 +77,7 @@ def matrix() -> dict[str, tuple[bool, str]]:
     return {call.strip("`"): (works == "yes", advice) for call, works, advice in cells}
 
 
+@pytest.mark.nightly
 def test_pulled_again_and_offline_as_the_table_says(
     commits: dict[str, str], published: Path, staged: Staged, run: Any, hub: LoopbackHub
 ) -> None:

@@ -68,6 +68,7 @@ def test_training_on_the_pulled_dataset_gives_the_same_policy_and_lerobots_push_
     assert json.loads(remote["train_config.json"])["output_dir"] is None
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_the_pulled_policy_acts_as_the_local_one(
     api: HfApi, hub: LoopbackHub, trained: Path, run: Any, tmp_path: Path

@@ -35,27 +35,29 @@ def log_lines(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
+def record(root: Path, *options: str) -> Path:
+    lerobot(
+        "record", *TWIN, f"--robot.seed={SEED}", "--robot.image_size=64", "--teleop.type=adamanip_scripted",
+        "--dataset.repo_id=local/twin", f"--dataset.root={root}", "--dataset.num_episodes=1",
+        "--dataset.reset_time_s=0", "--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false",
+        *options,
+    )  # fmt: skip
+    return root
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first two seconds of an episode."""
+    return record(tmp_path_factory.mktemp("twin") / "short", "--dataset.episode_time_s=2")
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two episodes, the second of them locked."""
     root = tmp_path_factory.mktemp("twin") / "recorded"
     for resume, locked in (("false", "false"), ("true", "true")):
-        lerobot(
-            "record",
-            *TWIN,
-            f"--robot.seed={SEED}",
-            f"--robot.hidden={{locked: {locked}}}",
-            "--robot.image_size=64",
-            "--teleop.type=adamanip_scripted",
-            "--dataset.repo_id=local/twin",
-            f"--dataset.root={root}",
-            "--dataset.num_episodes=1",
-            "--dataset.episode_time_s=3600",
-            "--dataset.reset_time_s=0",
-            "--dataset.single_task=Open the microwave.",
-            "--dataset.push_to_hub=false",
-            f"--resume={resume}",
-        )
+        hidden = f"--robot.hidden={{locked: {locked}}}"
+        record(root, "--dataset.episode_time_s=3600", hidden, f"--resume={resume}")
     return root
 
 
@@ -65,6 +67,7 @@ def rows(root: Path) -> Any:
     return pandas.concat([pandas.read_parquet(file) for file in sorted((root / "data").rglob("*.parquet"))])
 
 
+@pytest.mark.nightly
 def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> None:
     log = log_lines(recorded.with_name("recorded.episodes.jsonl"))
     assert [line["episode"] for line in log] == [0, 1]
@@ -73,9 +76,9 @@ def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> N
     assert [line["success"] for line in log] == [True, True]
 
 
-def test_what_is_recorded_is_the_contract_and_nothing_hidden(recorded: Path) -> None:
-    info = json.loads((recorded / "meta" / "info.json").read_text(encoding="utf-8"))
-    assert info["total_episodes"] == 2
+def test_what_is_recorded_is_the_contract_and_nothing_hidden(short: Path) -> None:
+    info = json.loads((short / "meta" / "info.json").read_text(encoding="utf-8"))
+    assert info["total_episodes"] == 1
     assert info["robot_type"] == "adamanip_franka_sim"
     assert info["features"]["observation.state"]["names"] == list(SCALAR_NAMES)
     assert info["features"]["action"]["names"] == list(POSE_NAMES)
@@ -84,23 +87,24 @@ def test_what_is_recorded_is_the_contract_and_nothing_hidden(recorded: Path) -> 
     assert not [name for name in (*SCALAR_NAMES, *info["features"]) if any(word in name for word in hidden)]
 
 
-def test_what_was_asked_is_what_was_sent_and_time_is_steps(recorded: Path) -> None:
-    table = rows(recorded)
-    states = np.stack(table["observation.state"].to_numpy())
-    actions, episodes = np.stack(table["action"].to_numpy()), table["episode_index"].to_numpy()
-    sent = states[:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]]
-    stamps, done = (states[:, SCALAR_NAMES.index(name)] for name in (STAMP_NAME, LABEL_NAME))
-    for episode in (0, 1):
-        mine = episodes == episode
+@pytest.mark.parametrize("name", ["short", pytest.param("recorded", marks=pytest.mark.nightly)])
+def test_what_was_asked_is_what_was_sent_and_time_is_steps(name: str, request: pytest.FixtureRequest) -> None:
+    table = rows(request.getfixturevalue(name))
+    assert len(table) >= FPS
+    for _, episode in table.groupby("episode_index"):
+        states, actions = np.stack(episode["observation.state"].to_numpy()), np.stack(episode["action"].to_numpy())
+        sent = states[:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]]
+        stamps, done = (states[:, SCALAR_NAMES.index(name)] for name in (STAMP_NAME, LABEL_NAME))
         # What the arm accepted stands in the next row.
-        np.testing.assert_array_equal(sent[mine][1:], actions[mine][:-1].astype(np.float32))
-        steps = np.diff(stamps[mine])
+        np.testing.assert_array_equal(sent[1:], actions[:-1].astype(np.float32))
+        steps = np.diff(stamps)
         assert abs(steps.mean() - 1 / FPS) < 1e-3
         assert steps.max() < 0.045  # two control ticks at most
-        assert done[mine][0] == 0.0
-        assert done[mine][-1] == 1.0
+        assert done[0] == 0.0
+        assert done[-1] == (name == "recorded")  # it is opened
 
 
+@pytest.mark.nightly
 def test_a_replay_opens_the_same_door_as_far(recorded: Path, tmp_path: Path) -> None:
     log = tmp_path / "replayed.jsonl"
     lerobot(
@@ -120,6 +124,7 @@ def test_a_replay_opens_the_same_door_as_far(recorded: Path, tmp_path: Path) -> 
     assert replayed["joints"] == before["joints"]  # to the last bit: equal steps give equal data, see docs/twin.md
 
 
+@pytest.mark.nightly
 def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(recorded: Path, tmp_path: Path) -> None:
     def run(program: str, *arguments: str) -> Path:
         log = tmp_path / f"{program}.log"

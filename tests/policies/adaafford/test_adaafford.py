@@ -158,6 +158,7 @@ def test_it_learns_from_what_was_felt(make: MakePolicy, batch_of: Any) -> None:
     assert informed < 0.7 * blind
 
 
+@pytest.mark.nightly
 def test_what_is_proposed_is_what_was_tried(make: MakePolicy, batch_of: Any) -> None:
     """And not the mean of two directions, which is hardly a motion."""
     policy, before, _, dataset = make()
