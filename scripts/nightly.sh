@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# What takes too long for every change: the tests marked nightly, every expert on fresh scenes, hidden states, nonsense sent
-# to every environment. Goes through all of it and ends with status 1 if any part failed. WORKERS=2 EPISODES=40 bash scripts/nightly.sh
+# What takes too long for every change: tests marked nightly, experts on fresh scenes, hidden states, nonsense sent to every
+# environment. Runs all parts and ends with status 1 if one failed. WORKERS=2 EPISODES=20 bash scripts/nightly.sh
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-out=${OUT:-outputs/nightly} workers=${WORKERS:-$(nproc)} episodes=${EPISODES:-40}
+out=${OUT:-outputs/nightly} workers=${WORKERS:-$(nproc)} episodes=${EPISODES:-20}
 python=.venv/bin/python
 # Scenes of the day: an expert that only knows the scenes it was tuned on is found out sooner or later.
 first_seed=${FIRST_SEED:-$((12000000 + 10#$(date -u +%j) * 10000))}
@@ -22,13 +22,6 @@ part() {
     printf '== %s: %d s\n' "$name" $((SECONDS - began))
 }
 
-# Status 5: no test is marked so.
-long_tests() {
-    local status=0
-    "$python" -m pytest -m "nightly and not franky" || status=$?
-    ((status == 0 || status == 5))
-}
-
 # The simulated FR3 brings the package `pin`, which would take the place of SAPIEN's own kinematics: it has a folder of its
 # own. In it, `pin` lies in a folder that only a .pth file names, which Python reads in site-packages alone.
 simulated_arm() {
@@ -40,21 +33,21 @@ simulated_arm() {
             "$python" -m pytest -m franky
 }
 
-part "long tests" long_tests
+tests=("$python" -m pytest -n "$workers" --dist worksteal)
+part "long tests" "${tests[@]}" -m "nightly and not franky"
 part "simulated FR3" simulated_arm
-part "no patches" env ADAMANIP_NO_PATCHES=1 "$python" -m pytest -n "$workers" --dist loadfile -m "not sim and not nightly"
+part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not nightly" tests/datasets tests/policies tests/recordings
 # Fails below 97 % of a category or 99 % of all, for either expert under any preset.
 part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel \
     --episodes "$episodes" --first-seed "$first_seed" --workers "$workers" --out "$out/experts.json"
-part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 30 --frames 120 --workers "$workers" \
+part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --frames 60 --workers "$workers" \
     --out "$out/hidden_state"
-part "robustness" "$python" scripts/check_robustness.py --category all --seeds 20 --workers "$workers"
+part "robustness" "$python" scripts/check_robustness.py --category all --seeds 10 --workers "$workers"
 rm -rf "$out/no_vulkan"
 part "no Vulkan device" env VK_ICD_FILENAMES=/nonexistent.json VK_DRIVER_FILES=/nonexistent.json \
     OUT="$out/no_vulkan" SAFES=0:2 EPISODES=5 STEPS=60 EVALUATE=4 bash scripts/demo.sh
 part "clouds without one" env VK_ICD_FILENAMES=/nonexistent.json VK_DRIVER_FILES=/nonexistent.json \
-    "$python" -m pytest -m "not nightly" -k "not test_images" tests/envs/test_raycast.py tests/envs/test_clouds.py \
-    tests/envs/test_hidden_state.py
+    "${tests[@]}" -m "not nightly" -k "not test_images" tests/envs/test_raycast.py tests/envs/test_clouds.py tests/envs/test_hidden_state.py
 
 if ((${#failed[@]})); then
     printf '\n== failed: %s (scenes from seed %s)\n' "${failed[*]}" "$first_seed"
