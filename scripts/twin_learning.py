@@ -13,7 +13,7 @@ import numpy as np
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, SENT_NAMES
 from lerobot_adamanip.util.json_fields import read
-from lerobot_policy_adamanip.common.demonstrations import read_columns
+from lerobot_policy_adamanip.common.recorded_rows import read_columns
 
 STEPS = 300
 """Of the mixed training."""

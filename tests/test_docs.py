@@ -212,7 +212,7 @@ def test_seed_numbers_are_the_codes() -> None:
 
 
 def test_history_drawings_are_the_presets() -> None:
-    from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import PRESETS
+    from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
 
     text = (ROOT / "docs" / "policy.md").read_text(encoding="utf-8")
     names = ("n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")

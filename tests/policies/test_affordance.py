@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip.contract.keyframes import PRE_GRASP
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip import VatMartConfig
+from lerobot_policy_adamanip.affordance.demonstrations import find_contacts
 from lerobot_policy_adamanip.affordance.networks import (
     ConditionalVAE,
     PlaceFeatures,
@@ -31,8 +32,7 @@ from lerobot_policy_adamanip.affordance.plans import (
     taking_hold,
     with_gripper,
 )
-from lerobot_policy_adamanip.common.demonstrations import find_contacts
-from lerobot_policy_adamanip.common.losses import counting_rows, weighted_mean
+from lerobot_policy_adamanip.common.losses import valid_rows, weighted_mean
 from lerobot_policy_adamanip.common.torch_rotations import angle_between
 
 
@@ -107,8 +107,8 @@ def test_means_are_of_the_best_and_of_what_has_weight() -> None:
 
 
 def test_rows_that_count_are_picked_and_one_stands_in_for_none() -> None:
-    assert counting_rows(torch.tensor([False, True, True])).tolist() == [1, 2]
-    assert counting_rows(torch.zeros(3, dtype=torch.bool)).tolist() == [0]
+    assert valid_rows(torch.tensor([False, True, True])).tolist() == [1, 2]
+    assert valid_rows(torch.zeros(3, dtype=torch.bool)).tolist() == [0]
 
 
 def test_points_are_drawn_near_and_away() -> None:

@@ -12,12 +12,12 @@ import pytest
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.demonstrations import (
+from lerobot_policy_adamanip.affordance.demonstrations import (
     ContactTracker,
     find_contacts,
-    read_columns,
     read_demonstrations,
 )
+from lerobot_policy_adamanip.common.recorded_rows import read_columns
 
 
 def episode(*key_frames: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

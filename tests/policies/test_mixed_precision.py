@@ -16,7 +16,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util import mixed_precision
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 SIZES = {"num_points": 16, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dims": (16, 32)}
 

@@ -11,7 +11,7 @@ import torch
 from lerobot.optim.optimizers import AdamWConfig, OptimizerConfig, load_optimizer_state, save_optimizer_state
 
 from lerobot_policy_adamanip import DP3AdaptiveConfig
-from lerobot_policy_adamanip.common.optimizer import FusedAdamWConfig
+from lerobot_policy_adamanip.common.config import FusedAdamWConfig
 
 VALUES = {"lr": 1e-2, "betas": (0.95, 0.999), "weight_decay": 1e-2}
 

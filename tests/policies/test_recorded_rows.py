@@ -14,8 +14,7 @@ from toy_demos import REPO_ID
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.demonstrations import read_recorded_rows
-from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, RecordedRows
+from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, RecordedRows, read_recorded_rows
 
 SHAPES: list[dict[str, Any]] = [
     {"preset": "fast", "n_action_history_steps": 16},
@@ -96,7 +95,7 @@ def test_windows_are_right_with_spawned_workers(corrected_root: Path) -> None:
 
 def _compare(policy: Any, dataset: Any, root: Path, workers: int) -> None:
     past, horizon = policy.config.n_action_history_steps, policy.config.horizon
-    recorded, seen = policy._windows._recorded, 0
+    recorded, seen = policy._windows.recorded, 0
     for batch in _batches(dataset, workers):
         rows = recorded.rows(batch["index"])
         before, valid = recorded.around(rows, range(-past, 0))

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
-from lerobot_policy_adamanip.common.events import events
+from lerobot_policy_adamanip.common.events import EventMemory, events
 from lerobot_policy_adamanip.common.tool_frame import (
     constant,
     mirrored_motions,
@@ -17,7 +17,6 @@ from lerobot_policy_adamanip.common.tool_frame import (
     pose_after,
     upwards,
 )
-from lerobot_policy_adamanip.dp3_adaptive.event_memory import EventMemory
 
 
 def _poses(count: int, seed: int) -> torch.Tensor:

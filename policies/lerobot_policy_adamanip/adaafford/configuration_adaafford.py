@@ -16,35 +16,35 @@ class AdaAffordConfig(AffordanceConfig):
 
     # The nearest points around a place.
     patch_points: int = 32
-    # Size of what is concluded from interactions, z.
+    # Size of z, the summary of past interactions.
     hidden_dim: int = 64
-    # Interactions that conclusions are drawn from: the latest so many.
+    # Latest interactions that z summarises.
     num_interactions: int = 16
-    # Training only: actions per row whose outcome is asked for.
+    # Training only: actions per row with a known outcome.
     num_candidates: int = 12
-    # Training only: proposals per row, away from where anybody has taken hold, that are taught to move nothing.
+    # Training only: proposals per row, away from demonstrated contacts, taught to move nothing.
     num_astray: int = 4
-    # Size of what tells actions at one place apart.
+    # Size of the latent vector of actions at a place.
     latent_dim: int = 4
 
-    # Motions proposed for what is held.
+    # Motions proposed for a held part.
     held_proposals: int = 48
     # Points proposed to take hold of ...
     contact_points: int = 8
     # ... and actions at each; in training so many at each of two points.
     contact_proposals: int = 8
-    # So many first interactions are also chosen for what they would tell.
+    # Number of first interactions that are also chosen for their information.
     explorations: int = 4
-    # An interaction that promises to tell less than this [nats] is chosen for its success alone.
+    # Interactions with less predicted information than this [nats] are chosen for their success alone.
     least_information: float = 0.01
-    # What is held is kept unless something else promises this much more success: taking hold costs five key frames.
+    # A held part is kept unless another promises this much more success: a new grasp costs five key frames.
     contact_margin: float = 0.1
 
-    # Weight of where a proposal takes hold beside the rest of it: a button missed by a centimetre is not pressed.
+    # Weight of a proposal's offset: a button missed by a centimetre is not pressed.
     offset_weight: float = 3.0
-    # Weight of the proposals' divergence from their prior [nats], beside an error in units of a typical motion ...
+    # Weight of the proposals' divergence from their prior [nats], relative to an error in units of a typical motion.
     divergence_weight: float = 0.3
-    # ... and how much of it costs nothing: enough to tell some seven actions apart.
+    # Free bits: divergence without a cost [nats], enough to distinguish some seven actions.
     free_divergence: float = 2.0
 
     def check(self) -> None:

@@ -1,32 +1,35 @@
-"""Interactions: what was done in contact with a part, and what came of it; and which of them a row can learn from."""
+"""Interactions: motions in contact with a part and their results, in a dataset and in an episode at run time."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.demonstrations import Demonstrations
+from lerobot_policy_adamanip.affordance.demonstrations import ContactTracker, Demonstrations
+from lerobot_policy_adamanip.affordance.plans import holds_something
 
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class InteractionLabels:
-    """Interactions of a dataset, and for each row those before it and those whose outcome at this row is known.
+    """Interactions of a dataset, and for each row the earlier ones and those with a known result there.
 
     Attributes:
-        before: (M, 10) float32 tool pose; for a real interaction with the gripper that was felt.
+        before: (M, 10) float32 tool pose, with the measured gripper.
         command: (M, 10) float32 pose that was sent.
-        after: (M, 10) float32 pose that was reached, and the gripper felt.
-        opening: (M,) float32 opening with which the part had been approached, 1 to grasp, 0 to push.
+        after: (M, 10) float32 pose that was reached, with the measured gripper.
+        opening: (M,) float32 opening of the approach to the part, 1 to grasp, 0 to push.
         moved: (M,) float32, 1 if it brought the object nearer to open, 0 if not.
-        tried: (M,) bool: an interaction that was meant to move a joint, of which an actor can learn what to try.
+        tried: (M,) bool: meant to move a joint, so that an actor can learn it.
         history: (I, H) int64 interactions before the row with this `index`, oldest first, then -1.
-        candidates: (I, K) int64 interactions whose outcome at that row is known, then -1.
+        candidates: (I, K) int64 interactions with a known result at that row, then -1.
     """
 
     before: Array
@@ -41,28 +44,20 @@ class InteractionLabels:
 
 @dataclass
 class _Recorded:
-    """Interactions as they are found, one entry each."""
+    """Interactions found so far, one entry each."""
 
-    before: list[Array]
-    command: list[Array]
-    after: list[Array]
-    opening: list[float]
-    moved: list[float]
-    tried: list[bool]
+    poses: list[tuple[Array, Array, Array]] = field(default_factory=list)
+    results: list[tuple[float, bool, bool]] = field(default_factory=list)
 
     def add(self, before: Array, command: Array, after: Array, opening: float, *, moved: bool, tried: bool) -> int:
         """Returns its number."""
-        self.before.append(before)
-        self.command.append(command)
-        self.after.append(after)
-        self.opening.append(opening)
-        self.moved.append(float(moved))
-        self.tried.append(tried)
-        return len(self.moved) - 1
+        self.poses.append((before, command, after))
+        self.results.append((opening, moved, tried))
+        return len(self.poses) - 1
 
     def labels(self, history: NDArray[np.int64], candidates: NDArray[np.int64]) -> InteractionLabels:
-        """Returns them with what each row can learn from; raises `ConfigurationError` as `label_interactions` does."""
-        tried, moved = np.array(self.tried, np.bool_), np.array(self.moved, np.float32)
+        results = np.array(self.results, np.float32).reshape(-1, 3)
+        opening, moved, tried = results[:, 0], results[:, 1], results[:, 2] > 0
         if not (tried & (moved == 0)).any() or not (tried & (moved == 1)).any():
             raise ConfigurationError(
                 "There is nothing to adapt to in these demonstrations.",
@@ -70,44 +65,35 @@ class _Recorded:
                 allowed="demonstrations in which some tries fail, and some do not",
                 hint="adamanip collect --expert adaptive",
             )
-        return InteractionLabels(
-            before=np.stack(self.before),
-            command=np.stack(self.command),
-            after=np.stack(self.after),
-            opening=np.array(self.opening, np.float32),
-            moved=moved,
-            tried=tried,
-            history=history,
-            candidates=candidates,
-        )
+        before, command, after = (np.stack(each) for each in zip(*self.poses, strict=True))
+        return InteractionLabels(before, command, after, opening, moved, tried, history, candidates)
 
 
 def label_interactions(demonstrations: Demonstrations, history: int, candidates: int) -> InteractionLabels:
-    """Finds interactions, and what each row can learn from them.
+    """Finds interactions, and those that each row can learn from.
 
-    An interaction is a key frame in contact (`ContactTracker`), and brought the object nearer to open if it was a try
-    that did not fail: an expert never turns back. What it came to, it would have come to at every row of its stretch,
-    in which nothing moved. Once something has moved, the way back brings the object no nearer: that is an interaction
-    too, though nobody made it.
+    An interaction is a key frame in contact (`ContactTracker`). It brought the object nearer to open if it was a try
+    that did not fail: an expert never turns back. Its result is known at all rows of its stretch, in which nothing
+    moved. After a motion, the way back is added as an interaction without success, though no expert made it.
 
     Args:
         demonstrations: of an expert that tries, and fails.
-        history: interactions before a row at most, H: the latest.
-        candidates: interactions at most whose outcome at a row is known, K.
+        history: maximum number of interactions before a row, H: the latest.
+        candidates: maximum number of interactions with a known result at a row, K.
 
     Raises:
         ConfigurationError: no try failed, or none moved anything.
     """
-    recorded = _Recorded([], [], [], [], [], [])
+    recorded = _Recorded()
     size = 1 + int(demonstrations.index.max())
     past, known = (np.full((size, count), -1, dtype=np.int64) for count in (history, candidates))
     for rows in demonstrations.episodes():
-        made, at = _episode(demonstrations, rows, recorded)
+        made, results = _episode(demonstrations, rows, recorded)
         stretch = demonstrations.stretches(rows)
         for row in range(rows.stop - rows.start - int(demonstrations.final[rows.stop - 1])):
             index = demonstrations.index[rows.start + row]
             _fill(past[index], [number for number, when in made if when < row][-history:])
-            _fill(known[index], [number for number, when in at if when == stretch[row]][:candidates])
+            _fill(known[index], [number for number, when in results if when == stretch[row]][:candidates])
     return recorded.labels(past, known)
 
 
@@ -117,8 +103,7 @@ def _episode(
     """Records an episode's interactions.
 
     Returns:
-        made: number and row (from 0) of each real interaction; known: number and stretch of those whose outcome is
-        known there.
+        number and row (from 0) of each executed interaction, and number and stretch of each known result.
     """
     made: list[tuple[int, int]] = []
     known: list[tuple[int, int]] = []
@@ -144,3 +129,37 @@ def _episode(
 
 def _fill(row: NDArray[np.int64], numbers: list[int]) -> None:
     row[: len(numbers)] = numbers
+
+
+class InteractionMemory:
+    """Interactions of one episode at run time.
+
+    Args:
+        length: number of latest interactions that are kept.
+    """
+
+    def __init__(self, length: int) -> None:
+        self.interactions: deque[tuple[Tensor, Tensor, Tensor]] = deque(maxlen=length)
+        self.made = 0
+        self.sent: tuple[Tensor, Tensor] | None = None
+        """Pose before the latest command, and the command (10,) each, until its result is observed."""
+        self._tracker = ContactTracker()
+
+    @property
+    def opening(self) -> float | None:
+        """Opening of the approach to the part in contact; None without contact."""
+        return self._tracker.opening
+
+    def observe(self, pose: Tensor) -> None:
+        """Adds the latest command with its result, the present pose (10,), if it was a motion in contact."""
+        if self.sent is None:
+            return
+        before, command = self.sent
+        if self._tracker.sent(*(each.cpu().numpy().astype(np.float32) for each in self.sent)):
+            self.interactions.append((before, command, pose))
+            self.made += 1
+        self.sent = None
+
+    def holds(self, pose: Tensor) -> bool:
+        """Returns whether a hand at ``pose`` (10,) is still in contact: pushing, or with a part between its fingers."""
+        return self.opening == 0.0 or (self.opening is not None and holds_something(pose))

@@ -1,7 +1,7 @@
 """Networks of the point-level methods (Where2Act's family): features of places in a cloud, proposals, scores.
 
-Published are a PointNet++ on 10,000 points per module and some eighty epochs on a GPU. On two CPU cores: the cloud as a
-whole by a PointNet, and each place that is asked for by the points around it.
+The papers use a PointNet++ on 10,000 points per module and some eighty epochs on a GPU. Here, for two CPU cores, a
+PointNet encodes the whole cloud, and another one the points around each place.
 """
 
 from __future__ import annotations
@@ -15,17 +15,13 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 from lerobot_policy_adamanip.common.encoders import PatchEncoder, PointNetEncoder
 
 CLOUD_UNIT, PLACE_UNIT = 0.15, 0.05
-"""Distances of points, and of places, from a cloud's middle are given in these units [m]."""
+"""Units of points and of places relative to the cloud's centre [m]."""
 
 
 class PlaceFeatures(nn.Module):
-    """Features of places in a cloud (VAT-Mart's f_p): what is around them, what the cloud is, and where in it they are.
+    """Features of places in a cloud (VAT-Mart's f_p): their surroundings, the whole cloud, and their position in it.
 
     Shifting cloud and places together changes nothing.
-
-    Args:
-        config: says how many first points tell what the cloud is (a cloud is farthest-point ordered), how far and how
-            many points are around a place, and how many features it has.
     """
 
     def __init__(self, config: AffordanceConfig) -> None:
@@ -44,77 +40,77 @@ class PlaceFeatures(nn.Module):
         middle = context.mean(dim=1, keepdim=True)
         whole = self.whole((context - middle) / CLOUD_UNIT)[:, None].expand(-1, places.shape[1], -1)
         where = self.where((places - middle) / PLACE_UNIT)
-        # Where the place is goes past the normalisation: a grasp's offset is a straight function of it.
+        # The position skips the normalisation: a grasp's offset is a linear function of it.
         features: Tensor = self.join(torch.cat([self.around(cloud, places), whole, where], dim=-1)) + where
         return features
 
 
 class Score(nn.Module):
-    """One number from what describes an action (its own first layer) and what it is judged by.
+    """A score of an action at a place, or of a place alone.
 
     Args:
-        described: numbers of the action; 0 for a score of the place alone.
-        given: numbers that it is judged by.
+        action_dim: numbers of the action; 0 to score the place alone.
+        features: features of the place.
     """
 
-    def __init__(self, described: int, given: int) -> None:
+    def __init__(self, action_dim: int, features: int) -> None:
         super().__init__()
-        self.action = nn.Linear(described, 256) if described else None
-        width = given + (256 if described else 0)
+        self.action = nn.Linear(action_dim, 256) if action_dim else None
+        width = features + (256 if action_dim else 0)
         self.out = nn.Sequential(
             nn.Linear(width, 128), nn.LeakyReLU(), nn.Linear(128, 128), nn.LeakyReLU(), nn.Linear(128, 1)
         )
 
-    def forward(self, given: Tensor, action: Tensor | None = None) -> Tensor:
-        """(..., given), (..., described) -> logits (...)."""
-        parts = [given] if self.action is None or action is None else [self.action(action), given]
+    def forward(self, features: Tensor, action: Tensor | None = None) -> Tensor:
+        """(..., features), (..., action_dim) -> logits (...)."""
+        parts = [features] if self.action is None or action is None else [self.action(action), features]
         logits: Tensor = self.out(torch.cat(parts, dim=-1))
         return logits.squeeze(-1)
 
 
 class ConditionalVAE(nn.Module):
-    """A conditional variational autoencoder (Sohn et al. 2015) of actions: proposals at a place.
+    """A conditional variational autoencoder (Sohn et al. 2015) that proposes actions at a place.
 
     Args:
-        numbers: of an action.
-        given: features that it is conditioned on.
-        latent: size of what tells actions at one place apart.
+        action_dim: numbers of an action.
+        features: features of the place, the condition.
+        latent: size of the latent vector.
     """
 
-    def __init__(self, numbers: int, given: int, latent: int) -> None:
+    def __init__(self, action_dim: int, features: int, latent: int) -> None:
         super().__init__()
         self.latent = latent
         self.encoder = nn.Sequential(
-            nn.Linear(numbers + given, 256), nn.ReLU(), nn.Linear(256, 256), nn.ReLU(), nn.Linear(256, 2 * latent)
+            nn.Linear(action_dim + features, 256), nn.ReLU(), nn.Linear(256, 256), nn.ReLU(), nn.Linear(256, 2 * latent)
         )
         self.decoder = nn.Sequential(
-            nn.Linear(latent + given, 512), nn.ReLU(), nn.Linear(512, 256), nn.ReLU(), nn.Linear(256, numbers)
+            nn.Linear(latent + features, 512), nn.ReLU(), nn.Linear(512, 256), nn.ReLU(), nn.Linear(256, action_dim)
         )
 
-    def forward(self, actions: Tensor, given: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, numbers), (B, given) -> reconstructed actions (B, numbers) and the prior's divergence (B,)."""
-        mean, log_variance = self.encoder(torch.cat([actions, given], dim=-1)).chunk(2, dim=-1)
+    def forward(self, actions: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, action_dim), (B, features) -> reconstructed actions (B, action_dim), divergence from the prior (B,)."""
+        mean, log_variance = self.encoder(torch.cat([actions, features], dim=-1)).chunk(2, dim=-1)
         latent = mean + (0.5 * log_variance).exp() * torch.randn_like(mean)
         divergence = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance).sum(dim=-1)
-        return self.decode(latent, given), divergence
+        return self.decode(latent, features), divergence
 
-    def decode(self, latent: Tensor, given: Tensor) -> Tensor:
-        """(..., latent), (..., given) -> actions (..., numbers)."""
-        decoded: Tensor = self.decoder(torch.cat([latent, given], dim=-1))
+    def decode(self, latent: Tensor, features: Tensor) -> Tensor:
+        """(..., latent), (..., features) -> actions (..., action_dim)."""
+        decoded: Tensor = self.decoder(torch.cat([latent, features], dim=-1))
         return decoded
 
-    def proposals(self, given: Tensor, count: int, noise: Tensor | None = None) -> Tensor:
-        """Draws actions (..., count, numbers) for features (..., given), from noise (..., count, latent) if given."""
-        wanted = given[..., None, :].expand(*given.shape[:-1], count, given.shape[-1])
+    def proposals(self, features: Tensor, count: int, noise: Tensor | None = None) -> Tensor:
+        """Draws actions (..., count, action_dim) at places (..., features), from noise (..., count, latent)."""
+        repeated = features[..., None, :].expand(*features.shape[:-1], count, features.shape[-1])
         if noise is None:
-            noise = torch.randn(*wanted.shape[:-1], self.latent, device=given.device, dtype=given.dtype)
-        return self.decode(noise, wanted)
+            noise = torch.randn(*repeated.shape[:-1], self.latent, device=features.device, dtype=features.dtype)
+        return self.decode(noise, repeated)
 
 
 def scores_of_points(score: Callable[[Tensor, Tensor], Tensor], cloud: Tensor) -> Tensor:
-    """Returns what ``score(cloud, places)`` says of each point of clouds (B, N, 3) [m] -> (B, N).
+    """Returns ``score(cloud, places)`` of each point of clouds (B, N, 3) [m] -> (B, N).
 
-    One cloud at a time: what is around all points of a batch of them is a gigabyte.
+    One cloud at a time: the surroundings of all points of a batch take a gigabyte.
     """
     return torch.cat([score(one, one) for one in torch.split(cloud, 1)])
 
@@ -125,17 +121,14 @@ def mean_of_best(scores: Tensor, count: int) -> Tensor:
 
 
 def point_near(cloud: Tensor, place: Tensor, radius: float) -> Tensor:
-    """Draws a point (B, 3) of each cloud (B, N, 3) [m] within a radius of a place (B, 3); the nearest if none is."""
+    """Draws a point (B, 3) of each cloud (B, N, 3) [m] within a radius of a place (B, 3), else the nearest."""
     distance = (cloud - place[:, None]).norm(dim=-1)
     preferred = torch.where(distance <= radius, torch.rand_like(distance), -distance).argmax(dim=1)
     return cloud[torch.arange(len(cloud), device=cloud.device), preferred]
 
 
 def points_away(cloud: Tensor, places: Tensor, distance: float, count: int) -> Tensor:
-    """Draws points (B, count, 3) of each cloud (B, N, 3) [m] beyond a distance from all of its places (B, C, 3).
-
-    Of a cloud that has too few of them, others.
-    """
+    """Draws points (B, count, 3) of clouds (B, N, 3) [m], if possible beyond a distance from all places (B, C, 3)."""
     beyond = (torch.cdist(cloud, places) > distance).all(dim=-1)
     chosen = (torch.rand_like(cloud[..., 0]) + beyond).topk(count, dim=1).indices
     return cloud.gather(1, chosen[..., None].expand(-1, -1, 3))

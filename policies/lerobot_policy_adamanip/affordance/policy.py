@@ -1,4 +1,4 @@
-"""What the point-level policies have in common: one network, and labels that are made when a training begins."""
+"""Base of the point-level policies: one network, and labels that are made when a training begins."""
 
 from __future__ import annotations
 
@@ -7,51 +7,43 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor, nn
-from torch.nn import Parameter
 
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_adamanip.util.mixed_precision import require_mixed_precision
 from lerobot_policy_adamanip.affordance.config import AffordanceConfig
-from lerobot_policy_adamanip.common.contract import LoadsStrictly, observed
-from lerobot_policy_adamanip.common.demonstrations import Demonstrations, read_demonstrations
-from lerobot_policy_adamanip.common.publishing import PublishesOurCard
+from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.common.policy import CloudPolicy
 from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, RecordedRows
 
 
 class Labels(nn.Module):
-    """Arrays of a dataclass as tensors that go where the policy goes; no checkpoint holds them.
+    """Arrays of a dataclass as tensors that follow the policy's device; no checkpoint holds them.
 
     Args:
-        made: a dataclass of arrays, looked up by row; see `AffordancePolicy.rows_of`.
+        arrays: a dataclass of arrays, looked up by row; see `AffordancePolicy.rows_of`.
     """
 
-    def __init__(self, made: Any) -> None:
+    def __init__(self, arrays: Any) -> None:
         super().__init__()
-        for item in fields(made):
-            value = torch.from_numpy(np.ascontiguousarray(getattr(made, item.name)))
+        for item in fields(arrays):
+            value = torch.from_numpy(np.ascontiguousarray(getattr(arrays, item.name)))
             self.register_buffer(item.name, value, persistent=False)
 
 
-class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
+class AffordancePolicy(CloudPolicy):
     """Base of LeRobot policies.
 
     Args:
-        config: of which `validate_features` is called here.
-        dataset_meta: of the demonstrations; their labels are made here. None where nothing is to be learnt.
-        kwargs: whatever else LeRobot passes.
+        config: of the policy.
+        dataset_meta: of the demonstrations, from which labels are made; needed to train only.
+        kwargs: other arguments of LeRobot's factories.
     """
 
-    config_class: ClassVar[type[AffordanceConfig]] = AffordanceConfig
     name: ClassVar[str] = "affordance"
 
     def __init__(self, config: AffordanceConfig, *, dataset_meta: Any = None, **kwargs: Any) -> None:
         super().__init__(config)
-        if config.use_amp:
-            require_mixed_precision(str(config.device))
-        config.validate_features()
         self.model = self.make_network()
         self._labels: Labels | None = None
         if dataset_meta is not None:
@@ -62,7 +54,7 @@ class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self.reset()
 
     def make_network(self) -> nn.Module:
-        """Returns the network, still untrained."""
+        """Returns an untrained network."""
         raise NotImplementedError
 
     def make_labels(self, demonstrations: Demonstrations) -> Any:
@@ -71,7 +63,7 @@ class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
     @property
     def labels(self) -> Labels:
-        """What is learnt from; raises `ConfigurationError` if the policy was made without a dataset."""
+        """Labels of the demonstrations; raises `ConfigurationError` if the policy was made without a dataset."""
         if self._labels is None:
             raise ConfigurationError(
                 f"{self.name} has nothing to learn from.",
@@ -82,15 +74,5 @@ class AffordancePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         return self._labels
 
     def rows_of(self, batch: dict[str, Tensor]) -> Tensor:
-        """Returns the rows (B,) of `labels` that a batch holds; see `RecordedRows.rows`."""
+        """Returns the rows (B,) of `labels` that belong to a batch."""
         return self._recorded.rows(batch[INDEX])
-
-    def get_optim_params(self) -> Any:
-        """Parameters to train."""
-        self.require_own_push()
-        parameters: list[Parameter] = list(self.model.parameters())
-        return parameters
-
-    def observed(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Returns clouds (B, N, 3) [m] and tool poses (B, 10) of one observation."""
-        return observed(self.config, batch, self.config.num_points)

@@ -1,4 +1,4 @@
-"""Clouds as points for policies of others: datasets and environments have them as rows of 3 N numbers."""
+"""Processor step that gives clouds, stored as rows of 3 N numbers, their points for policies of others."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 
 _CLOUDS = (POINT_CLOUD, "observation.pointcloud")
-"""Our name, and LeRobot's."""
+"""This project's name, and LeRobot's."""
 
 
 @dataclass
 class CloudToPointsStep(ObservationProcessorStep):
-    """Views a cloud (B, ..., 3 N) as (B, ..., N, 3). The first step of a pipeline.
-
-    LeRobots after 0.6.1 rename a batch before its preprocessor, so the cloud may have its new name already.
-    """
+    """Views a cloud (B, ..., 3 N) as (B, ..., N, 3), before or after LeRobot renamed it; a pipeline's first step."""
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns an observation with points, if it has a cloud."""
@@ -30,5 +27,5 @@ class CloudToPointsStep(ObservationProcessorStep):
     def transform_features(
         self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
     ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
-        """Features of the dataset stay as they are."""
+        """Features stay."""
         return features

@@ -1,4 +1,4 @@
-"""Clouds from depth at run time: a robot's cameras deliver pictures, and policies here look at clouds."""
+"""Processor step that computes clouds from a robot's depth pictures at run time."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import PipelineFeatureType, PolicyFeature
 from lerobot.lerobot_types import EnvTransition, TransitionKey
 from lerobot.processor import (
+    PolicyAction,
+    PolicyProcessorPipeline,
     ProcessorStep,
     ProcessorStepRegistry,
     make_default_policy_processor_steps,
@@ -25,25 +26,28 @@ from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, POINT_CLOUD, PO
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, FRONT_CAMERA
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.contract import Pipelines
+from lerobot_policy_adamanip.common.config import CloudPolicyConfig
 
 IMAGES = "observation.images."
+Pipelines = tuple[
+    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
+]
+"""Pre- and postprocessor of a policy."""
 
 
 @ProcessorStepRegistry.register("adamanip_depth_to_cloud")
 @dataclass
 class DepthToCloudStep(ProcessorStep):
-    """Makes ``observation.point_cloud`` of a camera's depth, and drops the pictures.
+    """Computes ``observation.point_cloud`` from a camera's depth, and drops the pictures.
 
-    What has a cloud already, as demonstrations and simulation have, passes as it is; so does what has neither. The
-    calibration is read from ``calibration`` if that is given, else it is what the connected robot tells
-    (`lerobot_adamanip.hardware.robot_registry`): a checkpoint does not know where a camera stands.
+    Observations with a cloud, or without depth, stay. A checkpoint does not know where a camera stands: the calibration
+    is that of the file ``calibration`` or, without one, of the connected robot.
 
     Attributes:
         num_points: of the cloud.
         lower, upper: corners of the workspace, robot base frame [m].
         camera: key of the camera in the robot's configuration.
-        calibration: path of a calibration file; None asks the robot.
+        calibration: path of a calibration file; None for the connected robot's.
     """
 
     num_points: int = DEFAULT_NUM_POINTS
@@ -54,14 +58,14 @@ class DepthToCloudStep(ProcessorStep):
     _read: CameraCalibration | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuses a number of points that no cloud has."""
+        """Raises `ConfigurationError` for a number of points that no cloud has."""
         check_num_points(self.num_points)
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Returns a transition with the cloud (B, N, 3), or the one given.
 
         Raises:
-            ConfigurationError: nobody knows where the camera is, or its picture is of another size or kind.
+            ConfigurationError: there is no calibration, or the picture is of another size or kind.
         """
         observation = transition.get(TransitionKey.OBSERVATION)
         key = f"{IMAGES}{self.camera}{DEPTH_SUFFIX}"
@@ -77,8 +81,7 @@ class DepthToCloudStep(ProcessorStep):
         """Depth (..., H, W, 1) or (..., 1, H, W) [mm] -> (..., N, 3) [m], with a batch of one where it has none."""
         from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # brings scipy's rotations
 
-        depth = picture.detach().cpu().numpy()
-        depth = _without_channel(depth)
+        depth = _without_channel(picture.detach().cpu().numpy())
         leading = depth.shape[:-2]
         poses = self._tool_poses(state, int(np.prod(leading)))
         calibration, workspace = self._calibration(), Workspace(_corner(self.lower), _corner(self.upper))
@@ -89,7 +92,7 @@ class DepthToCloudStep(ProcessorStep):
         return torch.from_numpy(np.stack(clouds).reshape(*(leading or (1,)), self.num_points, 3))
 
     def _tool_poses(self, state: Tensor | None, count: int) -> list[np.ndarray[Any, np.dtype[np.float64]] | None]:
-        """``count`` poses (4, 4) of the tool, of the state's first numbers; None where it does not tell them."""
+        """Returns ``count`` tool poses (4, 4) from the state; None for each if it has another number of rows."""
         from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, transform
 
         if state is None or state.numel() // state.shape[-1] != count:
@@ -111,15 +114,15 @@ class DepthToCloudStep(ProcessorStep):
         session = ROBOTS.find()
         if session is None:
             raise self._unknown("no file, and not one connected robot to ask")
-        told: CameraCalibration | None = session.calibrations.get(self.camera)
-        if told is None:
+        calibration: CameraCalibration | None = session.calibrations.get(self.camera)
+        if calibration is None:
             known = ", ".join(session.calibrations) or "none"
             raise self._unknown(f"no file, and a robot that knows the calibration of these cameras: {known}")
-        return told
+        return calibration
 
     def _unknown(self, got: str) -> ConfigurationError:
         return ConfigurationError(
-            f"Nobody tells where camera {self.camera} is, so its depth makes no cloud.",
+            f"The calibration of camera {self.camera} is missing, so its depth gives no cloud.",
             got=got,
             allowed=f"a calibration file of the robot with camera {self.camera}, or one named in the checkpoint's "
             "policy_preprocessor.json, step adamanip_depth_to_cloud, field calibration",
@@ -128,23 +131,17 @@ class DepthToCloudStep(ProcessorStep):
 
     def get_config(self) -> dict[str, Any]:
         """JSON-able options."""
-        return {
-            "num_points": self.num_points,
-            "lower": list(self.lower),
-            "upper": list(self.upper),
-            "camera": self.camera,
-            "calibration": self.calibration,
-        }
+        options = {name: getattr(self, name) for name in ("num_points", "lower", "upper", "camera", "calibration")}
+        return {**options, "lower": list(self.lower), "upper": list(self.upper)}
 
     def transform_features(
         self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
     ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
-        """Datasets have clouds: features stay."""
+        """Features stay: datasets have clouds."""
         return features
 
 
 def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:
-    """Three numbers, which JSON gives back as a list."""
     x, y, z = numbers
     return x, y, z
 
@@ -156,15 +153,15 @@ def _without_channel(depth: np.ndarray[Any, np.dtype[Any]]) -> np.ndarray[Any, n
     elif depth.ndim >= 3 and depth.shape[-3] == 1:
         depth = depth[..., 0, :, :]
     else:
-        raise _no_depth(depth)
+        raise _not_depth(depth)
     if depth.dtype != np.uint16 and depth.dtype.kind != "f":
-        raise _no_depth(depth)
+        raise _not_depth(depth)
     return depth
 
 
-def _no_depth(picture: np.ndarray[Any, np.dtype[Any]]) -> ConfigurationError:
+def _not_depth(picture: np.ndarray[Any, np.dtype[Any]]) -> ConfigurationError:
     return ConfigurationError(
-        "A depth picture is none.",
+        "The picture is not depth.",
         got=f"{picture.dtype} of shape {picture.shape}",
         allowed="uint16 or float32 [mm], of shape (H, W, 1) or (1, H, W), with a batch or without",
         hint="a camera with use_depth=true",
@@ -172,10 +169,10 @@ def _no_depth(picture: np.ndarray[Any, np.dtype[Any]]) -> ConfigurationError:
 
 
 def make_pipelines_with_depth(
-    config: PreTrainedConfig, num_points: int, dataset_stats: dict[str, dict[str, Tensor]] | None
+    config: CloudPolicyConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
 ) -> Pipelines:
-    """Returns LeRobot's default pipelines, with clouds from depth before the observation goes to its device."""
+    """Returns LeRobot's default pre- and postprocessor, with clouds from depth."""
     steps = make_default_policy_processor_steps(config, dataset_stats)
-    depth = DepthToCloudStep(num_points)
+    depth = DepthToCloudStep(config.num_points)
     inputs = [steps.rename_observations, steps.add_batch_dim, depth, steps.to_device, steps.normalize]
     return cast(Pipelines, make_policy_processor_pipelines(inputs, [steps.unnormalize, steps.to_cpu]))

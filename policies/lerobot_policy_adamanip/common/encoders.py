@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 
 def _mlp(dims: Sequence[int]) -> nn.Sequential:
-    """Linear, LayerNorm, ReLU per width. LayerNorm, not BatchNorm: statistics of a batch do not suit EMA weights."""
+    """Linear, LayerNorm, ReLU per width. Not BatchNorm: its statistics do not suit averaged weights."""
     layers: list[nn.Module] = []
     for first, second in itertools.pairwise(dims):
         layers += [nn.Linear(first, second), nn.LayerNorm(second), nn.ReLU(inplace=True)]
@@ -20,14 +20,13 @@ def _mlp(dims: Sequence[int]) -> nn.Sequential:
 
 
 CACHED_ROWS = 5120
-"""Points that go through the MLP at once where no graph is kept: their activations stay in a core's cache."""
+"""Points that pass the MLP at once without a graph: their activations fit a core's cache."""
 
 
 def largest_rows(values: Tensor) -> Tensor:
-    """Returns where each channel of each cloud is largest. (B, N, C) -> indices (B, C) of points.
+    """Returns each channel's argmax over points. (B, N, C) -> (B, C).
 
-    In two steps, first the group, then the point in it: torch finds a maximum along the points twenty times
-    faster than its place.
+    In two steps, group and point: torch's maximum along the points is twenty times faster than its argmax.
     """
     points = values.shape[1]
     size = max(size for size in range(1, math.isqrt(points) + 1) if points % size == 0)
@@ -38,15 +37,11 @@ def largest_rows(values: Tensor) -> Tensor:
 
 
 class PointNetEncoder(nn.Module):
-    """DP3's encoder: a shared MLP, the maximum over points, a projection. Order of points does not matter.
+    """DP3's encoder: a shared MLP, the maximum over points, a projection. The order of points does not matter.
 
-    The maximum hands its gradient to the points that won a channel, a third of a cloud or less, and LayerNorm knows
-    one point at a time: no other point has a gradient. In training on a CPU the cloud therefore goes through the MLP
-    without a graph, and the winners alone once more with one. Where two points are equal the gradient goes to one of
-    them instead of half to each; what the weights receive is the same.
-
-    On a GPU the plain way stays: which points won is not known without waiting for it, and one row per channel, which
-    would not need to be known, is as many rows as points.
+    Only points that win a channel, at most a third of a cloud, have a gradient. In training on a CPU the cloud passes
+    the MLP without a graph, and the winners once more with one. If two points are equal, one gets the whole gradient;
+    weights get the same. On a GPU finding the winners would synchronise, and the plain way is used.
 
     Args:
         in_dim: numbers per point.
@@ -55,7 +50,7 @@ class PointNetEncoder(nn.Module):
     """
 
     winners_only: ClassVar[bool] = True
-    """False takes the plain way in training, too: for comparison."""
+    """False uses the plain way in training too, for comparison."""
 
     def __init__(self, in_dim: int, dims: Sequence[int], out_dim: int) -> None:
         super().__init__()
@@ -70,7 +65,7 @@ class PointNetEncoder(nn.Module):
         return projected
 
     def _maximum_of_winners(self, points: Tensor) -> Tensor:
-        """(B, N, in_dim) -> (B, C): as the plain way, with a graph that holds the winners alone."""
+        """(B, N, in_dim) -> (B, C), with a graph of the winners alone."""
         clouds, count = points.shape[:2]
         with torch.no_grad():
             winners = self._winners(points) + count * torch.arange(clouds, device=points.device)[:, None]
@@ -83,7 +78,7 @@ class PointNetEncoder(nn.Module):
     def _winners(self, points: Tensor) -> Tensor:
         """(B, N, in_dim) -> indices (B, C) of points, without a graph."""
         kind = points.device.type
-        # Autocast keeps the weights it has cast: those cast here would have no graph, and later no gradient.
+        # Not cached: autocast would reuse weights that were cast without a graph, which get no gradient.
         casting = torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if casting else None
         with torch.autocast(kind, dtype=dtype, enabled=casting, cache_enabled=False):
@@ -92,14 +87,14 @@ class PointNetEncoder(nn.Module):
 
 
 MAX_DISTANCES = 2**27
-"""Distances held at once while looking for neighbours: half a gigabyte. A training batch of the paper has 2^30."""
+"""Distances held at once by `ball_query`: half a gigabyte. A training batch of the paper has 2^30."""
 
 
 @torch.no_grad()
 def ball_query(centres: Tensor, xyz: Tensor, radius: float, neighbours: int) -> Tensor:
     """Returns the nearest points within a radius of centres. (B, C, 3), (B, N, 3) -> indices (B, C, neighbours).
 
-    Where fewer are within the radius, the nearest (the centre itself, if it is a point) stands in for the rest.
+    If fewer are within the radius, the nearest one (the centre, if it is a point) is repeated.
     """
     rows = max(1, MAX_DISTANCES // (centres.shape[1] * xyz.shape[1]))
     found = []
@@ -115,14 +110,8 @@ def ball_query(centres: Tensor, xyz: Tensor, radius: float, neighbours: int) -> 
 class SetAbstraction(nn.Module):
     """One level of PointNet++ (Qi et al. 2017): centres, their neighbours within a radius, a PointNet on each group.
 
-    Clouds come farthest-point ordered, so the first points *are* the farthest-point sample that the paper computes.
-
-    Args:
-        centres: how many.
-        radius: of a group, in the encoder's units.
-        neighbours: at most per group.
-        in_dim: features per point, without its coordinates.
-        dims: widths of the group's MLP.
+    Clouds are farthest-point ordered, so the first points *are* the farthest-point sample that the paper computes.
+    Radii are in the encoder's units; ``in_dim`` counts a point's features without its coordinates.
     """
 
     def __init__(self, centres: int, radius: float, neighbours: int, in_dim: int, dims: Sequence[int]) -> None:
@@ -140,13 +129,7 @@ class SetAbstraction(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """A PointNet on the points around a place, as one centre of a `SetAbstraction` whose place need not be a point.
-
-    Args:
-        radius: within which points are around it [m].
-        neighbours: the nearest of them, at most.
-        dims: widths of the MLP.
-    """
+    """A PointNet on the nearest points, at most ``neighbours``, within ``radius`` [m] of any place."""
 
     def __init__(self, radius: float, neighbours: int, dims: Sequence[int]) -> None:
         super().__init__()
@@ -162,17 +145,11 @@ class PatchEncoder(nn.Module):
 
 
 class PointNet2Encoder(nn.Module):
-    """PointNet++, single-scale grouping, then the maximum over what is left.
+    """PointNet++ with single-scale grouping, then the maximum over points.
 
-    Centres, group sizes and widths are those of the paper's code at 4096 points, and so are the radii, in units of the
-    scaled cloud. Its segmentation decoder, whose output at point 0 it took for the cloud's feature, is replaced by
-    pooling.
-
-    Args:
-        in_dim: numbers per point, coordinates first.
-        dims: output width of each level.
-        out_dim: features of a cloud.
-        num_points: of a cloud.
+    Centres, groups, widths and radii (in units of the scaled cloud) are those of the paper's code at 4096 points. That
+    code takes a segmentation decoder's output at point 0 as the cloud's feature; here it is pooled. Coordinates come
+    first in a point's ``in_dim`` numbers.
     """
 
     def __init__(self, in_dim: int, dims: Sequence[int], out_dim: int, num_points: int) -> None:

@@ -1,39 +1,58 @@
-"""What was tried and what came of it, as numbers: each command together with what the arm did of it."""
+"""Past key frames as numbers: each command, and how far the arm followed it; and a memory of them."""
 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
 UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
-"""What counts as one in what is left of a motion [m, m, m, rad, rad, rad, -]: so far off is an arm that is stopped."""
+"""Units of the part of a motion that was left undone [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
 EVENT_RANGE = 3.0
 EVENT_DIM = 2 * MOTION_DIM + 2
 
 
 def events(commands: Tensor, poses: Tensor, valid: Tensor, *, feedback: bool = True) -> Tensor:
-    """Returns what happened, one row per past key frame, seen from the tool as it stood then.
+    """Returns one row per past key frame, in the frame of the tool at that time.
 
     Args:
         commands: (B, H, 10) poses commanded, oldest first.
         poses: (B, H + 1, 10) tool poses before each command, and the present one.
-        valid: (B, H) bool; what is not valid (before the start) leaves no trace.
-        feedback: whether what came of commands is told; else the numbers of it are zero.
+        valid: (B, H) bool; rows before the episode's start are invalid and become zero.
+        feedback: if false, the numbers of what the arm did are zero.
 
     Returns:
-        (B, H, 16): motion commanded, motion left undone (both in units of their own), gripper reached, validity.
+        (B, H, 16): motion commanded, motion left undone (each in its units), gripper reached, validity.
     """
     commanded, undone = motion_between(commands, torch.stack([poses[:, :-1], poses[:, 1:]])).unbind()
     undone = torch.cat([undone[..., :6], undone[..., 6:] - poses[:, 1:, 9:10]], dim=-1)
-    came_of_it = torch.cat([undone / constant(UNDONE_UNITS, undone), poses[:, 1:, 9:10]], dim=-1)
-    told = torch.cat(
+    outcome = torch.cat([undone / constant(UNDONE_UNITS, undone), poses[:, 1:, 9:10]], dim=-1)
+    rows = torch.cat(
         [
             commanded / constant(MOTION_UNITS, commanded),
-            came_of_it if feedback else torch.zeros_like(came_of_it),
+            outcome if feedback else torch.zeros_like(outcome),
             torch.ones_like(commanded[..., :1]),
         ],
         dim=-1,
     )
-    return told.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~valid[..., None], 0.0)
+    return rows.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~valid[..., None], 0.0)
+
+
+class EventMemory(nn.Module):
+    """Reads `events` in order with a GRU: older failures count as much as the last one.
+
+    Args:
+        dim: size of the memory.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.embedding = nn.Sequential(nn.Linear(EVENT_DIM, dim), nn.ReLU())
+        self.gru = nn.GRU(dim, dim, batch_first=True)
+
+    def forward(self, happened: Tensor) -> Tensor:
+        """(B, H, 16) -> (B, dim)."""
+        _, last = self.gru(self.embedding(happened) * happened[..., -1:])
+        memory: Tensor = last[0]
+        return memory

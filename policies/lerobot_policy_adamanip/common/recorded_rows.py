@@ -1,12 +1,13 @@
-"""Narrow columns of a dataset, looked up by the ``index`` of a training batch.
+"""Narrow columns of a dataset, read once, and looked up by the ``index`` of a training batch.
 
-LeRobot's readers give windows of labels, but not of what was executed, and of no column outside of observations and
-actions. So these policies ask LeRobot for the present row alone, and look up what came before and comes after.
+LeRobot's readers give a policy observations, actions and a row's ``index``: no windows of executed actions, and no
+``complementary_info.*`` or ``next.*``. So the policies ask LeRobot for the present row alone, and look up the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,56 +15,96 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.util.arrow import episode_bounds
+from lerobot_adamanip.contract.schema import ACTION, DONE, EXECUTED, STATE, SUCCESS
+from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.util.errors import ConfigurationError
 
 INDEX, EPISODE = "index", "episode_index"
-_PLACE, _FIRST, _LAST = "place of an index", "first row of the episode", "last row of the episode"
+IS_LABEL = "is_label"
+"""Column of `read_recorded_rows`: false where a row's action is not to be learnt."""
+_POSITION, _FIRST, _LAST = "position of an index", "first row of the episode", "last row of the episode"
+
+
+def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Returns numeric columns of a dataset, ordered by `INDEX`: key -> (rows, ...), floats as float32.
+
+    Raises:
+        ConfigurationError: the files are not there, or lack a column.
+    """
+    import pyarrow.dataset as files
+
+    folder = Path(dataset_meta.root) / "data"
+    if not folder.is_dir():
+        raise ConfigurationError(
+            "The demonstrations' columns cannot be read.",
+            got=f"no folder {folder.name} beside the metadata",
+            allowed="a dataset whose files have been downloaded",
+            hint="--dataset.streaming=false; in Python, LeRobotDataset(repo_id) before the policy is made",
+        )
+    source, keys = files.dataset(folder, format="parquet"), list(keys)
+    missing = [key for key in keys if key not in source.schema.names]
+    if missing:
+        raise ConfigurationError(
+            "The demonstrations lack columns that labels are made from.",
+            got=f"no {', '.join(missing)}",
+            allowed="the columns of this project's contract, see docs/dataset_columns.md",
+            hint="adamanip collect",
+        )
+    table = source.to_table(columns=sorted({*keys, INDEX})).sort_by(INDEX)
+    columns = {key: _array(table, key) for key in keys}
+    return {key: column.astype(np.float32) if column.dtype.kind == "f" else column for key, column in columns.items()}
+
+
+def _array(table: Any, key: str) -> NDArray[Any]:
+    values = numeric_array(table[key])
+    return np.stack(table[key].to_numpy()) if values is None else values
 
 
 class RecordedRows:
-    """Rows of a dataset's narrow columns. A batch needs nothing but its ``index``, whatever read it.
-
-    Tensors are copied to the device of the first look-up from there. They are no part of a checkpoint.
+    """Rows of narrow columns. Look-ups from a new device copy the columns there; no checkpoint holds them.
 
     Args:
-        columns: key -> (R, ...), in order of the row's ``index``; `INDEX` and `EPISODE` among them. A dataset of which
-            some episodes were downloaded has the rows of those.
+        columns: key -> (R, ...), ordered by `INDEX`; `INDEX` and `EPISODE` among them. If only some episodes were
+            downloaded, these are their rows.
     """
 
     def __init__(self, columns: Mapping[str, NDArray[Any]]) -> None:
         index, episode = (columns[key].reshape(-1) for key in (INDEX, EPISODE))
-        place = np.full(int(index.max(initial=-1)) + 2, -1, np.int64)
-        place[index] = np.arange(len(index))
+        position = np.full(int(index.max(initial=-1)) + 2, -1, np.int64)
+        position[index] = np.arange(len(index))
         first, last = episode_bounds(episode)
-        read = {**columns, _PLACE: place, _FIRST: first, _LAST: last}
-        arrays = {key: torch.from_numpy(np.array(values)) for key, values in read.items()}
-        self._tensors = {torch.device("cpu"): arrays}
+        arrays = {**columns, _POSITION: position, _FIRST: first, _LAST: last}
+        self._tensors = {torch.device("cpu"): {key: torch.from_numpy(np.array(array)) for key, array in arrays.items()}}
 
     def rows(self, index: Tensor) -> Tensor:
-        """Returns the places (B,) of rows by their ``index`` (B,) or (B, 1).
+        """Returns the positions (B,) of rows by their ``index`` (B,) or (B, 1).
 
         Raises:
-            ConfigurationError: a row is none of those that were read; on a GPU it is not looked at, for it would wait.
+            ConfigurationError: a row was not read. On a GPU this is not checked, since the check would synchronise.
         """
         index = index.reshape(-1)
-        place = self._on(index.device)[_PLACE]
-        rows = place[index.clamp(max=len(place) - 1)]
+        position = self._on(index.device)[_POSITION]
+        rows = position[index.clamp(max=len(position) - 1)]
         if rows.device.type == "cpu" and (rows < 0).any():
             raise ConfigurationError(
                 "A batch holds rows that the policy does not know.",
-                got=f"index {int(index[rows < 0][0])} of a dataset of {int((place >= 0).sum())} rows",
+                got=f"index {int(index[rows < 0][0])} of a dataset of {int((position >= 0).sum())} rows",
                 allowed="batches of the dataset that the policy was made with",
                 hint="make_policy(config, ds_meta=dataset.meta)",
             )
         return rows
 
     def column(self, key: str, rows: Tensor) -> Tensor:
-        """Returns a column (..., D) at rows (...), as `rows` and `around` give them."""
+        """Returns a column (..., D) at rows (...)."""
         return self._on(rows.device)[key][rows]
 
+    def labelled(self, key: str) -> Tensor:
+        """Returns a column (M, D), on the CPU, at the rows whose action is to be learnt."""
+        columns = self._on(torch.device("cpu"))
+        return columns[key][columns[IS_LABEL]]
+
     def around(self, rows: Tensor, steps: Sequence[int]) -> tuple[Tensor, Tensor]:
-        """Returns rows (B, T) that lie so many steps from others (B,), and whether their episodes have them (B, T).
+        """Returns rows (B, T) at steps relative to others (B,), and whether their episodes have them (B, T).
 
         A row beyond an end of its episode is that end, as in LeRobot's windows.
         """
@@ -74,6 +115,22 @@ class RecordedRows:
 
     def _on(self, device: torch.device) -> dict[str, Tensor]:
         if device not in self._tensors:
-            known = next(iter(self._tensors.values()))
-            self._tensors[device] = {key: value.to(device) for key, value in known.items()}
+            source = next(iter(self._tensors.values()))
+            self._tensors[device] = {key: value.to(device) for key, value in source.items()}
         return self._tensors[device]
+
+
+def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
+    """Returns states, labels and executed actions, and which actions are labels; raises as `read_columns` does.
+
+    An episode's last row is its final observation, with a command to stay that was not sent. If the object is open,
+    staying is right. If a correction ran out of key frames, it would teach to stay where the policy is stuck.
+    """
+    executed = EXECUTED if EXECUTED in dataset_meta.features else ACTION
+    outcome = (DONE, SUCCESS) if {DONE, SUCCESS} <= set(dataset_meta.features) else ()
+    columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *outcome)))
+    is_label: NDArray[np.bool_] = np.ones(len(columns[INDEX]), np.bool_)
+    if outcome:
+        done, success = (columns.pop(key).reshape(-1).astype(np.bool_) for key in outcome)
+        is_label = ~done | success
+    return RecordedRows({**columns, EXECUTED: columns[executed], IS_LABEL: is_label})

@@ -7,10 +7,9 @@ from torch import Tensor
 
 
 def orthonormal_6d(rotation_6d: Tensor) -> Tensor:
-    """Returns the nearest rotation's first two rows. (..., 6) -> (..., 6).
+    """Returns a rotation's first two rows by Gram-Schmidt. (..., 6) -> (..., 6).
 
-    Rows that vanish or are parallel are completed with a unit axis, as `contract.rotations` does, so that a
-    policy that is still untrained never commands something that is no rotation.
+    Rows that vanish or are parallel are replaced by unit axes, as in `contract.rotations`.
     """
     first, second = rotation_6d[..., :3], rotation_6d[..., 3:]
     axes = torch.eye(3, dtype=rotation_6d.dtype, device=rotation_6d.device)
@@ -38,7 +37,7 @@ def angle_between(first_6d: Tensor, second_6d: Tensor) -> Tensor:
 def rotation_vector(matrix: Tensor) -> Tensor:
     """Rotation matrices (..., 3, 3) -> axis times angle (..., 3) [rad], the angle within half a turn.
 
-    By way of the quaternion whose largest component is found first, which keeps its digits at half a turn, too.
+    Computed from the quaternion, its largest component first, which is accurate at half a turn too.
     """
     m = matrix
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
@@ -66,7 +65,7 @@ def rotation_vector(matrix: Tensor) -> Tensor:
 
 
 SMALL = 1e-6
-"""Sine below which an angle is its sine."""
+"""Sine below which it equals its angle."""
 
 
 def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
@@ -74,7 +73,7 @@ def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
     x, y, z = vector.unbind(dim=-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*x.shape, 3, 3)
-    # Rodrigues' formula: sin(a) / a and (1 - cos(a)) / a^2, both of which sinc knows at zero, too.
+    # Rodrigues' formula: sin(a) / a and (1 - cos(a)) / a^2 by sinc, which is defined at zero.
     turns = vector.norm(dim=-1)[..., None, None] / torch.pi
     same = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return same + torch.sinc(turns) * cross + 0.5 * torch.sinc(turns / 2).square() * (cross @ cross)

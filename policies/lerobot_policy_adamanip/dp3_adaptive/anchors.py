@@ -1,8 +1,8 @@
-"""The head ``anchors``: draw one of the demonstrations' typical motions, then correct it by what is seen.
+"""The head ``anchors``: draw one of the demonstrations' typical motions, then add a residual and refine the pose.
 
-A motion in contact is millimetres, an approach decimetres. Motions are clustered (k-means, as Behavior Transformers
-do); which cluster comes next is a classification, which keeps two directions of a knob apart, and the residual is
-measured in the spread of its own cluster, which makes its error small relative to the motion.
+A motion in contact is millimetres, an approach decimetres. Motions are clustered (k-means, as in Behavior
+Transformers). The next cluster is a classification, which keeps two directions of a knob apart. The residual is
+measured in the spread of its own cluster, so that its error is small relative to the motion.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, ROTATION_DIMS, STATE
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.encoders import make_encoder
-from lerobot_policy_adamanip.common.events import events
-from lerobot_policy_adamanip.common.losses import counting_rows
+from lerobot_policy_adamanip.common.events import EventMemory, events
+from lerobot_policy_adamanip.common.losses import valid_rows
 from lerobot_policy_adamanip.common.tool_frame import (
     MOTION_DIM,
     MOTION_UNITS,
@@ -29,25 +29,23 @@ from lerobot_policy_adamanip.common.tool_frame import (
 )
 from lerobot_policy_adamanip.common.torch_rotations import angle_between
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.event_memory import EventMemory
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, INSTRUCTION_DIM
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
-POINT_UNIT, POINT_NEAR = 0.15, 0.03
-"""A point is told by where it is in this unit, and by its direction, which is sharp within this distance [m]."""
+POINT_UNIT, DIRECTION_SCALE = 0.15, 0.03
+"""Units of `point_features` [m]."""
 EFFORT_UNIT = 20.0
 """[N m]"""
-OPEN, AWAY, SCATTERED = 0.5, 0.02, 0.006
-"""Gripper opening of an open hand, the way [m] beyond which an anchor leads elsewhere, and the spread [m] beyond which
-its motions end in different places: those of a last approach spread by 8 mm or more, since pre-grasps differ; backing
-off from a grasp spreads by 5."""
-SILENT = 0.03
-"""Anchors less likely than this are never drawn: what a network has not quite unlearned is no choice."""
+GRIPPER_OPEN_MIN, MIN_TRANSLATION_M, MIN_ENDPOINT_SPREAD_M = 0.5, 0.02, 0.006
+"""Bounds of `AnchorNetwork.needs_refinement`. Motions of a last approach spread by 8 mm or more, since pre-grasps
+differ; those that back off from a grasp spread by 5 mm."""
+MIN_ANCHOR_PROBABILITY = 0.03
+"""Anchors below it are masked before sampling."""
 
 
 class AnchorNetwork(nn.Module):
-    """Cloud and memory to logits of anchors and a residual for each; and what corrects a pose by the points around it.
+    """Cloud and memory to logits of anchors and a residual for each; and a refiner of poses.
 
     Args:
         config: of the policy.
@@ -63,11 +61,11 @@ class AnchorNetwork(nn.Module):
         self.encoder = make_encoder(config.encoder, 6, config.encoder_dims, config.encoder_out_dim, config.num_points)
         remembers = config.n_action_history_steps > 0
         self.memory = EventMemory(config.memory_dim) if remembers else None
-        effort = config.feature_size(EFFORT) if config.use_effort else 0
-        told = INSTRUCTION_DIM if config.use_instruction else 0
-        seen = config.encoder_out_dim + 4 + effort + told + (config.memory_dim if remembers else 0)
+        features = config.encoder_out_dim + 4 + (config.memory_dim if remembers else 0)
+        features += config.feature_size(EFFORT) if config.use_effort else 0
+        features += INSTRUCTION_DIM if config.use_instruction else 0
         width = config.trunk_dim
-        self.trunk = nn.Sequential(nn.Linear(seen, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
         self.residuals = nn.Linear(width, config.num_anchors * MOTION_DIM)
         self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
@@ -82,17 +80,17 @@ class AnchorNetwork(nn.Module):
 
     def nearest_anchor(self, motion: Tensor) -> Tensor:
         """Motions (B, 7) -> indices (B,) of their anchors."""
-        away = (motion[:, None] - self.anchors) / constant(MOTION_UNITS, motion)
-        return away.square().sum(dim=-1).argmin(dim=-1)
+        difference = (motion[:, None] - self.anchors) / constant(MOTION_UNITS, motion)
+        return difference.square().sum(dim=-1).argmin(dim=-1)
 
-    def aims(self, index: Tensor) -> Tensor:
-        """Whether anchors (B,) lead an open hand to something: demonstrations of one anchor end in different places.
+    def needs_refinement(self, index: Tensor) -> Tensor:
+        """Returns which anchors (B,) are approaches of an open hand whose end point varies (B,).
 
-        What a closed hand can do is decided by what it holds, and a hand that lets go stays where it is.
+        A closed hand is guided by what it holds, and a hand that lets go stays where it is.
         """
-        leading = (self.anchors[:, -1] > OPEN) & (self.anchors[:, :3].norm(dim=-1) > AWAY)
-        aiming: Tensor = leading & (self.spread[:, :3].amax(dim=-1) > SCATTERED)
-        return aiming[index]
+        approaches = (self.anchors[:, -1] > GRIPPER_OPEN_MIN) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
+        varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
+        return varying[index]
 
 
 class AnchorHead:
@@ -104,10 +102,10 @@ class AnchorHead:
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         self.config = config
-        self._known: AnchorNetwork | None = None
+        self._fitted: AnchorNetwork | None = None
 
     def network(self) -> AnchorNetwork:
-        """Returns a network that is still untrained and without anchors."""
+        """Returns an untrained network without anchors."""
         return AnchorNetwork(self.config)
 
     def predict(self, model: AnchorNetwork, window: Window) -> tuple[Tensor, Tensor]:
@@ -115,7 +113,7 @@ class AnchorHead:
         cloud = window.observations[POINT_CLOUD][:, -1, : self.config.coarse_points]
         poses = window.observations[STATE][..., :ACTION_DIM]
         if model.training:
-            cloud = self._perturbed(cloud)
+            cloud = self._resampled(cloud)
         points = points_seen(cloud, poses[:, -1])
         body = [upwards(poses[:, -1]), poses[:, -1, 9:10]]
         if self.config.use_effort:
@@ -124,63 +122,62 @@ class AnchorHead:
             body.append(window.observations[INSTRUCTION][:, -1])
         steps = self.config.n_action_history_steps
         happened = events(window.history, poses[:, -steps - 1 :], window.valid, feedback=self.config.use_feedback)
-        predicted: tuple[Tensor, Tensor] = model(
-            point_features(points, POINT_UNIT, POINT_NEAR), torch.cat(body, dim=-1), happened
-        )
+        features = point_features(points, POINT_UNIT, DIRECTION_SCALE)
+        predicted: tuple[Tensor, Tensor] = model(features, torch.cat(body, dim=-1), happened)
         return predicted
 
-    def _perturbed(self, cloud: Tensor) -> Tensor:
-        """Other points of the same surfaces at every step, not quite where they were."""
+    def _resampled(self, cloud: Tensor) -> Tensor:
+        """Draws other points of the same surfaces at every step, with noise."""
         count = self.config.training_points
         if count < cloud.shape[1]:
-            # Which ones is drawn, their order is not looked at: so it is not made.
+            # Unsorted: the encoder ignores the order of points.
             kept = torch.rand(cloud.shape[:2], device=cloud.device).topk(count, dim=1, sorted=False).indices
             cloud = cloud.gather(1, kept[..., None].expand(-1, -1, cloud.shape[-1]))
         return cloud + self.config.point_noise_std * torch.randn_like(cloud)
 
     def loss(
-        self, model: AnchorNetwork, window: Window, actions: Tensor, real: Tensor
+        self, model: AnchorNetwork, window: Window, actions: Tensor, is_label: Tensor
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns a loss per sample (B,), its weight (B,), and its parts, to be logged.
+        """Returns a loss per sample (B,), its weight (B,), and its parts as metrics.
 
         Args:
-            model: of which the anchors are known.
-            window: what it is conditioned on.
+            model: with anchors.
+            window: inputs.
             actions: (B, 1, 10) poses.
-            real: (B, 1) bool; what lies beyond an episode's end is no demonstration.
+            is_label: (B, 1) bool.
 
         Raises:
-            ConfigurationError: the anchors are not known.
+            ConfigurationError: the model has no anchors.
         """
-        if self._known is not model and not model.spread.any():
+        if self._fitted is not model and not model.spread.any():
             raise ConfigurationError(
                 "The anchors are not known.",
                 got="a policy made without a dataset",
                 allowed="make_policy(..., ds_meta=) of a dataset, or a checkpoint",
                 hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )
-        self._known = model  # looking at the buffer waits for a GPU: once is enough
+        self._fitted = model  # reading the buffer synchronises with a GPU: once is enough
         tool, goal = window.observations[STATE][:, -1, :ACTION_DIM], actions[:, 0]
         motion = motion_between(goal, tool)
         index = model.nearest_anchor(motion)
         logits, residuals = self.predict(model, window)
         choice = F.cross_entropy(logits, index, reduction="none")
-        wanted = (motion - model.anchors[index]) / model.spread[index]
-        found = residuals[torch.arange(len(index), device=index.device), index]
-        residual = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
+        target = (motion - model.anchors[index]) / model.spread[index]
+        predicted = residuals[torch.arange(len(index), device=index.device), index]
+        residual = F.smooth_l1_loss(predicted, target, reduction="none").mean(dim=-1)
         total, parts = choice + residual, {"choice_loss": choice.mean(), "residual_loss": residual.mean()}
         if model.refiner is not None:
             refinement = self._refinement_loss(model, model.refiner, window, goal, index)
             total, parts["refinement_loss"] = total + refinement, refinement.mean()
-        return total, real[:, 0].to(total.dtype), {name: part.detach() for name, part in parts.items()}
+        return total, is_label[:, 0].to(total.dtype), {name: part.detach() for name, part in parts.items()}
 
     def _refinement_loss(
         self, model: AnchorNetwork, refiner: Refiner, window: Window, goal: Tensor, index: Tensor
     ) -> Tensor:
-        """(B,): of the samples that aim; nothing for the others, which are most and, on a CPU, spared the work."""
-        aims = model.aims(index)
-        rows = _rows_to_refine(aims)
-        loss = refiner.loss(window.observations[POINT_CLOUD][rows, -1], goal[rows]) * aims[rows]
+        """Returns the refiner's loss (B,), zero for samples whose anchors need no refinement."""
+        needed = model.needs_refinement(index)
+        rows = _rows_to_refine(needed)
+        loss = refiner.loss(window.observations[POINT_CLOUD][rows, -1], goal[rows]) * needed[rows]
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
@@ -188,12 +185,12 @@ class AnchorHead:
 
         Args:
             model: trained.
-            window: what it is conditioned on.
+            window: inputs.
             noise: uniform numbers in [0, 1), (B, ...), the first of a row is used; drawn if None.
         """
         tool = window.observations[STATE][:, -1, :ACTION_DIM].float()
         logits, residuals = self.predict(model, window)
-        index = _drawn(logits.float().softmax(dim=-1), noise)
+        index = _draw(logits.float().softmax(dim=-1), noise)
         residual = residuals[torch.arange(len(index), device=index.device), index].float()
         motion = model.anchors[index] + residual * model.spread[index]
         motion = torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1)
@@ -203,45 +200,46 @@ class AnchorHead:
         return pose[:, None]
 
     def _refined(self, model: AnchorNetwork, refiner: Refiner, window: Window, pose: Tensor, index: Tensor) -> Tensor:
-        """Returns poses (B, 10), corrected where their anchors aim: on a CPU most actions are spared the work."""
-        aims = model.aims(index)
-        if aims.device.type == "cpu" and not aims.any():
+        """Returns poses (B, 10), refined if their anchors need it."""
+        needed = model.needs_refinement(index)
+        if needed.device.type == "cpu" and not needed.any():
             return pose
-        rows = _rows_to_refine(aims)
+        rows = _rows_to_refine(needed)
         cloud = window.observations[POINT_CLOUD][rows, -1]
         refined = refiner.refined(cloud, pose[rows], self.config.num_refinements)
         tool = window.observations[STATE][rows, -1, :ACTION_DIM].float()
         refined = _less_turned(refined, pose[rows], tool)
-        return torch.where(aims[:, None], pose.index_copy(0, rows, refined), pose)
+        return torch.where(needed[:, None], pose.index_copy(0, rows, refined), pose)
 
 
 def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
-    """Returns poses (B, 10), or the same grasps with fingers swapped where those are less turned.
+    """Returns poses (B, 10), with fingers swapped if that is a smaller turn.
 
-    Against what was chosen, which is seldom wrong by more than a quarter turn, and against the hand: half a turn more
-    is often out of the arm's reach.
+    The turn is measured against the chosen pose, seldom wrong by more than a quarter turn, and against the hand: half a
+    turn more is often out of the arm's reach.
     """
 
-    def turned(pose: Tensor) -> Tensor:
+    def turn(pose: Tensor) -> Tensor:
         rotation = pose[:, ROTATION_DIMS]
         return angle_between(rotation, chosen[:, ROTATION_DIMS]) + angle_between(rotation, tool[:, ROTATION_DIMS])
 
     swapped = fingers_swapped(refined)
-    return torch.where((turned(swapped) < turned(refined))[:, None], swapped, refined)
+    return torch.where((turn(swapped) < turn(refined))[:, None], swapped, refined)
 
 
-def _rows_to_refine(aims: Tensor) -> Tensor:
-    """Returns indices of rows (R,), of aims (B,) bool: those that aim, and others that then count for nothing."""
-    if aims.device.type != "cpu":
-        # Which ones aim is not known without waiting for the device, to which the others are little work.
-        return torch.arange(len(aims), device=aims.device)
-    return counting_rows(aims)
+def _rows_to_refine(needed: Tensor) -> Tensor:
+    """Returns the rows (R,) to compute, of (B,) bool. A GPU computes all, which is cheaper than to synchronise."""
+    if needed.device.type != "cpu":
+        return torch.arange(len(needed), device=needed.device)
+    return valid_rows(needed)
 
 
-def _drawn(likely: Tensor, noise: Tensor | None) -> Tensor:
-    """Draws indices (B,) from probabilities (B, K), never one that is `SILENT`."""
-    silent = (likely < SILENT) & (likely < likely.amax(dim=-1, keepdim=True))
-    passed = likely.masked_fill(silent, 0.0).cumsum(dim=-1)
-    draw = torch.rand(len(likely), device=likely.device) if noise is None else noise.reshape(len(likely), -1)[:, 0]
-    index = torch.searchsorted(passed, draw[:, None].to(passed.dtype) * passed[:, -1:], right=True).squeeze(-1)
-    return index.clamp(max=likely.shape[-1] - 1)
+def _draw(probabilities: Tensor, noise: Tensor | None) -> Tensor:
+    """Draws indices (B,) from probabilities (B, K) without those below `MIN_ANCHOR_PROBABILITY`."""
+    unlikely = (probabilities < MIN_ANCHOR_PROBABILITY) & (probabilities < probabilities.amax(dim=-1, keepdim=True))
+    cumulative = probabilities.masked_fill(unlikely, 0.0).cumsum(dim=-1)
+    count = len(probabilities)
+    draw = torch.rand(count, device=probabilities.device) if noise is None else noise.reshape(count, -1)[:, 0]
+    draw = draw[:, None].to(cumulative.dtype) * cumulative[:, -1:]
+    index = torch.searchsorted(cumulative, draw, right=True).squeeze(-1)
+    return index.clamp(max=probabilities.shape[-1] - 1)

@@ -1,4 +1,4 @@
-"""Configuration of ``dp3_adaptive``: 3D diffusion policy conditioned on the history of its own actions."""
+"""Configuration of ``dp3_adaptive``: a policy over point clouds with a history of its own actions."""
 
 from __future__ import annotations
 
@@ -6,25 +6,34 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lerobot.configs.policies import PreTrainedConfig
-from lerobot.configs.types import NormalizationMode, PolicyFeature
+from lerobot.configs.types import NormalizationMode
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
-from lerobot_policy_adamanip.common.contract import has_pose_layout, keep_inputs, names_are_poses
-from lerobot_policy_adamanip.common.optimizer import FusedAdamWConfig
-from lerobot_policy_adamanip.dp3_adaptive.checks import (
-    check_augmentation,
-    check_horizon,
-    check_normalization,
-    check_sizes,
-)
-from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS, from_preset
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
+from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
+
+CHOICES = {
+    "head": ("anchors", "diffusion"),
+    "encoder": ("mlp", "pointnet2"),
+    "proprioception": ("pose", "full"),
+    "noise_scheduler_type": ("DDPM", "DDIM"),
+    "prediction_type": ("epsilon", "sample"),
+}
+ANCHOR_SIZES = ("num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points")
+SIZES = ("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps")
+HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
+
+
+def from_preset() -> Any:
+    """Returns a field that is None until `DP3AdaptiveConfig.check` takes its value from the preset."""
+    return field(default=None)
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
 @dataclass
-class DP3AdaptiveConfig(PreTrainedConfig):
+class DP3AdaptiveConfig(CloudPolicyConfig):
     """Options of ``dp3_adaptive``. One given on the command line wins over the preset. Saved are the values.
 
     Time axis, for ``n_obs_steps = 2``, ``n_action_history_steps = 3``, ``horizon = 4``, ``n_action_steps = 2``::
@@ -40,13 +49,8 @@ class DP3AdaptiveConfig(PreTrainedConfig):
 
     # Values of the options below that are not given: fast or diffusion (two CPU cores), dp3 or paper (their numbers).
     preset: str = "fast"
-    # Set by itself: the preset that the values were taken from. A checkpoint keeps its values, so also its preset.
+    # Set automatically: the preset that the values were taken from. A checkpoint keeps its values, so also its preset.
     values_from: str | None = None
-
-    # Set by itself: names and shapes of the inputs, from the dataset.
-    input_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
-    # Set by itself: name and shape of the action, from the dataset.
-    output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
 
     # What draws the next actions: anchors, typical motions corrected, or diffusion, as in the paper (fast anchors,
     # diffusion diffusion, dp3 diffusion, paper diffusion).
@@ -153,20 +157,8 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # paper 0.0).
     history_noise_std: float = from_preset()
 
-    # Set by itself: whether state and action are poses, from the dataset's names.
-    pose_layout: bool | None = None
-    # Set by itself: names of the action's numbers, from the dataset; lerobot-rollout maps them to a robot's.
-    action_feature_names: list[str] | None = None
-
     # How each kind of feature is normalised. Left open: STATE and ACTION not at all by the head anchors, else MIN_MAX.
     normalization_mapping: dict[str, NormalizationMode] = field(default_factory=dict)
-    # Publish the policy on the Hub when the training ends, under repo_id.
-    push_to_hub: bool = True
-    # Where on the Hub: user/name.
-    repo_id: str | None = None
-    # Licence of a published policy, as the Hub names it.
-    license: str | None = "apache-2.0"
-
     # Learning rate of AdamW (fast 0.001, diffusion 0.0005, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
     # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, dp3 1e-06, paper 1e-06).
@@ -178,23 +170,14 @@ class DP3AdaptiveConfig(PreTrainedConfig):
     # Steps until the full learning rate (fast 100, diffusion 100, dp3 500, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
-    def __post_init__(self) -> None:
-        """Fills in the preset; raises `AdaManipError` for an unknown value or values that do not go together."""
-        with shown_by_parsers():
-            self._take_preset()
-            self._check()
-        super().__post_init__()
-
-    def _check(self) -> None:
-        require_choice("head", self.head, ("anchors", "diffusion"))
-        require_choice("encoder", self.encoder, ("mlp", "pointnet2"))
-        require_choice("proprioception", self.proprioception, ("pose", "full"))
-        require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
-        require_choice("prediction_type", self.prediction_type, ("epsilon", "sample"))
-        check_sizes(self)
-        check_horizon(self)
-        check_augmentation(self)
-        check_normalization(self)
+    def check(self) -> None:
+        """Fills in the preset's values; raises `AdaManipError` for options that do not go together."""
+        self._take_preset()
+        for name, choices in CHOICES.items():
+            require_choice(name, getattr(self, name), choices)
+        self._check_sizes()
+        self._check_horizon()
+        self._check_mapping()
 
     def _take_preset(self) -> None:
         values = PRESETS[require_choice("preset", self.preset, PRESETS)]
@@ -214,6 +197,60 @@ class DP3AdaptiveConfig(PreTrainedConfig):
             none = NormalizationMode.IDENTITY
             self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
 
+    def _check_sizes(self) -> None:
+        widths = tuple(self.down_dims)
+        fits = widths and all(width > 0 and width % self.n_groups == 0 for width in widths) and self.kernel_size % 2
+        fits = fits and all(getattr(self, name) >= 1 for name in (*ANCHOR_SIZES, "num_points"))
+        fits = fits and self.num_refinements >= 0 and len(self.encoder_dims) > 0
+        if not fits or not 1 <= self.num_inference_steps <= self.num_train_timesteps:
+            raise self._error(
+                "Sizes do not fit.",
+                (*SIZES, *ANCHOR_SIZES, "num_refinements"),
+                "down_dims that n_groups divides, an odd kernel_size, num_points >= 1, some encoder_dims, "
+                f"{', '.join(ANCHOR_SIZES)} >= 1, num_refinements >= 0, "
+                f"1 <= num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
+                "--policy.preset=fast, and none of these",
+            )
+        if not 0.0 <= self.augmentation_mirror <= 1.0:
+            hint = "--policy.augmentation_mirror=0.5"
+            raise self._error("Not a share of scenes.", ("augmentation_mirror",), "0 to 1", hint)
+
+    def _check_horizon(self) -> None:
+        factor = 1 if self.head == "anchors" else 2 ** (len(self.down_dims) - 1)
+        fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
+        if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
+            raise self._error(
+                "Horizons do not fit.",
+                HORIZONS,
+                f"horizon a multiple of {factor}, 1 <= n_action_steps <= horizon, "
+                "n_obs_steps >= 1, n_action_history_steps >= 0",
+                "--policy.horizon=4 --policy.n_action_steps=1",
+            )
+        if self.head == "anchors" and (self.n_obs_steps, self.horizon) != (1, 1):
+            raise self._error(
+                "The head anchors looks at one cloud and draws one action.",
+                ("n_obs_steps", "horizon"),
+                "n_obs_steps=1, horizon=1; n_action_history_steps says how far back it remembers",
+                "--policy.preset=diffusion",
+            )
+
+    def _check_mapping(self) -> None:
+        """Poses can be related to clouds under one normalisation only."""
+        modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
+        anchors = self.head == "anchors"
+        wanted = NormalizationMode.IDENTITY if anchors else NormalizationMode.MIN_MAX
+        if (anchors or self.tcp_relative) and any(mode is not wanted for mode in modes):
+            raise ConfigurationError(
+                f"{'The head anchors' if anchors else 'tcp_relative'} does not go with this normalisation.",
+                got=", ".join(map(str, modes)),
+                allowed=f"{wanted.name} for STATE and for ACTION",
+                hint="--policy.preset=diffusion --policy.tcp_relative=false",
+            )
+
+    def _error(self, what: str, names: tuple[str, ...], allowed: str, hint: str) -> ConfigurationError:
+        got = ", ".join(f"{name}={getattr(self, name)}" for name in names)
+        return ConfigurationError(what, got=got, allowed=allowed, hint=hint)
+
     @property
     def observation_delta_indices(self) -> list[int] | None:
         """Observation steps relative to the present; None for the present alone, which LeRobot reads fastest."""
@@ -221,46 +258,21 @@ class DP3AdaptiveConfig(PreTrainedConfig):
 
     @property
     def observed_steps(self) -> int:
-        """Observed steps that are kept: for the head anchors, also those before the remembered actions."""
+        """Observation steps kept at run time; the head anchors needs the poses before remembered actions too."""
         return max(self.n_obs_steps, 1 + self.n_action_history_steps if self.head == "anchors" else 1)
 
-    @property
-    def action_delta_indices(self) -> None:
-        """None: history and labels are looked up by a row's ``index``, see `recorded_rows`."""
-        return None
-
-    @property
-    def reward_delta_indices(self) -> None:
-        """Rewards are not used."""
-        return None
-
     def validate_features(self) -> None:
-        """Keeps cloud and state (and effort if asked for) as inputs, see `keep_inputs`.
-
-        Raises:
-            ConfigurationError: an input is missing, or clouds have fewer points than ``num_points``.
-        """
-        keep_inputs(self, [POINT_CLOUD, STATE] + ([EFFORT] if self.use_effort else []), self.num_points)
-
-    def set_dataset_feature_metadata(self, features: dict[str, dict[str, Any]]) -> None:
-        """Learns from a dataset's names whether states and actions are poses. LeRobot calls this before training."""
-        named = names_are_poses(features)
-        self.pose_layout = self.pose_layout if named is None else named
+        """Keeps cloud, state and, with ``use_effort``, effort as inputs; see `CloudPolicyConfig.keep_inputs`."""
+        self.keep_inputs(POINT_CLOUD, STATE, *([EFFORT] if self.use_effort else []))
 
     @property
     def state_dim(self) -> int:
-        """Dimensions of the state that are used."""
-        full = self.feature_size(STATE)
-        return ACTION_DIM if self.proprioception == "pose" and self.has_pose_layout else full
+        """State numbers that are used."""
+        return ACTION_DIM if self.proprioception == "pose" and self.has_pose_layout else self.feature_size(STATE)
 
     def feature_size(self, key: str) -> int:
         """Numbers of an input."""
         return int((self.input_features or {})[key].shape[0])
-
-    @property
-    def has_pose_layout(self) -> bool:
-        """Whether action and the state's start are the contract's ten numbers."""
-        return has_pose_layout(self, self.pose_layout)
 
     def get_optimizer_preset(self) -> FusedAdamWConfig:
         """AdamW."""

@@ -14,14 +14,14 @@ from lerobot_policy_adamanip.common.encoders import make_encoder
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, INSTRUCTION_DIM
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 BODY_RANGE = 3.0
 """Bound of normalised proprioception; the demonstrations are within 1."""
 
 
 class ActionDenoiser(nn.Module):
-    """What is trained: cloud encoder, history encoder and LeRobot's conditional U-Net.
+    """The trained network: cloud encoder, history encoder and LeRobot's conditional U-Net.
 
     Args:
         config: of the policy.
@@ -54,7 +54,7 @@ class DiffusionHead:
 
     Args:
         config: of the policy.
-        frames: that relate what is normalised to metres.
+        frames: relate normalised numbers to metres.
     """
 
     def __init__(self, config: DP3AdaptiveConfig, frames: PoseFrames) -> None:
@@ -69,19 +69,19 @@ class DiffusionHead:
         )
 
     def network(self) -> ActionDenoiser:
-        """Returns a network that is still untrained."""
+        """Returns an untrained network."""
         return ActionDenoiser(self.config, self.frames.point_dim)
 
     def loss(
-        self, model: ActionDenoiser, window: Window, actions: Tensor, real: Tensor
+        self, model: ActionDenoiser, window: Window, actions: Tensor, is_label: Tensor
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns the denoising error per sample (B,), its weight (B,), and what to log, which is nothing more.
+        """Returns the denoising error per sample (B,), its weight (B,), and no metrics.
 
         Args:
             model: a network of this head.
-            window: what it is conditioned on.
+            window: inputs.
             actions: (B, T, A) normalised.
-            real: (B, T) bool. Padded labels repeat the episode's last action: they are no demonstrations.
+            is_label: (B, T) bool; false for padding, which repeats the episode's last action.
         """
         if model.training and self.config.history_noise_std:
             noisy = window.history + self.config.history_noise_std * torch.randn_like(window.history)
@@ -91,9 +91,10 @@ class DiffusionHead:
         noise = torch.randn_like(target)
         steps = torch.randint(0, self.config.num_train_timesteps, (len(target),), device=target.device)
         predicted = model.unet(self.noise_scheduler.add_noise(target, noise, steps), steps, global_cond=condition)
-        wanted = noise if self.config.prediction_type == "epsilon" else target
-        weight = real.sum(dim=1).to(predicted.dtype)
-        error = F.mse_loss(predicted, wanted, reduction="none") * real.unsqueeze(-1).to(predicted.dtype)
+        if self.config.prediction_type == "epsilon":
+            target = noise
+        weight = is_label.sum(dim=1).to(predicted.dtype)
+        error = F.mse_loss(predicted, target, reduction="none") * is_label.unsqueeze(-1).to(predicted.dtype)
         return error.flatten(1).sum(1) / (weight * error.shape[-1]).clamp(min=1), weight, {}
 
     def sample(self, model: ActionDenoiser, window: Window, noise: Tensor | None) -> Tensor:
@@ -101,7 +102,7 @@ class DiffusionHead:
         state = window.observations[STATE]
         condition = self.condition(model, window)
         shape = (len(state), self.config.horizon, window.history.shape[-1])
-        # In float32 under autocast too: ten steps of rounding would cost millimetres.
+        # Float32 under autocast too: rounding in ten steps would cost millimetres.
         sample = torch.randn(shape, device=state.device, dtype=torch.float32) if noise is None else noise
         self.noise_scheduler.set_timesteps(self.config.num_inference_steps)
         for step in self.noise_scheduler.timesteps:
@@ -116,13 +117,13 @@ class DiffusionHead:
         state = observations[STATE]
         points = self.frames.points(observations[POINT_CLOUD], state)
         relative = self.frames.to_relative(window.history, state[:, -1])
-        # What is not valid is the label: zeroed here, so that neither training nor run time can see it.
+        # Invalid rows hold the label.
         past = torch.cat([relative.masked_fill(~valid, 0.0), valid.to(relative.dtype)], dim=-1)
         body = [state[..., : self.config.state_dim]]
         if self.config.use_effort:
             body.append(observations[EFFORT])
         if self.config.use_instruction:
             body.append(observations[INSTRUCTION].expand(-1, state.shape[1], -1))
-        # Dimensions that hardly vary in the demonstrations explode under MIN_MAX as soon as they do.
+        # Numbers that hardly vary in the demonstrations explode under MIN_MAX if they do at run time.
         body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
         return model.condition(points, torch.cat(body, dim=-1), past)

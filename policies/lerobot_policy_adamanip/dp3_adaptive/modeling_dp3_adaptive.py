@@ -1,7 +1,7 @@
-"""``dp3_adaptive``: a policy over point clouds that remembers what it has tried.
+"""``dp3_adaptive``: a policy over point clouds with a memory of its own actions.
 
-Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. What the cloud shows is joined with
-what is remembered, and a *head* draws the next actions: `diffusion`, the paper's, or `anchors`.
+Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. Features of the cloud are joined
+with the history, and a *head* draws the next actions: `diffusion`, the paper's, or `anchors`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.policies.pretrained import PreTrainedPolicy
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -27,48 +26,42 @@ from lerobot_adamanip.contract.schema import (
 )
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_adamanip.util.mixed_precision import require_mixed_precision
-from lerobot_policy_adamanip.common.chunk_guard import ChunkGuard
-from lerobot_policy_adamanip.common.contract import LoadsStrictly, picked_inputs
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
-from lerobot_policy_adamanip.common.publishing import PublishesOurCard
+from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
 from lerobot_policy_adamanip.common.tool_frame import mirrored_motions
 from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
-from lerobot_policy_adamanip.dp3_adaptive.checks import require_actions
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
 from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, balanced_weights
-from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows, Window
 
 TASK_INDEX = "task_index"
 
 
-def _forget_count(policy: DP3AdaptivePolicy, _: Any) -> None:
-    """After weights were loaded the buffer says how many updates there were."""
+def _clear_ema_count(policy: DP3AdaptivePolicy, _: Any) -> None:
+    """Loading weights changes the buffer that counts updates."""
     policy._ema_count = None
 
 
-class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
+class DP3AdaptivePolicy(CloudPolicy):
     """LeRobot policy. Training uses `forward`; at run time `select_action` keeps the histories.
 
-    A training batch holds the present row. What came before and comes after is looked up by its ``index``, in columns
-    that are read when the policy is made. For H = ``n_action_history_steps`` and T = ``horizon``::
+    A training batch holds the present row. Earlier and later rows are looked up by its ``index``, in columns that are
+    read when the policy is made. For H = ``n_action_history_steps`` and T = ``horizon``::
 
         executed  step t-H ... t-1      labels  step t ... t+T-1
 
-    At run time the history is a queue of the normalised actions that `select_action` returned, one per step, whether
-    they came from an old chunk or a new one; rotations are orthonormalised and grippers clipped, as recorded ones are.
-    Before the episode's start both are invalid, marked by a bit, and leave no trace. Observations before it repeat the
-    first one, as LeRobot's padding does.
+    At run time the history is a queue of the normalised actions that `select_action` returned, one per step, with
+    rotations orthonormalised and grippers clipped as in recorded actions. History before the episode's start is
+    invalid in both cases and masked. Observations before it repeat the first one, as LeRobot's padding does.
 
     Args:
-        config: of which `validate_features` is called here.
+        config: of the policy.
         dataset_stats: of the training data; relates normalised numbers to metres. Not needed to load a checkpoint.
-        dataset_meta: of the training data, whose files are beside it. Not needed where nothing is to be learnt.
-        kwargs: whatever else LeRobot passes.
+        dataset_meta: of the training data, with its files. Needed to train only.
+        kwargs: other arguments of LeRobot's factories.
     """
 
     config_class = DP3AdaptiveConfig
@@ -78,10 +71,9 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self, config: DP3AdaptiveConfig, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs: Any
     ):
         super().__init__(config)
-        if config.use_amp:
-            require_mixed_precision(config.device)
-        config.validate_features()
-        require_actions(config)
+        if config.head == "anchors":
+            config.require_poses()
+        config.require_action()
         if config.tcp_relative and not config.has_pose_layout:
             logging.getLogger(__name__).warning(
                 "State and action are not the ten pose numbers of the contract: tcp_relative, augmentation and "
@@ -94,43 +86,44 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
         self._ema_count: int | None = None  # known once `update` has read the buffer
-        self.register_load_state_dict_post_hook(_forget_count)
+        self.register_load_state_dict_post_hook(_clear_ema_count)
         self._attach_dataset(dataset_meta)
-        if dataset_meta is not None and config.head == "anchors":
-            self.fit_anchors(demonstrated_motions(dataset_meta))
+        if self._windows is not None and config.head == "anchors":
+            self.fit_anchors(demonstrated_motions(self._windows.recorded))
         self.reset()
 
     @classmethod
     def from_pretrained(
         cls, pretrained_name_or_path, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs
     ):
-        """As LeRobot's, but strict about weights. New data's statistics, by which finetuning normalises, are taken.
+        """Loads a checkpoint as LeRobot does. ``dataset_stats`` of new data replace those of poses.
 
-        The unit of the cloud stays that of the checkpoint, for which its encoder was trained.
+        The cloud's unit stays the checkpoint's, for which its encoder was trained.
         """
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy.frames.set_pose_statistics(dataset_stats)
         policy._attach_dataset(dataset_meta)
-        if dataset_meta is not None and policy.config.head == "anchors":
-            warn_of_other_motions(dataset_meta, policy.model.anchors, policy.model.spread)
+        if policy._windows is not None and policy.config.head == "anchors":
+            motions = demonstrated_motions(policy._windows.recorded)
+            warn_of_other_motions(motions, policy.model.anchors, policy.model.spread)
         return policy
 
     def _attach_dataset(self, dataset_meta: Any) -> None:
-        """Reads what a training looks up."""
+        """Reads the columns that training looks up."""
         self._task_weights: Tensor | None = None
         self._windows: TrainingWindows | None = None
         if dataset_meta is None:
             return
         read_in_batches(dataset_meta)
         if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
-            # LeRobot gives them to the processors of a policy that is fine-tuned, without asking the policy.
+            # LeRobot gives them to the processors of a fine-tuned policy without asking the policy.
             dataset_meta.stats = fix_pose_statistics(dataset_meta.stats)
         self._windows = TrainingWindows(self.config, dataset_meta)
         if self.config.balance_tasks:
             self._task_weights = balanced_weights(dataset_meta)
 
     def fit_anchors(self, motions: NDArray[np.float32]) -> None:
-        """Takes the typical ones of demonstrated motions (M, 7) [m, rad, -] as an untrained policy's anchors."""
+        """Sets an untrained policy's anchors to typical ones of demonstrated motions (M, 7) [m, rad, -]."""
         if self.config.augmentation_mirror:
             motions = np.concatenate([motions, mirrored_motions(torch.from_numpy(motions)).numpy()])
         anchors, spread = cluster_motions(motions, self.config.num_anchors)
@@ -138,19 +131,10 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
             model.anchors.copy_(anchors)
             model.spread.copy_(spread)
 
-    def supports_rtc(self) -> bool:
-        """No: real-time chunking asks for chunks only, see `ChunkGuard`."""
-        return False
-
     # Training ---------------------------------------------------------------------------------------------------
 
-    def get_optim_params(self):
-        """Parameters to train; the averaged copy is not among them."""
-        self.require_own_push()
-        return self.model.parameters()
-
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
-        """Returns the head's loss (with ``diffusion``: paper, eq. 2), over actions that exist.
+        """Returns the head's loss (with ``diffusion``: paper, eq. 2) over valid labels, and metrics.
 
         Args:
             batch: normalised, with S = n_obs_steps: ``observation.point_cloud`` (B, N, 3) metres,
@@ -160,16 +144,16 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         Raises:
             ConfigurationError: the policy was made without a dataset, or with another one.
         """
-        window, actions, real = self.training_window(batch)
-        losses, weights, told = self.head.loss(self._active_model(), window, actions, real)
+        window, actions, is_label = self.training_window(batch)
+        losses, weights, metrics = self.head.loss(self._active_model(), window, actions, is_label)
         if self._task_weights is not None:
             self._task_weights = self._task_weights.to(losses)
             weights = weights * self._task_weights[batch[TASK_INDEX]]
         if reduction == "none":
-            return losses * real.any(dim=1), {}
-        # In one piece: each number on its own would wait for a GPU once more.
-        told = dict(zip(told, torch.stack(list(told.values())).tolist(), strict=True)) if told else {}
-        return (losses * weights).sum() / weights.sum().clamp(min=1), told
+            return losses * is_label.any(dim=1), {}
+        # One transfer for all metrics: each would synchronise with a GPU.
+        metrics = dict(zip(metrics, torch.stack(list(metrics.values())).tolist(), strict=True)) if metrics else {}
+        return (losses * weights).sum() / weights.sum().clamp(min=1), metrics
 
     def training_window(self, batch: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
         """Returns the head's inputs, labels (B, T, A) and which of them are to be learnt (B, T); see `forward`."""
@@ -184,8 +168,8 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
     @torch.no_grad()
     def update(self) -> None:
-        """Moves the averaged weights; lerobot-train calls this after each optimizer step."""
-        # Counted here too: reading the buffer would wait for the GPU at every step.
+        """Updates the averaged weights; lerobot-train calls this after each optimizer step."""
+        # Counted here too: reading the buffer would synchronise with a GPU at every step.
         self._ema_count = (int(self.ema_steps) if self._ema_count is None else self._ema_count) + 1
         self.ema_steps += 1
         decay = min(1 - (1 + self._ema_count) ** -self.config.ema_power, self.config.ema_max)
@@ -194,11 +178,11 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
     # Run time ---------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Forgets the episode."""
+        """Clears the histories at an episode's start."""
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.observed_steps)
         self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
-        self._action_queue: deque[Tensor] = deque()  # of this name: later LeRobots clear it for a new instruction
-        self._chunks = ChunkGuard(self.config)
+        self._action_queue: deque[Tensor] = deque()  # LeRobots after 0.6.1 clear this name for a new instruction
+        self._chunks = ChunkGuard(self.name)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
@@ -206,7 +190,7 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
 
         Args:
             batch: one observation, normalised: cloud (B, N, 3) [m], state (B, D). An ``action`` is ignored.
-            noise: what the head draws with, (B, T, A); drawn if None.
+            noise: of the head's sampling, (B, T, A); drawn if None.
             kwargs: ignored.
         """
         observation = self._single(batch)
@@ -222,33 +206,31 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
         return action
 
     def _as_executed(self, action: Tensor) -> Tensor:
-        """Returns an action (B, A) as the environment receives it, normalised: numbers of a pose that are unscaled."""
+        """Returns an action (B, A) as the environment receives it, normalised."""
         if self.config.head != "diffusion" or not self.config.has_pose_layout:
             return action
         rotation, gripper = orthonormal_6d(action[:, ROTATION_DIMS]), action[:, GRIPPER_DIM:].clamp(0, 1)
         return torch.cat([action[:, POSITION_DIMS], rotation, gripper], dim=-1)
 
     def replace_latest(self, action: Tensor) -> None:
-        """Remembers that another action (B, A), normalised, was executed than the latest of `select_action`.
-
-        What was planned behind that one is planned anew.
-        """
+        """Replaces the latest executed action by another one (B, A), normalised, and drops the rest of its chunk."""
         self._executed[-1] = action.to(self._executed[-1])
         self._action_queue.clear()
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the chunk (B, T, A) that would follow ``batch`` after what was done; `ChunkGuard` says when."""
+        """Returns the chunk (B, T, A) that follows ``batch`` and the history; changes neither. See `ChunkGuard`."""
         observed = deque(self._observed, maxlen=self.config.observed_steps)
         observation = self._single(batch)
-        self._chunks.predict(observation)
+        if self.config.n_action_history_steps or self.config.observed_steps > 1:
+            self._chunks.predict(observation)
         observed.append(self._kept(observation))
         while len(observed) < self.config.observed_steps:
             observed.appendleft(observed[0])
         return self._generate(observation, list(observed), noise)
 
     def _kept(self, observation: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Returns what is remembered of an observation: of the past the anchors' head looks at poses alone."""
+        """Returns the remembered part of an observation: for the head anchors poses alone."""
         return {STATE: observation[STATE]} if self.config.head == "anchors" else observation
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -271,19 +253,19 @@ class DP3AdaptivePolicy(PublishesOurCard, LoadsStrictly, PreTrainedPolicy):
     # Shared -----------------------------------------------------------------------------------------------------
 
     def _active_model(self) -> Any:
-        """The trained weights in training mode, the averaged ones otherwise."""
+        """Returns the trained weights in training mode, else the averaged ones."""
         return self.model if self.training or int(self.ema_steps) == 0 else self.ema_model
 
     def _observations(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Picks the inputs, and of each cloud the first points; the batch stays as it is."""
-        picked = picked_inputs(self.config, batch, self.config.num_points)
+        """Returns the inputs, with the instruction if it is used."""
+        picked = self.pick_inputs(batch)
         if self.config.use_instruction:
-            # The same at every step of a window, so it has none of its own.
+            # Equal at all steps of a window, so it has no time axis of its own.
             picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[STATE].dim() == 3 else batch[INSTRUCTION]
         return picked
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """One step's inputs, each (B, ...). LeRobot adds a missing batch dimension to states, but not to clouds."""
+        """Returns one step's inputs, each (B, ...). LeRobot adds a missing batch dimension to states only."""
         observation = self._observations(batch)
         if observation[POINT_CLOUD].dim() == 2:
             observation[POINT_CLOUD] = observation[POINT_CLOUD][None]

@@ -1,4 +1,4 @@
-"""Normalised states and actions as metres, so that clouds and poses can be related."""
+"""Normalised states and actions in metres, so that clouds and poses can be related."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from lerobot_adamanip.contract.schema import ACTION, POINT_CLOUD, STATE, Statist
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 RELATIVE_SCALE = 0.15
-"""Positions relative to the tool are given in this unit [m]: the length of a typical key frame."""
+"""Unit of positions relative to the tool [m]: the length of a typical key frame."""
 
 
 class PoseFrames(nn.Module):
-    """The few constants that relate normalised states and actions to metres, so that clouds and poses can be related.
-
-    Set from dataset statistics when training starts, saved with the checkpoint.
-    """
+    """Constants of the normalisation, from dataset statistics at a training's start; saved with the checkpoint."""
 
     cloud_center: Tensor
     cloud_scale: Tensor
@@ -35,22 +32,22 @@ class PoseFrames(nn.Module):
         for name in ("state", "action"):
             self.register_buffer(f"{name}_half", torch.ones(3))
         if stats and POINT_CLOUD in stats:
-            told = (torch.as_tensor(stats[POINT_CLOUD][name], dtype=torch.float32) for name in ("min", "max"))
-            lower, upper = (as_points(each).reshape(-1, 3) for each in told)
+            bounds = (torch.as_tensor(stats[POINT_CLOUD][name], dtype=torch.float32) for name in ("min", "max"))
+            lower, upper = (as_points(each).reshape(-1, 3) for each in bounds)
             lower, upper = lower.amin(dim=0), upper.amax(dim=0)
             self.cloud_center.copy_((lower + upper) / 2)
             self.cloud_scale.copy_(((upper - lower) / 2).max().clamp(min=1e-3))
         self.set_pose_statistics(stats)
 
     def set_pose_statistics(self, stats: Statistics | None) -> None:
-        """Sets what LeRobot's MIN_MAX normalises positions with: it must be the same as in the processors."""
+        """Sets the ranges of positions, which have to be those of the processors' MIN_MAX."""
         if not stats or not self.relative:
             return
         for key, name in ((STATE, "state"), (ACTION, "action")):
             lower, upper = _range(stats, key)
             center, half = getattr(self, f"{name}_center"), getattr(self, f"{name}_half")
             center.copy_((lower + upper) / 2)
-            # LeRobot replaces a range of zero by 1e-8; so does this, in float32.
+            # As LeRobot, which replaces a range of zero by 1e-8, in float32.
             half.copy_(torch.where(upper == lower, torch.full_like(upper, 1e-8), upper - lower) / 2)
 
     @property

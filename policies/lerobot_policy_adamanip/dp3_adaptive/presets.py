@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import field
 from typing import Any
 
 DIFFUSION: dict[str, Any] = {
@@ -15,7 +14,7 @@ DIFFUSION: dict[str, Any] = {
     "augmentation_translation": 0.03, "augmentation_yaw": 0.1, "history_noise_std": 0.02,
     "clip_sample_range": 6.0, "optimizer_lr": 5e-4, "optimizer_weight_decay": 1e-6, "scheduler_warmup_steps": 100,
 }  # fmt: skip
-"""The diffusion head at a size for two CPU cores. ``fast`` says only where it differs."""
+"""The diffusion head at a size for two CPU cores; ``fast`` lists its differences."""
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {
         **DIFFUSION,
@@ -47,16 +46,10 @@ PRESETS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """``fast``: trains and acts on two CPU cores.
 
-``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, which remembers no action.
-``--policy.down_dims='[128,256,384]'`` makes it the release's Simple DP3, which a CPU can train. It differs in that the
-state has no layers of its own, and in that a chunk begins at the present step, not one before: as many actions of it
-are executed.
+``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, without an action history.
+``--policy.down_dims='[128,256,384]'`` gives the release's Simple DP3, which a CPU can train. Two things differ: the
+state has no layers of its own, and a chunk begins at the present step, not one before.
 
-``paper``: the paper's table of parameters; its batch size of 64 is not the policy's to set: ``--batch_size=64``. What
-the table does not say (schedules, widths) is as in the paper's code.
+``paper``: the paper's table of parameters, except for ``--batch_size=64``. Values that the table lacks are those of the
+paper's code.
 """
-
-
-def from_preset() -> Any:
-    """A field that is None until `DP3AdaptiveConfig.__post_init__` takes its value from the preset."""
-    return field(default=None)

@@ -1,8 +1,8 @@
-"""Pre- and post-processing of ``dp3_adaptive``: LeRobot's steps, a rigid augmentation, and rotations made whole."""
+"""Processors of ``dp3_adaptive``: LeRobot's steps, a rigid augmentation, and orthonormal rotations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 import torch
@@ -27,8 +27,7 @@ from lerobot_adamanip.contract.schema import (
     fix_pose_statistics,
 )
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.contract import Pipelines
-from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep
+from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep, Pipelines
 from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION, SceneMotion
@@ -40,13 +39,9 @@ Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 @ProcessorStepRegistry.register("adamanip_rigid_augmentation")
 @dataclass
 class RigidAugmentationStep(ProcessorStep):
-    """Moves a sample's whole scene: cloud, tool pose and action alike. Joint positions stay as they are.
+    """Moves a sample's whole scene in training: cloud, tool pose and action, in metres. Joint positions stay.
 
-    A share of the samples is mirrored first, left for right.
-
-    Acts only where actions come along, which is in training, and before normalisation, in metres. Every sample of a
-    batch is moved by a draw of its own, all of its time steps by the same one. The batch keeps the draw, under
-    `SCENE_MOTION`, for what the policy looks up.
+    Each sample has its own draw, which the batch keeps under `SCENE_MOTION` for the columns that the policy looks up.
 
     Attributes:
         translation: uniform within +- this along each axis [m].
@@ -61,7 +56,7 @@ class RigidAugmentationStep(ProcessorStep):
     mirror: float = 0.0
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with moved copies; the one given stays as it is."""
+        """Returns a transition with moved copies; without actions, the one given."""
         actions = transition.get(TransitionKey.ACTION)
         observation = transition.get(TransitionKey.OBSERVATION)
         still = self.translation == self.yaw == self.mirror == 0
@@ -69,7 +64,7 @@ class RigidAugmentationStep(ProcessorStep):
             return transition
         if observation[POINT_CLOUD].dim() == observation[STATE].dim():
             observation = {**observation, POINT_CLOUD: as_points(observation[POINT_CLOUD])}
-        motion = self._drawn(len(actions), actions.device)
+        motion = self._draw(len(actions), actions.device)
         moved = {
             **observation,
             POINT_CLOUD: motion.points(observation[POINT_CLOUD]),
@@ -84,7 +79,7 @@ class RigidAugmentationStep(ProcessorStep):
         }
         return cast(EnvTransition, changed)
 
-    def _drawn(self, batch: int, device: torch.device) -> SceneMotion:
+    def _draw(self, batch: int, device: torch.device) -> SceneMotion:
         mirrored = torch.rand(batch, device=device) < self.mirror if self.mirror else None
         rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
         shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
@@ -92,8 +87,7 @@ class RigidAugmentationStep(ProcessorStep):
 
     def get_config(self) -> dict[str, Any]:
         """JSON-able options."""
-        told = {"translation": self.translation, "yaw": self.yaw, "center": list(self.center)}
-        return {**told, "mirror": self.mirror}
+        return {**asdict(self), "center": list(self.center)}
 
     def transform_features(self, features: Features) -> Features:
         """Shapes stay."""
@@ -103,22 +97,16 @@ class RigidAugmentationStep(ProcessorStep):
 @ProcessorStepRegistry.register("adamanip_orthonormalise")
 @dataclass
 class OrthonormaliseStep(ProcessorStep):
-    """Makes the rotation 6D of an action (..., 10) a rotation again (Gram-Schmidt), and clips the gripper to [0, 1]."""
+    """Orthonormalises the rotation 6D of an action (..., 10), by Gram-Schmidt, and clips the gripper to [0, 1]."""
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Acts on the action alone, and only if it is a pose."""
+        """Returns a transition with the changed action, or the one given if its action is no pose."""
         action = transition.get(TransitionKey.ACTION)
         if not isinstance(action, Tensor) or action.shape[-1] != ACTION_DIM:
             return transition
-        whole = torch.cat(
-            [
-                action[..., POSITION_DIMS],
-                orthonormal_6d(action[..., ROTATION_DIMS]),
-                action[..., GRIPPER_DIM:].clamp(0, 1),
-            ],
-            dim=-1,
-        )
-        return cast(EnvTransition, {**transition, TransitionKey.ACTION: whole})
+        rotation, gripper = orthonormal_6d(action[..., ROTATION_DIMS]), action[..., GRIPPER_DIM:].clamp(0, 1)
+        pose = torch.cat([action[..., POSITION_DIMS], rotation, gripper], dim=-1)
+        return cast(EnvTransition, {**transition, TransitionKey.ACTION: pose})
 
     def transform_features(self, features: Features) -> Features:
         """Shapes stay."""
@@ -131,13 +119,13 @@ class InstructionStep(ProcessorStep):
     """Adds the instruction as `instruction_vector` to the observation, (B, 64)."""
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with it; raises `ConfigurationError` if nobody says what is to be done."""
-        told = (transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}).get("task")
-        texts = [told] if isinstance(told, str) else list(told or ())
+        """Returns a transition with it; raises `ConfigurationError` if there is no instruction."""
+        task = (transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}).get("task")
+        texts = [task] if isinstance(task, str) else list(task or ())
         if not texts or not all(isinstance(text, str) for text in texts):
             raise ConfigurationError(
-                "This policy is told what to do, and nobody told it.",
-                got=f"task {told!r}",
+                "This policy needs an instruction.",
+                got=f"task {task!r}",
                 allowed="an instruction for each observation of the batch",
                 hint="a batch with a list of texts under `task`, as LeRobot's datasets and lerobot-eval give it",
             )
@@ -146,7 +134,7 @@ class InstructionStep(ProcessorStep):
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: observation})
 
     def transform_features(self, features: Features) -> Features:
-        """Features of the dataset stay as they are."""
+        """Shapes stay."""
         return features
 
 
@@ -160,19 +148,17 @@ def _about_z(angle: Tensor) -> Tensor:
 def make_dp3_adaptive_pre_post_processors(
     config: DP3AdaptiveConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
 ) -> Pipelines:
-    """Returns the pipelines around the policy. Their steps' names are part of the checkpoint.
+    """Returns the pre- and the postprocessor; LeRobot finds this function by its name.
 
-    Clouds are made from depth where a robot delivers pictures. Two more steps join LeRobot's defaults where state and
-    action are the contract's poses, and one where the policy is told what to do. Rotation and gripper of such poses
-    stay unscaled, whatever their range in the dataset.
+    Added to LeRobot's defaults are clouds from depth, augmentation and orthonormalisation of poses, and instructions.
+    Rotation and gripper of poses stay unscaled, whatever their range in the dataset.
     """
-    stats: Any = dataset_stats  # arrays, as LeRobot's datasets have them, though its factories announce tensors
+    stats: Any = dataset_stats  # arrays, though LeRobot annotates tensors
     if stats and config.has_pose_layout:
         stats = fix_pose_statistics(stats)
     steps = make_default_policy_processor_steps(config, stats)
-    told: list[ProcessorStep] = [InstructionStep()] if config.use_instruction else []
-    depth = DepthToCloudStep(config.num_points)
-    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, depth, *told, steps.to_device]
+    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, DepthToCloudStep(config.num_points)]
+    inputs += [InstructionStep(), steps.to_device] if config.use_instruction else [steps.to_device]
     outputs: list[ProcessorStep] = [steps.unnormalize]
     if config.has_pose_layout:
         moved = (config.augmentation_translation, config.augmentation_yaw, config.augmentation_center)

@@ -1,8 +1,8 @@
-"""Looks again from where it would go: corrects a pose by the points around it, seen from the pose itself.
+"""Refinement of poses by the points around them, seen from the pose itself.
 
-A network that condenses a whole cloud knows where a handle is to centimetres. Around a proposed pose the same few
-points look the same wherever the object stands, and every demonstrated goal teaches it from any number of poses beside
-it: a denoising of poses that starts at an anchor instead of at noise, as truncated diffusion does.
+A network that condenses a whole cloud locates a handle to centimetres. Around a proposed pose the same few points look
+the same wherever the object stands, and each demonstrated goal gives any number of training poses around it. This is a
+denoising of poses that starts at an anchor instead of at noise, as in truncated diffusion.
 """
 
 from __future__ import annotations
@@ -22,30 +22,29 @@ from lerobot_policy_adamanip.common.tool_frame import (
 from lerobot_policy_adamanip.common.torch_rotations import SMALL, matrix_from_rotation_vector
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
-"""What counts as one in a correction [m, m, m, rad, rad, -, -], see `_correction`."""
-AHEAD = (0.0, 0.0, 0.04)
-"""Around this place in a proposed tool's frame points are gathered [m]: what the fingers are sent to is ahead."""
-NEAR, SHARP = 0.1, 0.02
-"""A point is told by where it is in the first unit, and by its direction, which is sharp within the second [m]."""
-BESIDE_POSITION, BESIDE_ROTATION = 0.03, 0.15
-"""Proposals in training are up to this far off, as standard deviations [m, rad]."""
-TWISTED = 0.5
-"""This share of them is also turned about the approach, by any angle: whether a lever lies or stands is seen only from
-nearby, and fingers that close along it hold nothing."""
-PROPOSALS = 4
-"""Beside each demonstrated goal: few rows of a batch aim at anything, and this network is small."""
-JITTER = 0.001
-"""Standard deviation of the noise on points in training [m]."""
+"""Units of a `_correction` [m, m, m, rad, rad, -, -]."""
+CENTRE = (0.0, 0.0, 0.04)
+"""Nearest points are gathered around this place in a proposed tool's frame [m]: the part is ahead of the fingers."""
+POINT_UNIT, DIRECTION_SCALE = 0.1, 0.02
+"""Units of `point_features` [m]."""
+PROPOSAL_NOISE_M, PROPOSAL_NOISE_RAD = 0.03, 0.15
+"""Largest standard deviations of proposals in training."""
+TWIST_PROBABILITY = 0.5
+"""Share of proposals that are also turned about the approach by any angle: whether a lever lies or stands is seen only
+from nearby, and fingers that close along it hold nothing."""
+PROPOSALS_PER_GOAL = 4
+"""Few rows of a batch need a refinement, and this network is small."""
+POINT_NOISE_M = 0.001
+"""Standard deviation of the noise on points in training."""
 
 
 class Refiner(nn.Module):
-    """Proposes a correction of a pose from the points near it.
+    """Predicts a correction of a pose from the points near it.
 
-    It is told neither which motion was chosen nor where the hand is. In training both are right: they would give
-    the goal away, and the points would not be looked at.
+    Its inputs exclude the chosen motion and the hand's pose: in training both are right and would give the goal away.
 
     Args:
-        neighbours: points looked at.
+        neighbours: number of nearest points.
     """
 
     def __init__(self, neighbours: int) -> None:
@@ -57,45 +56,43 @@ class Refiner(nn.Module):
     def forward(self, cloud: Tensor, pose: Tensor) -> Tensor:
         """Clouds (B, N, 3) [m], proposed poses (B, 10) -> (B, 7) in `CORRECTION_UNITS`."""
         points = points_seen(cloud, pose)
-        distance = (points - constant(AHEAD, points)).norm(dim=-1)
+        distance = (points - constant(CENTRE, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
-            points = points + JITTER * torch.randn_like(points)
-        correction: Tensor = self.out(self.encoder(point_features(points, NEAR, SHARP)))
+            points = points + POINT_NOISE_M * torch.randn_like(points)
+        correction: Tensor = self.out(self.encoder(point_features(points, POINT_UNIT, DIRECTION_SCALE)))
         return correction
 
     def loss(self, cloud: Tensor, goal: Tensor) -> Tensor:
-        """Returns the error (B,) of correcting poses beside the demonstrated goal (B, 10)."""
-        cloud, goal = (part.repeat_interleave(PROPOSALS, dim=0) for part in (cloud, goal))
-        proposed = pose_after(_beside(goal), goal)
-        found = self(cloud, proposed).float()
-        wanted = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
-        error = F.smooth_l1_loss(found, wanted, reduction="none").mean(dim=-1)
-        return error.reshape(-1, PROPOSALS).mean(dim=1)
+        """Returns the mean error (B,) of corrections from proposals around the demonstrated goals (B, 10)."""
+        cloud, goal = (part.repeat_interleave(PROPOSALS_PER_GOAL, dim=0) for part in (cloud, goal))
+        proposed = pose_after(sample_proposals(goal), goal)
+        target = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
+        error = F.smooth_l1_loss(self(cloud, proposed).float(), target, reduction="none").mean(dim=-1)
+        return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1)
 
     def refined(self, cloud: Tensor, pose: Tensor, steps: int) -> Tensor:
-        """Returns poses (B, 10) after so many corrections; the gripper stays as it is."""
+        """Returns poses (B, 10) after ``steps`` corrections; the gripper stays as it is."""
         for _ in range(steps):
             pose = _corrected(pose, self(cloud, pose).float() * constant(CORRECTION_UNITS, pose))
         return pose
 
 
-def _beside(goal: Tensor) -> Tensor:
-    """Returns motions (B, 7) from goals (B, 10) to what is proposed in training."""
+def sample_proposals(goal: Tensor) -> Tensor:
+    """Draws motions (B, 7) from goals (B, 10) to the proposals of a training step."""
     share, twisted, turn = torch.rand(3, len(goal), 1, device=goal.device)
-    aside = share * torch.randn(len(goal), 6, device=goal.device)
-    twist = (twisted < TWISTED) * (turn - 0.5) * torch.pi
-    rotation = BESIDE_ROTATION * aside[:, 3:] + F.pad(twist, (2, 0))
-    return torch.cat([BESIDE_POSITION * aside[:, :3], rotation, goal[:, 9:10]], dim=-1)
+    offset = share * torch.randn(len(goal), 6, device=goal.device)
+    twist = (twisted < TWIST_PROBABILITY) * (turn - 0.5) * torch.pi
+    rotation = PROPOSAL_NOISE_RAD * offset[:, 3:] + F.pad(twist, (2, 0))
+    return torch.cat([PROPOSAL_NOISE_M * offset[:, :3], rotation, goal[:, 9:10]], dim=-1)
 
 
 def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
-    """Returns what leads from proposed poses to goals (B, 10): the way, the tilt of the approach, the turn about it.
+    """Returns what leads from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
 
-    Two fingers hold alike when they have changed places. So of the turn its doubled angle is told, by cosine and sine:
-    the same for both, without a jump. As an angle it would be learnt as the mean of a quarter turn to the left and one
-    to the right, which is none.
+    Two swapped fingers hold alike. So the turn is given by cosine and sine of its doubled angle, equal for both grasps
+    and without a jump. An angle would be learnt as the mean of a quarter turn to either side.
 
     Returns:
         (B, 7): position [m, m, m], tilt about x and y [rad, rad], cosine and sine of twice the turn [-, -].

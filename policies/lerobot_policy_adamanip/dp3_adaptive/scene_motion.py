@@ -1,4 +1,4 @@
-"""How an augmentation has moved the scenes of a batch: known to whatever else belongs to those scenes."""
+"""The motion that augmentation gives to the scenes of a batch."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_D
 from lerobot_policy_adamanip.common.tool_frame import mirrored_poses
 
 SCENE_MOTION = "scene_motion"
-"""Key of a batch: the `SceneMotion` of an augmented batch, by which its history and labels are moved too."""
+"""Key of an augmented batch: its `SceneMotion`, by which history and labels are moved too."""
 
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """How the scenes of a batch were moved: mirrored, turned about a vertical, then shifted.
+    """Scenes of a batch, mirrored, turned about a vertical, then shifted.
 
     Attributes:
-        mirrored: (B,) bool, left for right; None for no scene.
+        mirrored: (B,) bool, left for right; None if no scene is.
         rotation: (B, 3, 3).
         shift: (B, 3) [m].
         center: (x, y, z) [m], robot base frame, of the vertical.
@@ -43,7 +43,7 @@ class SceneMotion:
             other_side = torch.cat([mirrored_poses(poses[..., :ACTION_DIM]), poses[..., ACTION_DIM:]], dim=-1)
             poses = self._where_mirrored(other_side, poses)
         position = self._turned(poses[..., POSITION_DIMS])
-        # Rotation 6D holds the matrix' first two rows; a turn about z mixes just these two.
+        # Rotation 6D holds the matrix' first two rows; a turn about z mixes only these.
         rows = poses[..., ROTATION_DIMS].reshape(*poses.shape[:-1], 2, 3)
         turn = self.rotation[:, :2, :2].to(poses.dtype).reshape(len(poses), *(1,) * (poses.dim() - 2), 2, 2)
         return torch.cat([position, (turn @ rows).flatten(-2), poses[..., GRIPPER_DIM:]], dim=-1)

@@ -1,4 +1,4 @@
-"""Several tasks in one policy: what is to be done, in words, as numbers; and how much a row of each counts."""
+"""Several tasks in one policy: instructions as vectors, and weights that balance tasks."""
 
 from __future__ import annotations
 
@@ -18,11 +18,7 @@ INSTRUCTION_DIM = 64
 
 @functools.cache
 def instruction_vector(text: str) -> Tensor:
-    """Returns (64,): each word, and each pair of neighbours, adds one or takes one off at a place that its hash says.
-
-    Feature hashing (Weinberger et al. 2009), of length one: nothing is downloaded. What the numbers mean is learnt
-    behind them.
-    """
+    """Returns a unit vector (64,) by feature hashing (Weinberger et al. 2009) of words and pairs of words."""
     words = re.findall(r"\w+", text.lower())
     vector = torch.zeros(INSTRUCTION_DIM)
     for token in (*words, *(f"{one} {other}" for one, other in itertools.pairwise(words))):
@@ -33,7 +29,7 @@ def instruction_vector(text: str) -> Tensor:
 
 
 def balanced_weights(dataset_meta: Any) -> Tensor:
-    """Returns a weight per task (by its index) that makes up for how many rows a dataset has of it; of all rows, 1."""
+    """Returns a row's weight by its task's index, inverse to the task's number of rows; the mean over rows is 1."""
     rows: Counter[int] = Counter()
     for tasks, length in zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True):
         rows[int(dataset_meta.get_task_index(tasks[0]))] += int(length)

@@ -1,7 +1,8 @@
-"""Windows of a training batch: the batch holds the present row, the rest is looked up by its ``index``."""
+"""Inputs of a head; in training they are looked up by the ``index`` of a batch's rows."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -11,26 +12,41 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.schema import ACTION, EXECUTED, STATE
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.demonstrations import IS_LABEL, read_recorded_rows
-from lerobot_policy_adamanip.common.recorded_rows import INDEX
+from lerobot_policy_adamanip.common.recorded_rows import INDEX, IS_LABEL, read_recorded_rows
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
+
+
+@dataclass(frozen=True)
+class Window:
+    """Inputs of a head, normalised, with S observed steps and H remembered actions.
+
+    Attributes:
+        observations: cloud (B, S or 1, N, 3) [m], state (B, S, D), effort (B, S, 7) if used; the last is the present.
+            The instruction (B, S or 1, 64) if used.
+        history: (B, H, A) actions, oldest first. Before an episode's start it holds the *label*, so invalid rows have
+            to be masked, in training and at run time alike.
+        valid: (B, H) bool.
+    """
+
+    observations: dict[str, Tensor]
+    history: Tensor
+    valid: Tensor
 
 
 class TrainingWindows:
-    """A dataset's states, labels and executed actions, as the inputs and targets of a head.
+    """States, labels and executed actions of a dataset, as inputs and targets of a head.
 
     Args:
         config: of the policy.
-        dataset_meta: of the dataset, whose files are beside it; its ``stats`` are those that normalise batches.
+        dataset_meta: of the dataset, with its files; its ``stats`` are those that normalise batches.
 
     Raises:
         ConfigurationError: the files are not there, or lack a column.
     """
 
     def __init__(self, config: DP3AdaptiveConfig, dataset_meta: Any) -> None:
-        self._config, self._recorded = config, read_recorded_rows(dataset_meta)
+        self._config, self.recorded = config, read_recorded_rows(dataset_meta)
         assert config.input_features is not None
         assert config.action_feature is not None
         features = {STATE: config.input_features[STATE], ACTION: config.action_feature}
@@ -40,7 +56,7 @@ class TrainingWindows:
     def of(self, batch: dict[str, Any], observations: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
         """Returns inputs, labels (B, T, A), and which labels are to be learnt (B, T).
 
-        Past actions are those that were executed. Where a policy drove, the labels tell what to do better.
+        Past actions are the executed ones: while a policy drives, the labels are corrections.
 
         Args:
             batch: preprocessed, with ``index`` (B,).
@@ -49,31 +65,31 @@ class TrainingWindows:
         Raises:
             ConfigurationError: the batch is of another dataset.
         """
-        config, recorded = self._config, self._recorded
+        config, recorded = self._config, self.recorded
         if observations[STATE].dim() == 2:
             observations = {key: value[:, None] for key, value in observations.items()}
         past, rows = config.n_action_history_steps, recorded.rows(batch[INDEX])
         before, valid = recorded.around(rows, range(-past, 0))
         ahead, exists = recorded.around(rows, range(config.horizon))
         actions = torch.cat([recorded.column(EXECUTED, before), recorded.column(ACTION, ahead)], dim=1)
-        actions = self._as_in(batch, ACTION, actions)
-        self._check_once(batch, actions[:, past])
+        actions = self._prepare(batch, ACTION, actions)
+        self._check_first(batch, actions[:, past])
         if config.observed_steps > config.n_obs_steps:
-            states = self._as_in(batch, STATE, recorded.column(STATE, before))
+            states = self._prepare(batch, STATE, recorded.column(STATE, before))
             observations = {**observations, STATE: torch.cat([states, observations[STATE]], dim=1)}
         window = Window(observations, actions[:, :past], valid)
         return window, actions[:, past:], exists & recorded.column(IS_LABEL, ahead)
 
-    def _as_in(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:
-        """Returns recorded actions or states (B, T, D) as preprocessing has made the batch's: moved, normalised."""
+    def _prepare(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:
+        """Augments and normalises recorded actions or states (B, T, D) as preprocessing did the batch's."""
         moved = batch[SCENE_MOTION].poses(recorded) if SCENE_MOTION in batch else recorded
         plain = create_transition(action=moved) if key == ACTION else create_transition(observation={STATE: moved})
         done = self._normalize(plain)
         result: Tensor = done[TransitionKey.ACTION] if key == ACTION else done[TransitionKey.OBSERVATION][STATE]
         return result
 
-    def _check_once(self, batch: dict[str, Any], actions: Tensor) -> None:
-        """Compares the first batch's actions (B, A) with what was looked up for it."""
+    def _check_first(self, batch: dict[str, Any], actions: Tensor) -> None:
+        """Compares the first batch's actions (B, A) with those that were looked up for it."""
         given = batch.get(ACTION)
         if self._is_checked or given is None:
             return

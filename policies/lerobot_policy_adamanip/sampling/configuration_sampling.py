@@ -14,13 +14,13 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 class SamplingConfig(AffordanceConfig):
     """Options of ``sampling``. The comment above a field is its help in ``--policy.type=sampling --help``."""
 
-    # Typical motions of the demonstrations that are told apart; each is in the set forwards and backwards.
+    # Typical motions of the demonstrations; each is in the set forwards and backwards.
     num_motions: int = 6
-    # Size of what tells grasps at one point apart.
+    # Size of the latent vector of grasps at a point.
     latent_dim: int = 8
-    # Points at which a grasp is at least this share as likely as at the best one are drawn alike.
+    # Grasps are drawn at points whose likelihood is at least this share of the best point's.
     likely_share: float = 0.3
-    # Weight of the grasps' divergence from their prior, beside an error in units of 5 cm.
+    # Weight of the grasps' divergence from their prior, relative to an error in units of 5 cm.
     divergence_weight: float = 0.01
 
     def check(self) -> None:

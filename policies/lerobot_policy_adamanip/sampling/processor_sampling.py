@@ -1,16 +1,7 @@
-"""Pre- and post-processing of ``sampling``: LeRobot's own steps, and clouds from depth; nothing is normalised."""
+"""Processors of ``sampling``: LeRobot's own steps, and clouds from depth. LeRobot finds them by this name."""
 
-from __future__ import annotations
+from lerobot_policy_adamanip.common.depth_to_cloud_step import (
+    make_pipelines_with_depth as make_sampling_pre_post_processors,
+)
 
-from torch import Tensor
-
-from lerobot_policy_adamanip.common.contract import Pipelines
-from lerobot_policy_adamanip.common.depth_to_cloud_step import make_pipelines_with_depth
-from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
-
-
-def make_sampling_pre_post_processors(
-    config: SamplingConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
-) -> Pipelines:
-    """Returns the pipelines around the policy. LeRobot finds this by its name."""
-    return make_pipelines_with_depth(config, config.num_points, dataset_stats)
+__all__ = ["make_sampling_pre_post_processors"]

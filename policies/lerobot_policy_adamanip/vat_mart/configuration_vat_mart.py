@@ -16,22 +16,22 @@ class VatMartConfig(AffordanceConfig):
 
     # Key frames of a plan after the hand has closed.
     waypoints: int = 8
-    # Trajectories proposed at a contact point; the best is taken.
+    # Trajectories proposed at a contact point; the best is executed.
     proposals: int = 100
-    # Training only: so many proposals tell how actionable a point is, by the mean score ...
+    # Training only: proposals at a point, whose actionability is the mean score ...
     training_proposals: int = 20
-    # ... of so many of the best of them.
+    # ... of this many of the best.
     best_proposals: int = 2
-    # Size of what tells trajectories at one point apart.
+    # Size of the latent vector of trajectories at a point.
     latent_dim: int = 8
 
-    # Weight of the proposals' divergence from their prior [nats], beside an L1 error of key frames (unit 15 cm) ...
+    # Weight of the proposals' divergence from their prior [nats], relative to an L1 error of key frames (unit 15 cm).
     divergence_weight: float = 0.3
-    # ... so much of which costs nothing [nats] ...
+    # Free bits: divergence without a cost [nats].
     free_divergence: float = 1.5
-    # ... of the error of the grasp (L1, offsets in units of 5 cm) ...
+    # Weight of the grasp's error (L1, offsets in units of 5 cm).
     grasp_weight: float = 3.0
-    # ... and of the angle between grasps [rad].
+    # Weight of the angle between grasps [rad].
     rotation_weight: float = 1.5
 
     def check(self) -> None:

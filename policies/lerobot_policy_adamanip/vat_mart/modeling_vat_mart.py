@@ -1,7 +1,7 @@
-"""``vat_mart``: proposes where to take hold and along which trajectory, scores the proposals, follows the best one.
+"""``vat_mart``: proposes grasps and trajectories, scores the proposals, and follows the best one.
 
-Names and losses are those of the method's released code (`warshallrho/VAT-Mart`); what differs is in the package's
-docstring.
+Names and losses are those of the method's released code (`warshallrho/VAT-Mart`); the package's docstring lists the
+deviations.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lerobot_adamanip.contract.schema import POSITION_DIMS
+from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
 from lerobot_policy_adamanip.affordance.networks import (
     ConditionalVAE,
     PlaceFeatures,
@@ -22,17 +23,16 @@ from lerobot_policy_adamanip.affordance.networks import (
     points_away,
     scores_of_points,
 )
-from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, ON_PART
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, PART_RADIUS_M
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.demonstrations import Demonstrations
-from lerobot_policy_adamanip.common.losses import counting_rows, error_by_group, logistic_loss, summed, weighted_mean
+from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
 from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans
 from lerobot_policy_adamanip.vat_mart.trajectory import WAYPOINT_GROUPS, encode_trajectory, key_frames, trajectory_dim
 
-TURNED, SHIFTED = (0.2, 3.1), (0.01, 0.06)
-"""A grasp that is turned [rad] or shifted [m] by this much does not hold."""
+NEGATIVE_TURN_RAD, NEGATIVE_SHIFT_M = (0.2, 3.1), (0.01, 0.06)
+"""Ranges in which a turned or shifted grasp does not hold."""
 
 
 class VatMartNetwork(nn.Module):
@@ -52,34 +52,33 @@ class VatMartNetwork(nn.Module):
         self.actionability = Score(0, features)
 
     def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns ``KL + L1 + geodesic`` (), weighted, and what the VAE makes of the trajectories (B, D).
+        """Returns ``KL + L1 + geodesic`` (), weighted, and the reconstructed trajectories (B, D).
 
-        Each key frame's position and rotation counts alike. The divergence is of the mean, and costs nothing below a
-        few nats (free bits, Kingma et al. 2016): with less to pay, draws from the prior fall between the demonstrated
-        trajectories, and with more, every draw is their mean.
+        Each key frame's position and rotation count alike. The mean divergence has free bits (Kingma et al. 2016): with
+        a smaller penalty, draws from the prior fall between the demonstrations, with a larger one, they are their mean.
 
         Args:
             cloud: (B, N, 3) [m].
-            place: (B, 3) [m] where the trajectories take hold.
+            place: (B, 3) [m] of the contacts.
             trajectory: (B, D) demonstrated.
             weight: (B,) of each.
         """
         config = self.config
-        given = self.proposal_features(cloud, place[:, None]).squeeze(1)
-        found, divergence = self.proposal(trajectory, given)
-        grasp = error_by_group(found[:, :GRASP_DIM], trajectory[:, :GRASP_DIM], GRASP_GROUPS)
-        motion = error_by_group(found[:, GRASP_DIM:], trajectory[:, GRASP_DIM:], WAYPOINT_GROUPS * config.waypoints)
-        angle = config.rotation_weight * angle_between(found[:, :6], trajectory[:, :6])
-        beyond = weighted_mean(divergence, weight).clamp(min=config.free_divergence)
+        features = self.proposal_features(cloud, place[:, None]).squeeze(1)
+        predicted, divergence = self.proposal(trajectory, features)
+        grasp = error_by_group(predicted[:, :GRASP_DIM], trajectory[:, :GRASP_DIM], GRASP_GROUPS)
+        motion = error_by_group(predicted[:, GRASP_DIM:], trajectory[:, GRASP_DIM:], WAYPOINT_GROUPS * config.waypoints)
+        angle = config.rotation_weight * angle_between(predicted[:, :6], trajectory[:, :6])
+        divergence = weighted_mean(divergence, weight).clamp(min=config.free_divergence)
         error = weighted_mean(config.grasp_weight * grasp + motion + angle, weight)
-        return error + config.divergence_weight * beyond, found.detach()
+        return error + config.divergence_weight * divergence, predicted.detach()
 
     def score(self, cloud: Tensor, places: Tensor, trajectories: Tensor) -> Tensor:
         """Returns logits (B, Q, ...) of C: trajectories (B, Q, ..., D) at places (B, Q, 3)."""
-        given = self.score_features(cloud, places)
+        features = self.score_features(cloud, places)
         for _ in range(trajectories.dim() - 3):
-            given = given.unsqueeze(-2)
-        return self.scorer(given.expand(*trajectories.shape[:-1], -1), trajectories)
+            features = features.unsqueeze(-2)
+        return self.scorer(features.expand(*trajectories.shape[:-1], -1), trajectories)
 
     def actionable(self, cloud: Tensor, places: Tensor) -> Tensor:
         """Returns logits (B, Q) of D at places (B, Q, 3)."""
@@ -88,29 +87,26 @@ class VatMartNetwork(nn.Module):
     @torch.no_grad()
     def proposed(self, cloud: Tensor, places: Tensor, count: int, noise: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Returns ``count`` trajectories (B, Q, P, D) proposed at places (B, Q, 3), and C in [0, 1] of each."""
-        given = self.proposal_features(cloud, places)
-        trajectories = self.proposal.proposals(given, count, noise)
+        trajectories = self.proposal.proposals(self.proposal_features(cloud, places), count, noise)
         return trajectories, self.score(cloud, places, trajectories).sigmoid()
 
 
 class VatMartPolicy(AffordancePolicy):
-    """LeRobot policy. A plan is made of an episode's first observation, and followed whatever happens."""
+    """LeRobot policy. Plans from an episode's first observation, and follows the plan whatever happens."""
 
     config_class = VatMartConfig
     name = "vat_mart"
 
     def make_network(self) -> VatMartNetwork:
-        """Returns the network, still untrained."""
+        """Returns an untrained network."""
         return VatMartNetwork(self.config)
 
     def make_labels(self, demonstrations: Demonstrations) -> PlanLabels:
-        """Returns plans and the rows at which they are to be made."""
+        """Returns plans and the rows that they belong to."""
         return label_plans(demonstrations, self.config.waypoints)
 
-    # Training ---------------------------------------------------------------------------------------------------
-
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the three modules' losses, over the rows at which a plan is to be made.
+        """Returns the sum of the three modules' losses, over the rows of a plan.
 
         Args:
             batch: ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D), ``index`` (B,).
@@ -120,61 +116,59 @@ class VatMartPolicy(AffordancePolicy):
         """
         labels, (cloud, _) = self.labels, self.observed(batch)
         plan = labels.plan_of[self.rows_of(batch)]
-        rows = counting_rows(plan >= 0)
+        rows = valid_rows(plan >= 0)
         cloud, plan, weight = cloud[rows], plan[rows].clamp(min=0), (plan[rows] >= 0).to(cloud.dtype)
         grasp, share = labels.grasps[plan], labels.share[plan]
-        place = point_near(cloud, grasp[:, POSITION_DIMS], ON_PART)
+        place = point_near(cloud, grasp[:, POSITION_DIMS], PART_RADIUS_M)
         trajectory = encode_trajectory(grasp, labels.waypoints[plan], place)
-        elsewhere = points_away(cloud, grasp[:, None, POSITION_DIMS], ON_PART, 1)
+        elsewhere = points_away(cloud, grasp[:, None, POSITION_DIMS], PART_RADIUS_M, 1)
         places = torch.cat([place[:, None], elsewhere], dim=1)
-        proposal, again = self.model.proposal_loss(cloud, place, trajectory, weight * (share > 0))
-        score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(cloud, places, again, share)
+        proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, weight * (share > 0))
+        # Both: otherwise the scorer learns to tell a proposal from a demonstration.
+        score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(
+            cloud, places, reconstructed, share
+        )
         losses = {
             "proposal_loss": proposal,
             "score_loss": weighted_mean(score, weight),
             "actionability_loss": weighted_mean(self._actionability_loss(cloud, places), weight),
         }
-        return summed(losses)
+        return sum_losses(losses)
 
     def _score_loss(self, cloud: Tensor, places: Tensor, trajectory: Tensor, share: Tensor) -> Tensor:
-        """Returns ``BCE(C, success)`` (B,) of a trajectory, of a spoilt grasp, and of the same numbers elsewhere.
-
-        Asked for what was demonstrated and for what the VAE makes of it alike: otherwise the scorer learns to tell a
-        proposal from a demonstration.
+        """Returns ``BCE(C, success)`` (B,) of trajectories (B, D), and of negatives: perturbed grasps, other places.
 
         Args:
             cloud: (B, N, 3) [m].
-            places: (B, 2, 3) [m]: where the trajectory takes hold, and elsewhere.
+            places: (B, 2, 3) [m]: of the contact, and elsewhere.
             trajectory: (B, D).
             share: (B,) of episodes that it opens.
         """
-        tried = torch.stack([trajectory, spoil(trajectory), trajectory], dim=1)
-        logits = self.model.score(cloud, places[:, [0, 0, 1]], tried)
-        wanted = torch.stack([share, torch.zeros_like(share), torch.zeros_like(share)], dim=1)
-        return logistic_loss(logits, wanted).mean(dim=1)
+        candidates = torch.stack([trajectory, perturb_grasp(trajectory), trajectory], dim=1)
+        logits = self.model.score(cloud, places[:, [0, 0, 1]], candidates)
+        target = torch.stack([share, torch.zeros_like(share), torch.zeros_like(share)], dim=1)
+        return logistic_loss(logits, target).mean(dim=1)
 
     def _actionability_loss(self, cloud: Tensor, places: Tensor) -> Tensor:
-        """Returns ``BCE(D, mean of the best C)`` (B,) at places (B, Q, 3), proposals and C as they are now.
+        """Returns ``BCE(D, mean of the best C)`` (B,) at places (B, Q, 3), without gradients of proposals and C.
 
         Most places open nothing: an absolute error would drive D to zero everywhere, where a sigmoid has no gradient.
         """
         _, scores = self.model.proposed(cloud, places, self.config.training_proposals)
-        wanted = mean_of_best(scores, self.config.best_proposals)
-        return logistic_loss(self.model.actionable(cloud, places), wanted).mean(dim=1)
-
-    # Run time ---------------------------------------------------------------------------------------------------
+        target = mean_of_best(scores, self.config.best_proposals)
+        return logistic_loss(self.model.actionable(cloud, places), target).mean(dim=1)
 
     def reset(self) -> None:
-        """Forgets the plan."""
+        """Drops the plan."""
         self._plan: list[Tensor] = []
         self._next = 0
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the plan's next key frame (B, 10); behind its last one the tool stays.
+        """Returns the plan's next key frame (B, 10); after its last one the tool stays.
 
         Args:
-            batch: one observation: cloud (B, N, 3) [m], state (B, D). Only the first of an episode is looked at.
+            batch: one observation: cloud (B, N, 3) [m], state (B, D). Only the first of an episode is used.
             noise: see `predict_action_chunk`.
             kwargs: ignored.
         """
@@ -200,12 +194,14 @@ class VatMartPolicy(AffordancePolicy):
         return key_frames(trajectories[rows, 0, scores[:, 0].argmax(dim=1)], place)
 
 
-def spoil(trajectory: Tensor) -> Tensor:
-    """Returns trajectories (B, D) whose grasps are turned or shifted so far that they do not hold, as is drawn."""
+def perturb_grasp(trajectory: Tensor) -> Tensor:
+    """Returns trajectories (B, D) with grasps turned or shifted, at random, so far that they do not hold."""
     like = trajectory[:, :1]
     turns = torch.rand_like(like) < 0.5
     axis, direction = (F.normalize(torch.randn_like(trajectory[:, :3]), dim=-1) for _ in range(2))
-    angle, distance = (low + (high - low) * torch.rand_like(like) for low, high in (TURNED, SHIFTED))
+    angle, distance = (
+        low + (high - low) * torch.rand_like(like) for low, high in (NEGATIVE_TURN_RAD, NEGATIVE_SHIFT_M)
+    )
     turned = matrix_from_rotation_vector(angle * axis) @ matrix_from_6d(trajectory[:, :6])
     shifted = trajectory[:, 6:9] + distance * direction / OFFSET_UNIT
     return torch.cat(

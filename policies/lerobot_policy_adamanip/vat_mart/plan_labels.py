@@ -1,8 +1,7 @@
-"""What ``vat_mart`` learns from: an episode's first contact as a plan, and how many episodes that plan would open."""
+"""Labels of ``vat_mart``: an episode's first contact as a plan, and the share of episodes that the plan opens."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,23 +9,23 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.demonstrations import Contact, Demonstrations
+from lerobot_policy_adamanip.affordance.demonstrations import Contact, Demonstrations
 
-ENOUGH = 0.9
-"""Share of what another demonstration moved a joint by that counts as enough: a static expert turns by 0.9 of the range
+MIN_COVERED_SHARE = 0.9
+"""Least share of another demonstration's joint motion that opens its object: a static expert turns by 0.9 of the range
 where 0.85 open, and a key frame ends a little short of its goal."""
-STILL = 0.05
-"""A joint that stays within this share of its largest excursion in the data has not been moved."""
+MAX_STILL_SHARE = 0.05
+"""A joint within this share of its largest excursion in the data has not been moved."""
 
 
 @dataclass(frozen=True)
 class PlanLabels:
-    """Plans of a dataset, and the rows at which they are to be made.
+    """Plans of a dataset, and the rows that they belong to.
 
     Attributes:
-        plan_of: (I,) int64 plan of the row with this `index`; -1 for a row at which no plan is to be made.
-        grasps: (P, 10) float32 pose of contact, its gripper the opening to approach with.
-        waypoints: (P, K, 10) float32 poses in contact, the last repeated where there are fewer.
+        plan_of: (I,) int64 plan of the row with this `index`; -1 for none.
+        grasps: (P, 10) float32 pose of contact, its gripper the opening of the approach.
+        waypoints: (P, K, 10) float32 poses in contact, padded with the last.
         share: (P,) float32 share of the same task's episodes that the plan would open.
     """
 
@@ -39,21 +38,23 @@ class PlanLabels:
 def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
     """Makes a plan of each episode's first contact.
 
-    It is to be made at the rows before the fingers close, from which the part can be seen: the hand is open and away.
-    Whether it opens is decided by what its motions did to the object's joints, compared with what each episode of the
-    same task needed: an unseen draw of what is hidden.
+    It belongs to the rows before the fingers close from which the part is visible: the hand is open and away. Its share
+    compares its joint motions with those that each episode of the same task, with its own hidden state, needed.
 
     Args:
         demonstrations: of any expert.
-        waypoints: key frames in contact at most, K.
+        waypoints: maximum number of key frames in contact, K.
 
     Raises:
         ConfigurationError: no demonstration opens within one contact of so many key frames.
     """
     plan_of = np.full(1 + int(demonstrations.index.max()), -1, dtype=np.int64)
-    plans = list(_first_contacts(demonstrations))
+    contacts_of = ((rows, demonstrations.contacts(rows)) for rows in demonstrations.episodes())
+    plans = [(rows, contacts[0]) for rows, contacts in contacts_of if contacts]
     for number, (rows, contact) in enumerate(plans):
-        plan_of[demonstrations.index[_seen_rows(demonstrations, rows, contact)]] = number
+        candidates = np.arange(rows.start, contact.start + 1)
+        visible = candidates[demonstrations.open_and_away(candidates, contact.grasp[:3])]
+        plan_of[demonstrations.index[visible]] = number
     contacts = [contact for _, contact in plans]
     moved = np.array([_moved(demonstrations, contact, waypoints) for contact in contacts])
     tasks = demonstrations.task[[contact.start for contact in contacts]]
@@ -73,12 +74,12 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
 def opened_share(
     moved: NDArray[np.float32], tasks: NDArray[np.int64], needed: NDArray[np.float32], needed_tasks: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Returns the share (P,) of the same task's episodes whose needs each plan's motion covers.
+    """Returns the share (P,) of the same task's episodes that each plan's motion would open.
 
-    A need is covered if every joint that the episode had to move is moved the same way, and at least `ENOUGH` as far.
+    An episode is opened if every joint that it had to move is moved the same way, at least `MIN_COVERED_SHARE` as far.
 
     Args:
-        moved: (P, J) farthest that each plan moved each joint, signed [rad or m].
+        moved: (P, J) largest motion of each joint by each plan, signed [rad or m].
         tasks: (P,) task of each plan.
         needed: (E, J) farthest position of each joint up to an episode's success.
         needed_tasks: (E,) task of each of those episodes.
@@ -88,29 +89,15 @@ def opened_share(
         wanted = needed[needed_tasks == task]
         if not len(wanted):
             continue
-        still = np.abs(wanted) <= STILL * np.abs(wanted).max(axis=0)
+        still = np.abs(wanted) <= MAX_STILL_SHARE * np.abs(wanted).max(axis=0)
         for plan in np.flatnonzero(tasks == task):
-            covered = moved[plan] * np.sign(wanted) >= ENOUGH * np.abs(wanted)
+            covered = moved[plan] * np.sign(wanted) >= MIN_COVERED_SHARE * np.abs(wanted)
             share[plan] = (covered | still).all(axis=1).mean()
     return share
 
 
-def _first_contacts(demonstrations: Demonstrations) -> Iterator[tuple[slice, Contact]]:
-    for rows in demonstrations.episodes():
-        contacts = demonstrations.contacts(rows)
-        if contacts:
-            yield rows, contacts[0]
-
-
-def _seen_rows(demonstrations: Demonstrations, rows: slice, contact: Contact) -> NDArray[np.int64]:
-    """Rows up to the one in which the fingers close, with the hand open and away."""
-    candidates = np.arange(rows.start, contact.start + 1)
-    seen: NDArray[np.int64] = candidates[demonstrations.open_and_away(candidates, contact.grasp[:3])]
-    return seen
-
-
 def _waypoints(demonstrations: Demonstrations, contact: Contact, count: int) -> NDArray[np.float32]:
-    """(count, 10): what was sent in contact; a contact without any motion stays at its grasp."""
+    """Returns the commands in contact (count, 10); a contact without motion stays at its grasp."""
     sent = demonstrations.commands[contact.first : min(contact.end, contact.first + count)]
     if not len(sent):
         sent = contact.grasp[None]
@@ -119,22 +106,19 @@ def _waypoints(demonstrations: Demonstrations, contact: Contact, count: int) -> 
 
 
 def _moved(demonstrations: Demonstrations, contact: Contact, waypoints: int) -> NDArray[np.float32]:
-    """(J,): the farthest that each joint was moved by so many key frames of a contact, up to the row behind the last.
-
-    Counted from where the joint stood: of an episode that starts late, what another hand has done is not the plan's.
-    """
+    """Returns each joint's largest motion (J,) in a plan, relative to its start: a late episode starts part-way."""
     joints = demonstrations.joints[contact.start : min(contact.end, contact.first + waypoints) + 1]
     return _farthest(joints - joints[0])
 
 
 def _farthest(joints: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(R, J) -> (J,): the number of each joint that is farthest from zero."""
+    """(R, J) -> (J,): each joint's value that is farthest from zero."""
     farthest: NDArray[np.float32] = joints[np.abs(joints).argmax(axis=0), np.arange(joints.shape[1])]
     return farthest
 
 
 def _needed(demonstrations: Demonstrations) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """(E, J) how far each joint came until success, and the tasks (E,), of the episodes that ended in it."""
+    """Returns each joint's largest motion up to success (E, J), and the task (E,), of the successful episodes."""
     done = [(rows, int(np.argmax(demonstrations.success[rows]))) for rows in demonstrations.episodes()]
     done = [(rows, first) for rows, first in done if demonstrations.success[rows.start + first]]
     ends = [min(rows.start + first + 1, rows.stop - 1) for rows, first in done]

@@ -13,19 +13,19 @@ WAYPOINT_GROUPS = (3, 6)
 """Numbers of a key frame's position and of its rotation."""
 WAYPOINT_DIM = sum(WAYPOINT_GROUPS)
 WAYPOINT_UNIT = 0.15
-"""Positions relative to the grasp are given in this unit [m]."""
+"""Unit of positions relative to the grasp [m]."""
 
 
 def trajectory_dim(waypoints: int) -> int:
-    """Numbers of a trajectory with so many key frames in contact."""
+    """Returns the numbers of a trajectory with this many key frames in contact."""
     return GRASP_DIM + WAYPOINT_DIM * waypoints
 
 
 def encode_trajectory(grasp: Tensor, waypoints: Tensor, place: Tensor) -> Tensor:
     """Grasps (..., 10), poses in contact (..., K, 10), places (..., 3) [m] -> (..., 10 + 9 K).
 
-    Of each pose: position relative to the grasp along the base's axes, and the rotation 6D that leads there from the
-    grasp's, multiplied on the right.
+    For each pose: position relative to the grasp along the base's axes, and rotation 6D relative to the grasp, which is
+    multiplied on the right.
     """
     shift = (waypoints[..., POSITION_DIMS] - grasp[..., None, POSITION_DIMS]) / WAYPOINT_UNIT
     held = matrix_from_6d(grasp[..., ROTATION_DIMS])[..., None, :, :]
@@ -35,7 +35,7 @@ def encode_trajectory(grasp: Tensor, waypoints: Tensor, place: Tensor) -> Tensor
 
 
 def decode_trajectory(code: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-    """The inverse of `encode_trajectory`: any numbers become poses, closed in contact."""
+    """The inverse of `encode_trajectory`; any numbers become poses, closed in contact."""
     grasp = decode_grasp(code[..., :GRASP_DIM], place)
     relative = code[..., GRASP_DIM:].reshape(*code.shape[:-1], -1, WAYPOINT_DIM)
     held = matrix_from_6d(grasp[..., ROTATION_DIMS])[..., None, :, :]

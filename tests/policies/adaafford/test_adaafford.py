@@ -14,10 +14,9 @@ from toy_demos import observed, toy_world, trained
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Goal, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector
-from lerobot_policy_adamanip.adaafford.episode_memory import Memory
-from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal
-from lerobot_policy_adamanip.adaafford.queries import trimmed
-from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, ON_PART, approach, let_go
+from lerobot_policy_adamanip.adaafford.interactions import InteractionMemory
+from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal, trim_padding
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, PART_RADIUS_M, approach, let_go
 from lerobot_policy_adamanip.common.tool_frame import motion_between
 
 MakePolicy = Callable[..., tuple[Any, ...]]
@@ -52,13 +51,13 @@ def test_conclusions_are_a_weighted_mean_of_what_each_interaction_tells(make: Ma
     policy, *_ = make()
     tokens, features = told(policy, 5)
     valid = torch.ones(1, 5, dtype=torch.bool)
-    z = policy.model.concluded(tokens, features, valid)
+    z = policy.model.summary(tokens, features, valid)
     each = torch.cat(
-        [policy.model.concluded(tokens[:, k : k + 1], features[:, k : k + 1], valid[:, :1]) for k in range(5)]
+        [policy.model.summary(tokens[:, k : k + 1], features[:, k : k + 1], valid[:, :1]) for k in range(5)]
     )
     assert (z >= each.amin(dim=0) - 1e-4).all()
     assert (z <= each.amax(dim=0) + 1e-4).all()
-    twice = policy.model.concluded(tokens.repeat(1, 2, 1), features.repeat(1, 2, 1), valid.repeat(1, 2))
+    twice = policy.model.summary(tokens.repeat(1, 2, 1), features.repeat(1, 2, 1), valid.repeat(1, 2))
     torch.testing.assert_close(twice, z, rtol=0, atol=1e-4)
 
 
@@ -66,20 +65,20 @@ def test_conclusions_do_not_depend_on_the_order_but_for_the_numbers_told(make: M
     policy, *_ = make()
     tokens, features = told(policy, 5)
     valid, order = torch.ones(1, 5, dtype=torch.bool), torch.tensor([3, 0, 4, 1, 2])
-    z = policy.model.concluded(tokens, features, valid)
-    torch.testing.assert_close(policy.model.concluded(tokens[:, order], features[:, order], valid), z)
+    z = policy.model.summary(tokens, features, valid)
+    torch.testing.assert_close(policy.model.summary(tokens[:, order], features[:, order], valid), z)
     renumbered = torch.cat([tokens[:, order, :-1], tokens[..., -1:]], dim=-1)
-    assert not torch.allclose(policy.model.concluded(renumbered, features[:, order], valid), z, atol=1e-5)
+    assert not torch.allclose(policy.model.summary(renumbered, features[:, order], valid), z, atol=1e-5)
 
 
 def test_what_is_not_valid_tells_nothing_and_nothing_told_is_zero(make: MakePolicy) -> None:
     policy, *_ = make()
     tokens, features = told(policy, 4)
     valid = torch.tensor([[True, True, False, False]])
-    z = policy.model.concluded(tokens, features, valid)
-    torch.testing.assert_close(policy.model.concluded(tokens[:, :2], features[:, :2], valid[:, :2]), z)
-    assert not policy.model.concluded(tokens, features, torch.zeros_like(valid)).any()
-    assert not policy.conclude(torch.rand(1, 120, 3), Memory(4)).any()
+    z = policy.model.summary(tokens, features, valid)
+    torch.testing.assert_close(policy.model.summary(tokens[:, :2], features[:, :2], valid[:, :2]), z)
+    assert not policy.model.summary(tokens, features, torch.zeros_like(valid)).any()
+    assert not policy.summarise(torch.rand(1, 120, 3), InteractionMemory(4)).any()
 
 
 def test_what_was_felt_tells_two_outcomes_of_one_action_apart(make: MakePolicy) -> None:
@@ -104,8 +103,8 @@ def test_actions_and_proposals_are_their_numbers_again(make: MakePolicy) -> None
 
 
 def test_padding_is_cut_to_the_longest_row() -> None:
-    assert trimmed(torch.tensor([[4, -1, -1], [1, 2, -1]])).tolist() == [[4, -1], [1, 2]]
-    assert trimmed(torch.full((2, 3), -1)).tolist() == [[-1], [-1]]
+    assert trim_padding(torch.tensor([[4, -1, -1], [1, 2, -1]])).tolist() == [[4, -1], [1, 2]]
+    assert trim_padding(torch.full((2, 3), -1)).tolist() == [[-1], [-1]]
 
 
 # Training -----------------------------------------------------------------------------------------------------------
@@ -149,10 +148,10 @@ def test_it_learns_from_what_was_felt(make: MakePolicy, batch_of: Any) -> None:
     assert np.mean(losses[-10:]) < 0.6 * np.mean(losses[:5])
     with torch.no_grad():
         cloud, _ = policy.observed(batch)
-        asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
-        seen = policy._interactions(trimmed(labels.history[batch["index"]]))
+        asked = policy._interactions(trim_padding(labels.candidates[batch["index"]]))
+        seen = policy._interactions(trim_padding(labels.history[batch["index"]]))
         tokens = policy.model.tokens(seen.before, seen.command, seen.after)
-        z = policy.model.concluded(tokens, policy.model.features(cloud, seen.before[..., :3]), seen.valid)
+        z = policy.model.summary(tokens, policy.model.features(cloud, seen.before[..., :3]), seen.valid)
         features = policy.model.features(cloud, asked.before[..., :3])
         informed, blind = (policy._success_error(asked, features, each).mean() for each in (z, torch.zeros_like(z)))
     assert informed < 0.7 * blind
@@ -167,7 +166,7 @@ def test_what_is_proposed_is_what_was_tried(make: MakePolicy, batch_of: Any) -> 
     batch = batch_of(dataset, before, *known)
     trained(policy, batch, 600)
     cloud, _ = policy.observed(batch)
-    asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
+    asked = policy._interactions(trim_padding(labels.candidates[batch["index"]]))
     with torch.no_grad():
         given = policy.model.actor_features(cloud, asked.before[..., :3])
         drawn = policy.model.actor.proposals(given, 64)[..., GRASP_DIM:]
@@ -184,23 +183,23 @@ def test_what_it_proposes_where_nobody_has_taken_hold_is_taught_to_fail(
     labels = policy.labels
     batch = batch_of(dataset, before, *torch.nonzero(labels.candidates[:, 0] >= 0).flatten().tolist())
     cloud, _ = policy.observed(batch)
-    asked = policy._interactions(trimmed(labels.candidates[batch["index"]]))
+    asked = policy._interactions(trim_padding(labels.candidates[batch["index"]]))
     held = asked.before[..., :3]
     policy.model.actor.decoder[-1].bias.data[6:9] = torch.tensor([0.6, 0.0, 0.0])  # 3 cm from the points it starts at
-    astray = policy._astray(cloud, asked, held, held[:, :1] + 1.0)
+    astray = policy._negatives(cloud, asked, held, held[:, :1] + 1.0)
     torch.testing.assert_close(astray.places[:, :1], held[:, :1] + 1.0)
     torch.testing.assert_close(astray.actions[:, :1], action_numbers(asked.before, asked.command)[:, :1])
-    near = (torch.cdist(astray.places[:, 1:], held) <= ON_PART).any(dim=-1)
+    near = (torch.cdist(astray.places[:, 1:], held) <= PART_RADIUS_M).any(dim=-1)
     assert near.any()
     assert not near.all()
-    assert astray.away[:, 0].all()
-    assert (astray.away[:, 1:] == ~near).all()
-    logits = torch.zeros(astray.away.shape, requires_grad=True)
-    monkeypatch.setattr(policy.model, "succeeds", lambda *_: logits)
-    monkeypatch.setattr(policy.model, "informs", lambda *_: torch.zeros(logits.shape))
-    policy._elsewhere_error(astray, torch.zeros(1), torch.zeros(1)).sum().backward()
+    assert astray.valid[:, 0].all()
+    assert (astray.valid[:, 1:] == ~near).all()
+    logits = torch.zeros(astray.valid.shape, requires_grad=True)
+    monkeypatch.setattr(policy.model, "success_logits", lambda *_: logits)
+    monkeypatch.setattr(policy.model, "predicted_information", lambda *_: torch.zeros(logits.shape))
+    policy._negative_error(astray, torch.zeros(1), torch.zeros(1)).sum().backward()
     assert logits.grad is not None
-    assert ((logits.grad > 0) == astray.away).all()
+    assert ((logits.grad > 0) == astray.valid).all()
 
 
 # Run time -----------------------------------------------------------------------------------------------------------
@@ -249,39 +248,39 @@ def test_what_is_hidden_changes_nothing_until_it_is_felt(make: MakePolicy) -> No
     assert torch.equal(one[: until + 1], other[: until + 1])
 
 
-def in_contact(policy: Any, moved: bool, outside: bool = False) -> Memory:
+def in_contact(policy: Any, moved: bool, outside: bool = False) -> InteractionMemory:
     """A memory of one motion in contact that was felt to succeed or not; before it, of any way to the part."""
-    memory, pose = Memory(8), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
+    memory, pose = InteractionMemory(8), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
     closed, turned = pose.clone(), pose.clone()
     closed[9], turned[9], turned[0] = 0.3, 0.0, 0.52
     ways = [pose + 0.1, pose - 0.1] if outside else []
     for command in [*ways, pose]:
         memory.sent = (command, command)
-        memory.feel(pose)
+        memory.observe(pose)
     grip = pose.clone()
     grip[9] = 0.0
     memory.sent = (pose, grip)
-    memory.feel(closed)
+    memory.observe(closed)
     memory.sent = (closed, turned)
-    memory.feel(turned if moved else closed)
+    memory.observe(turned if moved else closed)
     return memory
 
 
 def test_conclusions_follow_from_what_was_felt_in_contact_and_from_nothing_else(make: MakePolicy) -> None:
     policy, *_ = make()
     cloud = torch.rand(1, 120, 3)
-    z, other = (policy.conclude(cloud, in_contact(policy, moved)) for moved in (True, False))
+    z, other = (policy.summarise(cloud, in_contact(policy, moved)) for moved in (True, False))
     assert not torch.allclose(z, other, atol=1e-4)
-    assert torch.equal(policy.conclude(cloud, in_contact(policy, True, outside=True)), z)
+    assert torch.equal(policy.summarise(cloud, in_contact(policy, True, outside=True)), z)
 
 
 def test_a_memory_keeps_the_latest_and_counts_all() -> None:
-    memory, pose = Memory(2), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
+    memory, pose = InteractionMemory(2), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
     closed = pose.clone()
     closed[9] = 0.0
     for command in (closed, *(closed + 0.01 * step * torch.eye(10)[0] for step in range(4))):
         memory.sent = (pose, command)
-        memory.feel(pose)
+        memory.observe(pose)
     assert memory.made == 4
     assert len(memory.interactions) == 2
     assert memory.interactions[-1][1][0] == pytest.approx(0.53)
@@ -289,13 +288,13 @@ def test_a_memory_keeps_the_latest_and_counts_all() -> None:
 
 @pytest.mark.parametrize(("opening", "felt", "holds"), [(1.0, 0.3, True), (1.0, 0.0, False), (0.0, 0.0, True)])
 def test_a_grasp_holds_something_and_a_push_nothing(opening: float, felt: float, holds: bool) -> None:
-    memory, pose = Memory(2), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
+    memory, pose = InteractionMemory(2), torch.tensor([0.5, 0, 0.6, 1, 0, 0, 0, -1, 0, 1.0])
     closed = pose.clone()
     closed[9] = 0.0
     away = pose + 0.1 * torch.eye(10)[0]
     for before in [pose] if opening else [away, pose]:
         memory.sent = (before, closed)
-        memory.feel(closed)
+        memory.observe(closed)
     assert memory.opening == opening
     closed[9] = felt
     assert memory.holds(closed) is holds
@@ -305,11 +304,11 @@ def test_an_open_hand_takes_hold_and_one_that_lost_its_grip_lets_go_first(make: 
     policy, *_ = make()
     policy.eval()
     cloud, pose = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
-    plan = policy._decided(cloud, pose[0], Memory(8))
+    plan = policy._plan(cloud, pose[0], InteractionMemory(8))
     torch.testing.assert_close(plan, approach(plan[1]), rtol=0, atol=1e-6)
     lost = pose[0].clone()
     lost[9] = 0.0
-    plan = policy._decided(cloud, lost, in_contact(policy, True))
+    plan = policy._plan(cloud, lost, in_contact(policy, True))
     torch.testing.assert_close(plan[:2], let_go(lost), rtol=0, atol=1e-6)
     torch.testing.assert_close(plan[2:], approach(plan[3]), rtol=0, atol=1e-6)
 
@@ -321,7 +320,7 @@ def judging(policy: Any, likely: Callable[[torch.Tensor], torch.Tensor], tells: 
         found = likely(before)
         return found, torch.full_like(found, tells)
 
-    policy.model.judged = judged
+    policy.model.scores = judged
 
 
 def test_what_is_held_is_kept_unless_something_else_promises_more(make: MakePolicy) -> None:
@@ -337,7 +336,7 @@ def test_what_is_held_is_kept_unless_something_else_promises_more(make: MakePoli
             return torch.where((before[..., :3] - here).norm(dim=-1) < 1e-4, 0.5, other)
 
         judging(policy, likely, 0.0)
-        plan = policy._decided(cloud, held, memory)
+        plan = policy._plan(cloud, held, memory)
         assert (len(plan) == 1) is kept
     assert plan.shape == (5, 10)
 
@@ -348,7 +347,7 @@ def test_candidates_hold_the_last_motion_again_and_the_way_back(make: MakePolicy
     cloud, _ = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
     memory = in_contact(policy, True)
     before, command, after = memory.interactions[-1]
-    commands, scores = policy._here(cloud, after, policy.conclude(cloud, memory), memory)
+    commands, scores = policy._held_motions(cloud, after, policy.summarise(cloud, memory), memory)
     assert len(commands) == len(scores) == policy.config.held_proposals + 2
     again, back = commands[-2:]
     torch.testing.assert_close(motion_between(again, after)[:6], motion_between(command, before)[:6], rtol=0, atol=1e-4)
@@ -359,7 +358,7 @@ def test_candidates_hold_the_last_motion_again_and_the_way_back(make: MakePolicy
 def test_information_counts_for_the_first_interactions_and_where_there_is_some(make: MakePolicy) -> None:
     policy, *_ = make(explorations=2, least_information=0.05)
     cloud, before = torch.rand(1, 120, 3), torch.randn(4, 10)
-    memory, z = Memory(8), torch.zeros(1, 16)
+    memory, z = InteractionMemory(8), torch.zeros(1, 16)
     for made, tells, wanted in ((0, 0.2, 0.5), (1, 0.2, 0.5), (2, 0.2, 0.3), (0, 0.04, 0.3)):
         judging(policy, lambda pose: torch.full(pose.shape[:-1], 0.3), tells)
         memory.made = made

@@ -10,7 +10,7 @@ import pytest
 
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.adaafford.interactions import InteractionLabels, label_interactions
-from lerobot_policy_adamanip.common.demonstrations import Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations, read_demonstrations
 
 
 @pytest.fixture

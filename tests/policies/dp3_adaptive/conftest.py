@@ -29,6 +29,14 @@ TINY: dict[str, Any] = {
     "device": "cpu",
     "push_to_hub": False,
 }
+HEADS: dict[str, dict[str, Any]] = {
+    "diffusion": {"preset": "diffusion", "history_noise_std": 0.0},
+    "anchors": {
+        "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
+        "training_points": 24, "coarse_points": 32, "num_points": 48, "refinement_points": 16, "num_refinements": 2,
+    },
+}  # fmt: skip
+"""Tiny options of each head."""
 
 
 def _pose(draw: np.random.Generator, position: np.ndarray) -> np.ndarray:
@@ -100,6 +108,11 @@ def open_dataset(dataset_root: Path) -> Callable[..., Any]:
         return LeRobotDataset(REPO_ID, root=dataset_root, **options)
 
     return build
+
+
+@pytest.fixture
+def heads() -> dict[str, dict[str, Any]]:
+    return HEADS
 
 
 @pytest.fixture

@@ -15,12 +15,13 @@ from scipy.spatial.transform import Rotation
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
-from lerobot_policy_adamanip.common.motion_clusters import LEAST_SPREAD, cluster_motions, demonstrated_motions
+from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions, demonstrated_motions
+from lerobot_policy_adamanip.common.recorded_rows import read_recorded_rows
 from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
 from lerobot_policy_adamanip.dp3_adaptive import anchors
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
-from lerobot_policy_adamanip.dp3_adaptive.window import Window
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 ANCHORS: dict[str, Any] = {
@@ -49,7 +50,7 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
         nearest = int(away.sum(1).argmin())
         assert (away[nearest] < torch.tensor([2e-4, 1e-6, 1e-6, 1e-6, 1e-6, 0.02, 1e-6])).all()
         assert spread[nearest, 5] == pytest.approx(0.05, rel=0.2)
-        np.testing.assert_allclose(spread[nearest, :5], LEAST_SPREAD[:5])
+        np.testing.assert_allclose(spread[nearest, :5], MIN_SPREAD[:5])
 
 
 def test_few_motions_are_anchors_enough() -> None:
@@ -57,12 +58,12 @@ def test_few_motions_are_anchors_enough() -> None:
     anchors, spread = cluster_motions(rows, 5)
     assert anchors.shape == spread.shape == (5, 7)
     assert torch.isfinite(anchors).all()
-    assert (spread >= torch.tensor(LEAST_SPREAD)).all()
+    assert (spread >= torch.tensor(MIN_SPREAD)).all()
 
 
 def test_motions_are_those_of_the_dataset(make_anchors: MakeTiny) -> None:
     *_, dataset = make_anchors()
-    motions = demonstrated_motions(dataset.meta)
+    motions = demonstrated_motions(read_recorded_rows(dataset.meta))
     assert motions.shape == (len(dataset), 7)
     item = dataset[4]
     action, state = item[schema.ACTION], item[schema.STATE]
@@ -106,7 +107,7 @@ def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dic
     assert not told or all(isinstance(value, float) for value in told.values())
     loss.backward()
     # Whether anything is aimed at depends on what was demonstrated.
-    assert policy.model.refiner is None or policy.model.aims(torch.arange(6)).any()
+    assert policy.model.refiner is None or policy.model.needs_refinement(torch.arange(6)).any()
     still = [name for name, weight in policy.model.named_parameters() if weight.grad is None or not weight.grad.any()]
     assert not still
 
@@ -388,11 +389,11 @@ def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> No
     policy, *_ = make_anchors()
     model = policy.model
     model.anchors[:] = 0.0
-    model.spread[:] = torch.tensor(LEAST_SPREAD)
+    model.spread[:] = torch.tensor(MIN_SPREAD)
     model.anchors[:3, 6] = 1.0  # the fourth is closed
     model.anchors[[0, 2, 3], 2] = 0.1  # the second stays where it is
     model.spread[[0, 1, 3], 2] = 0.008  # the third ends where it always does
-    assert model.aims(torch.arange(6)).tolist() == [True, False, False, False, False, False]
+    assert model.needs_refinement(torch.arange(6)).tolist() == [True, False, False, False, False, False]
 
 
 def test_rows_that_do_not_aim_count_for_nothing_where_all_are_looked_at(
@@ -401,7 +402,7 @@ def test_rows_that_do_not_aim_count_for_nothing_where_all_are_looked_at(
     # As on a GPU, which is not asked how many aim.
     policy, before, _, dataset = make_anchors()
     batch = batch_of(dataset, before, 0, 5, 8, 20)
-    policy.model.spread[:] = torch.tensor(LEAST_SPREAD)
+    policy.model.spread[:] = torch.tensor(MIN_SPREAD)
     monkeypatch.setattr(anchors, "_rows_to_refine", lambda aims: torch.arange(len(aims)))
     loss, told = policy.forward(batch)
     loss.backward()
@@ -416,7 +417,7 @@ def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
     policy, before, _, dataset = make_anchors()
     policy.eval()
     for model in (policy.model, policy.ema_model):
-        model.anchors[:, 6], model.spread[:] = 1.0, torch.tensor(LEAST_SPREAD)
+        model.anchors[:, 6], model.spread[:] = 1.0, torch.tensor(MIN_SPREAD)
         model.spread[::2, 2] = 0.03
     observation = observation_of(dataset, before, *range(20))
     noise = torch.rand(20, 1)
@@ -433,6 +434,6 @@ def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
     torch.testing.assert_close(few, acted(), rtol=0, atol=1e-6)
     assert 0 < looked[0] < looked[1] == 20
     for model in (policy.model, policy.ema_model):
-        model.spread[:] = torch.tensor(LEAST_SPREAD)
+        model.spread[:] = torch.tensor(MIN_SPREAD)
     acted()
     assert len(looked) == 2

@@ -149,7 +149,7 @@ def test_a_camera_on_the_hand_asks_the_state_where_the_tool_is(session: Any, dep
     "picture", [torch.zeros(1, 3, HEIGHT, WIDTH), torch.zeros(1, 1, HEIGHT, WIDTH, dtype=torch.uint8)]
 )
 def test_what_is_no_depth_is_refused(session: Any, picture: torch.Tensor) -> None:
-    with pytest.raises(ConfigurationError, match="depth picture is none"):
+    with pytest.raises(ConfigurationError, match="picture is not depth"):
         made(DepthToCloudStep(POINTS), picture)
 
 

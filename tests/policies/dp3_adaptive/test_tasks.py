@@ -46,7 +46,7 @@ def test_instructions_are_told_apart_and_the_same_words_are_the_same() -> None:
 @pytest.mark.parametrize("task", [None, [], [3]])
 def test_who_is_told_nothing_says_so(task: Any) -> None:
     batch = {schema.STATE: torch.zeros(1, 24), "task": task}
-    with pytest.raises(ConfigurationError, match="nobody told it"):
+    with pytest.raises(ConfigurationError, match="needs an instruction"):
         InstructionStep()(batch_to_transition(batch))
 
 

@@ -13,10 +13,10 @@ import torch
 from toy_demos import observed, play, record_toy, toy_world, trained
 
 from lerobot_adamanip.contract import schema
+from lerobot_policy_adamanip.affordance.demonstrations import read_demonstrations
 from lerobot_policy_adamanip.affordance.plans import approach, let_go
-from lerobot_policy_adamanip.common.demonstrations import read_demonstrations
 from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after, reverse
-from lerobot_policy_adamanip.sampling.modeling_sampling import motions_in_contact
+from lerobot_policy_adamanip.sampling.contact_labels import motions_in_contact
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 Observation = dict[str, torch.Tensor]
@@ -133,7 +133,7 @@ def test_a_push_includes_a_motion_since_nothing_is_held_then(make: MakePolicy) -
     cloud, pose = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
     closed = pose.clone()
     closed[:, schema.GRIPPER_DIM] = 0.0
-    policy.model.drawn_grasps = lambda cloud: closed
+    policy.model.draw_grasps = lambda cloud: closed
     macro = policy.draw_macro(cloud[0], pose[0])
     assert macro.shape == (3, 10)
     assert not macro[:, schema.GRIPPER_DIM].any()
@@ -196,7 +196,7 @@ def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, 
     policy, *_ = make()
     policy.eval()
     cloud, pose = policy.observed(with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3))
-    policy.model.drawn_grasps = lambda cloud: pose * torch.cat([torch.ones(9), torch.zeros(1)]) + torch.eye(10)[9]
+    policy.model.draw_grasps = lambda cloud: pose * torch.cat([torch.ones(9), torch.zeros(1)]) + torch.eye(10)[9]
     episodes, motions = 300, len(policy.model.motions)
     opening = pose_after(policy.model.motions[2:3], pose)
     batch = {schema.POINT_CLOUD: cloud.expand(episodes, -1, -1), schema.STATE: pose.expand(episodes, -1)}
@@ -248,7 +248,7 @@ def test_it_learns_to_take_hold_and_then_tries_everything(make: MakePolicy, batc
     losses = trained(policy, batch, 200)
     assert np.mean(losses[-20:]) < 0.25 * np.mean(losses[:5])
     cloud, _ = policy.observed({key: value[:1] for key, value in batch.items() if key.startswith("observation")})
-    grasps = torch.cat([policy.model.drawn_grasps(cloud) for _ in range(5)])
+    grasps = torch.cat([policy.model.draw_grasps(cloud) for _ in range(5)])
     wanted = policy.labels.grasps[policy.labels.contacts_of[0, 0]]
     assert (grasps[:, :3] - wanted[:3]).norm(dim=-1).median() < 0.008
     tried = set()

@@ -11,7 +11,7 @@ import pytest
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.demonstrations import AWAY, Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.affordance.demonstrations import MIN_CLEARANCE_M, Demonstrations, read_demonstrations
 from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans, opened_share
 
 
@@ -58,7 +58,7 @@ def test_a_plan_is_made_while_the_hand_is_open_and_away(demonstrations: Demonstr
         assert counting[-1] <= demonstrations.contacts(rows)[0].start
         assert (demonstrations.poses[counting, schema.GRIPPER_DIM] > 0.5).all()
         away = np.linalg.norm(demonstrations.poses[counting, :3] - labels.grasps[plan, :3], axis=1)
-        assert (away > AWAY).all()
+        assert (away > MIN_CLEARANCE_M).all()
 
 
 def test_what_another_hand_has_turned_before_is_not_the_plans(demonstrations: Demonstrations) -> None:

@@ -15,7 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Goal, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, rotation_vector
-from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import spoil
+from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import perturb_grasp
 from lerobot_policy_adamanip.vat_mart.trajectory import (
     decode_trajectory,
     encode_trajectory,
@@ -72,7 +72,7 @@ def test_a_plan_approaches_closes_and_follows_its_key_frames(make: MakePolicy) -
 def test_a_spoilt_grasp_is_turned_or_shifted_and_nothing_else() -> None:
     trajectory = torch.randn(200, trajectory_dim(2))
     trajectory[:, :6] = torch.tensor([1.0, 0, 0, 0, 1, 0])
-    spoilt = spoil(trajectory)
+    spoilt = perturb_grasp(trajectory)
     angle = angle_between(spoilt[:, :6], trajectory[:, :6])
     shift = (spoilt[:, 6:9] - trajectory[:, 6:9]).norm(dim=-1)
     assert torch.equal(spoilt[:, 9:], trajectory[:, 9:])

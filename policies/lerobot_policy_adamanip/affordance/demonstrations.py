@@ -1,0 +1,191 @@
+"""A dataset's columns that labels are made from, and the contacts of its episodes.
+
+A training batch holds no ``complementary_info.*`` or ``next.*``: what a row tried, and with which result. Labels are
+made from the files when a policy is made, and looked up by ``index``. At run time a policy has none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.keyframes import OPEN_HAND
+from lerobot_adamanip.contract.schema import (
+    ACTION_DIM,
+    DONE,
+    EXECUTED,
+    FAILED,
+    GRIPPER_DIM,
+    JOINTS,
+    MAX_OBJECT_JOINTS,
+    STATE,
+    SUCCESS,
+    TRIED,
+)
+from lerobot_adamanip.episode.contact_labels import CLOSED
+from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, read_columns
+
+MIN_CLEARANCE_M = 0.05
+"""A hand at least this far from a grasp does not hide the part."""
+MAX_GRASP_TRAVEL_M = 0.03
+"""A hand that closes within this distance of its place grasps; one that closes on a longer way pushes."""
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """Columns of a dataset, one entry a row.
+
+    Attributes:
+        index, episode, task: (T,) int64, LeRobot's ``index``, ``episode_index`` and ``task_index``.
+        poses: (T, 10) float32 tool pose and gripper before the row's command.
+        commands: (T, 10) float32 executed pose.
+        tried: (T,) int64 joint that the command tried to move, -1 for none.
+        failed: (T,) bool, whether it did not follow.
+        success: (T,) bool, whether the task is done after the command.
+        final: (T,) bool: an episode's final observation, whose command was not sent.
+        joints: (T, 4) float32 positions of the object's joints before the command [rad or m].
+    """
+
+    index: NDArray[np.int64]
+    episode: NDArray[np.int64]
+    task: NDArray[np.int64]
+    poses: NDArray[np.float32]
+    commands: NDArray[np.float32]
+    tried: NDArray[np.int64]
+    failed: NDArray[np.bool_]
+    success: NDArray[np.bool_]
+    final: NDArray[np.bool_]
+    joints: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.index)
+
+    def episodes(self) -> Iterator[slice]:
+        """Yields the rows of each episode."""
+        starts = np.flatnonzero(np.diff(self.episode, prepend=-1))
+        for start, end in zip(starts, [*starts[1:], len(self)], strict=True):
+            yield slice(int(start), int(end))
+
+    def open_and_away(self, rows: NDArray[np.int64], place: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Returns at which rows (R,) the hand is open and `MIN_CLEARANCE_M` away from a place (3,) [m]."""
+        poses = self.poses[rows]
+        away: NDArray[np.bool_] = np.linalg.norm(poses[:, :3] - place, axis=1) > MIN_CLEARANCE_M
+        return away & (poses[:, GRIPPER_DIM] > OPEN_HAND)
+
+    def stretches(self, rows: slice) -> NDArray[np.int64]:
+        """Returns how many tries of an episode had moved a joint before each of its rows (T,).
+
+        Rows of one number are a stretch in which nothing moved: a try would have the same result at all of them. A row
+        whose try moves something is the last of its stretch.
+        """
+        moved = (self.tried[rows] >= 0) & ~self.failed[rows]
+        before: NDArray[np.int64] = np.cumsum(moved) - moved
+        return before
+
+    def contacts(self, rows: slice) -> list[Contact]:
+        """Returns the contacts of an episode by its rows; see `find_contacts`."""
+        sent = slice(rows.start, rows.stop - int(self.final[rows.stop - 1]))
+        return find_contacts(self.poses[sent], self.commands[sent], first_row=rows.start)
+
+
+def read_demonstrations(dataset_meta: Any) -> Demonstrations:
+    """Returns a dataset's columns; raises `ConfigurationError` as `read_columns` does."""
+    numbers = (INDEX, EPISODE, "task_index", TRIED, FAILED, SUCCESS, DONE)
+    read = read_columns(dataset_meta, (*numbers, STATE, EXECUTED, JOINTS))
+    index, episode, task, tried, failed, success, done = (read[key].reshape(-1) for key in numbers)
+    last = np.append(np.diff(episode) != 0, True)
+    return Demonstrations(
+        index.astype(np.int64),
+        episode.astype(np.int64),
+        task.astype(np.int64),
+        read[STATE][:, :ACTION_DIM],
+        read[EXECUTED],
+        tried.astype(np.int64),
+        failed.astype(np.bool_),
+        success.astype(np.bool_),
+        done.astype(np.bool_) & last,
+        read[JOINTS][:, -MAX_OBJECT_JOINTS:],
+    )
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Rows of an episode in which the hand is closed at a part.
+
+    Attributes:
+        start: row in which the fingers close.
+        grasp: (10,) float32 pose of contact; its gripper is the opening of the approach, 1 to grasp, 0 to push.
+        first: row of the first motion in contact.
+        end: row after the last one.
+    """
+
+    start: int
+    grasp: NDArray[np.float32]
+    first: int
+    end: int
+
+
+class ContactTracker:
+    """Tracks from key frame to key frame whether a hand is in contact with a part.
+
+    A hand that closes in place grasps, and motions follow. One that closes on its way will push: the next command leads
+    it to the part, and motions follow. A hand that is closed from the start is not in contact until it has opened.
+
+    Attributes:
+        opening: opening of the approach, 1 to grasp, 0 to push; None without contact.
+    """
+
+    def __init__(self) -> None:
+        self.opening: float | None = None
+        self._pushes, self._was_closed = False, False
+
+    def sent(self, pose: NDArray[np.float32], command: NDArray[np.float32]) -> bool:
+        """Processes one key frame; returns whether it was a motion in contact.
+
+        Args:
+            pose: (10,) tool pose and gripper before it.
+            command: (10,) pose that was sent.
+        """
+        in_contact = self.opening is not None
+        if command[GRIPPER_DIM] >= CLOSED:
+            self.opening, self._pushes, self._was_closed = None, False, False
+            return False
+        if self._pushes:
+            self.opening, self._pushes = 0.0, False
+        elif not self._was_closed and pose[GRIPPER_DIM] > OPEN_HAND:
+            in_place = float(np.linalg.norm(command[:3] - pose[:3])) < MAX_GRASP_TRAVEL_M
+            self.opening, self._pushes = (1.0, False) if in_place else (None, True)
+        self._was_closed = True
+        return in_contact
+
+
+def find_contacts(poses: NDArray[np.float32], commands: NDArray[np.float32], first_row: int = 0) -> list[Contact]:
+    """Returns the contacts of an episode in order, as `ContactTracker` finds them.
+
+    Args:
+        poses: (T, 10) tool pose and gripper before each command.
+        commands: (T, 10) poses that were sent.
+        first_row: number of the first of these rows.
+    """
+    tracker, contacts, met = ContactTracker(), list[Contact](), -1
+
+    def add(opening: float, end: int) -> None:
+        grasp = np.append(commands[met][:GRIPPER_DIM], np.float32(opening))
+        start = met if opening else met - 1
+        contacts.append(Contact(start + first_row, grasp, met + 1 + first_row, end + first_row))
+
+    for row, (pose, command) in enumerate(zip(poses, commands, strict=True)):
+        before = tracker.opening
+        tracker.sent(pose, command)
+        if before is None and tracker.opening is not None:
+            met = row
+        if tracker.opening is None and before is not None:
+            add(before, row)
+    if tracker.opening is not None:
+        add(tracker.opening, len(commands))
+    return contacts

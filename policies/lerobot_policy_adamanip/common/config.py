@@ -1,0 +1,155 @@
+"""Base configuration of the policies: clouds and tool poses in, poses out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import torch
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.optim.optimizers import AdamWConfig, OptimizerConfig
+from torch.nn import Parameter
+
+from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
+from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
+
+FUSED_DEVICES = {"cpu", "cuda"}
+"""Device types with a fused AdamW kernel in every supported torch."""
+
+
+@OptimizerConfig.register_subclass("fused_adamw")
+@dataclass
+class FusedAdamWConfig(AdamWConfig):
+    """LeRobot's AdamW as one fused kernel: equal up to rounding, and faster."""
+
+    def build(self, params: Iterable[Parameter] | Iterable[dict[str, Any]]) -> torch.optim.AdamW:
+        """Returns the optimizer of parameters or parameter groups. Sets `torch.set_flush_denormal` for the process."""
+        groups: list[Any] = list(params)
+        values = asdict(self)
+        values.pop("grad_clip_norm")
+        # Moments of gradients that stay zero decay below float32's normal range within 2,400 steps. A CPU needs many
+        # times as long for such numbers, and they move no weight.
+        torch.set_flush_denormal(True)
+        weights = [weight for group in groups for weight in (group["params"] if isinstance(group, dict) else [group])]
+        return torch.optim.AdamW(groups, **values, fused={weight.device.type for weight in weights} <= FUSED_DEVICES)
+
+
+@dataclass
+class CloudPolicyConfig(PreTrainedConfig):
+    """Base of configurations. The comment above a field is its help on the command line."""
+
+    # Set automatically: names and shapes of the inputs, from the dataset.
+    input_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
+    # Set automatically: name and shape of the action, from the dataset.
+    output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
+    # Points used: the first of each recorded cloud, which is ordered by farthest-point sampling.
+    num_points: int = 1024
+    # Set automatically: whether state and action are poses, from the dataset's feature names.
+    pose_layout: bool | None = None
+    # Set automatically: the dataset's action names, which lerobot-rollout maps to a robot's.
+    action_feature_names: list[str] | None = None
+    # Licence of a published policy, as the Hub names it.
+    license: str | None = "apache-2.0"
+
+    def __post_init__(self) -> None:
+        """Raises `ConfigurationError` for options that do not go together."""
+        with shown_by_parsers():
+            self.check()
+        super().__post_init__()
+
+    def check(self) -> None:
+        """Raises `ConfigurationError` for options that do not go together."""
+
+    @property
+    def action_delta_indices(self) -> None:
+        """None: LeRobot reads the present row, and the policy looks up the others by its ``index``."""
+        return None
+
+    @property
+    def reward_delta_indices(self) -> None:
+        """None: rewards are not used."""
+        return None
+
+    def set_dataset_feature_metadata(self, features: Mapping[str, Mapping[str, Any]]) -> None:
+        """Sets `pose_layout` from a dataset's feature names; LeRobot calls this before training."""
+        action, state = (_flat_names(features.get(key, {}).get("names")) for key in (ACTION, STATE))
+        if action and state:
+            self.pose_layout = action == list(POSE_NAMES) and state[:ACTION_DIM] == list(POSE_NAMES)
+
+    @property
+    def has_pose_layout(self) -> bool:
+        """Whether action and the first ten state numbers are poses: by name, or by size if there are no names."""
+        action, state = self.action_feature, (self.input_features or {}).get(STATE)
+        if self.pose_layout is False or action is None or state is None:
+            return False
+        return tuple(action.shape) == (ACTION_DIM,) and int(state.shape[0]) >= ACTION_DIM
+
+    def keep_inputs(self, *keys: str) -> None:
+        """Drops all other inputs, so that a checkpoint runs without cameras; declares the cloud as ENV, (N, 3).
+
+        LeRobot has no point-cloud type. As STATE, the cloud would be normalised under the state's mode.
+
+        Raises:
+            ConfigurationError: an input is missing, or clouds have fewer points than ``num_points``.
+        """
+        inputs: dict[str, PolicyFeature] = dict(self.input_features or {})
+        if any(key not in inputs for key in keys):
+            raise ConfigurationError(
+                f"{self.type} misses an input.",
+                got=", ".join(inputs) or "no inputs",
+                allowed=f"a dataset with {', '.join(keys)}",
+                hint="adamanip collect; of a robot's recording, adamanip keyframes RECORDING --out DATASET",
+            )
+        cloud = tuple(inputs[POINT_CLOUD].shape)
+        if len(cloud) == 1 and cloud[0] % 3 == 0:
+            cloud = (cloud[0] // 3, 3)
+        if len(cloud) != 2 or cloud[1] < 3 or cloud[0] < self.num_points:
+            raise wrong_number_of_points(cloud, self.num_points, trained=self.pretrained_path is not None)
+        outputs: dict[str, PolicyFeature] = self.output_features or {}
+        self.input_features = {key: inputs[key] for key in keys}
+        self.input_features[POINT_CLOUD] = PolicyFeature(FeatureType.ENV, cloud)
+        self.output_features = {key: value for key, value in outputs.items() if key == ACTION}
+
+    def require_poses(self) -> None:
+        """Raises `ConfigurationError` unless state and action are poses."""
+        if not self.has_pose_layout:
+            self.require_action()
+            assert self.action_feature is not None
+            raise ConfigurationError(
+                f"{self.type} moves a tool, and these actions are no poses of one.",
+                got=f"action {tuple(self.action_feature.shape)}, named as poses: {self.pose_layout}",
+                allowed="the ten pose numbers of the contract, in action and in state",
+                hint="adamanip collect, or --policy.type=dp3_adaptive --policy.preset=diffusion",
+            )
+
+    def require_action(self) -> None:
+        """Raises `ConfigurationError` for a dataset without actions."""
+        if self.action_feature is None:
+            raise ConfigurationError(
+                "The dataset has no actions.",
+                got="no column `action`",
+                allowed="demonstrations",
+                hint="adamanip collect",
+            )
+
+
+def wrong_number_of_points(shape: Sequence[int], num_points: int, *, trained: bool = True) -> ConfigurationError:
+    """Returns the error for a cloud shape (N, 3); only an untrained policy can use fewer points."""
+    hint = f"clouds of {num_points} points (--env.num_points={num_points}), or a policy trained with fewer"
+    if not trained and shape and shape[0] > 0:
+        hint = f"--policy.num_points={shape[0]}, or a dataset of adamanip collect --num-points {num_points}"
+    return ConfigurationError(
+        "Wrong number of points.",
+        got=f"clouds of shape {tuple(shape)}",
+        allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
+        hint=hint,
+    )
+
+
+def _flat_names(names: Any) -> list[str]:
+    """Feature names, which LeRobot allows to be a list, a dict of lists, or None."""
+    if isinstance(names, dict):
+        return [name for group in names.values() for name in (group if isinstance(group, list) else [str(group)])]
+    return list(names or [])

@@ -1,0 +1,200 @@
+"""Base of the policies: strict checkpoints, inputs picked from a batch, our model card on the Hub."""
+
+from __future__ import annotations
+
+import copy
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from lerobot.policies.pretrained import PreTrainedPolicy
+from torch import Tensor
+
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.schema import ACTION_DIM, POINT_CLOUD, STATE
+from lerobot_adamanip.util.errors import ConfigurationError, listed
+from lerobot_adamanip.util.mixed_precision import require_mixed_precision
+from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
+
+_logger = logging.getLogger(__name__)
+
+
+class CloudPolicy(PreTrainedPolicy):
+    """Base of LeRobot policies with one trained network, ``model``.
+
+    Args:
+        config: its `validate_features` is called here.
+    """
+
+    config_class: ClassVar[type[CloudPolicyConfig]] = CloudPolicyConfig
+    name: ClassVar[str] = "cloud_policy"
+    config: Any
+    model: torch.nn.Module
+
+    def __init__(self, config: CloudPolicyConfig) -> None:
+        super().__init__(config)
+        if config.use_amp:
+            require_mixed_precision(str(config.device))
+        config.validate_features()
+
+    def get_optim_params(self) -> Any:
+        """Returns the parameters to train; checks first that the training can be published."""
+        self.require_own_push()
+        return self.model.parameters()
+
+    @classmethod
+    def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
+        """Loads strictly: LeRobot's default would leave missing weights at random values."""
+        folder = Path(model_file).parent
+        log_training_objects(folder)
+        try:
+            return super()._load_as_safetensor(model, model_file, map_location, True)
+        except RuntimeError as error:
+            reasons = [line.strip() for line in str(error).splitlines() if line.strip()]
+            raise ConfigurationError(
+                f"The checkpoint {folder} does not fit this policy.",
+                got="; ".join(reasons[:3])[:400],
+                allowed="weights saved with the same options",
+                hint="leave --policy.* options as in its config.json",
+            ) from error
+
+    # Inputs ---------------------------------------------------------------------------------------------------------
+
+    def pick_inputs(self, batch: Mapping[str, Any]) -> dict[str, Tensor]:
+        """Returns the policy's inputs, clouds as their first ``num_points`` points (..., N, 3); the batch stays.
+
+        Raises:
+            ConfigurationError: an input is missing, or clouds have fewer points.
+        """
+        wanted, num_points = self.config.input_features, self.config.num_points
+        if any(batch.get(key) is None for key in wanted):
+            raise ConfigurationError(
+                "The observation lacks an input of the policy.",
+                got=", ".join(key for key in batch if key.startswith("observation")) or "no observation",
+                allowed=", ".join(wanted),
+                hint="--env.type=adamanip_safe, or another environment with point clouds",
+            )
+        picked = {key: batch[key] for key in wanted}
+        cloud = picked[POINT_CLOUD]
+        if cloud.shape[-1] != wanted[POINT_CLOUD].shape[-1]:
+            cloud = as_points(cloud)
+        if cloud.shape[-2] < num_points:
+            raise wrong_number_of_points(cloud.shape[-2:], num_points)
+        picked[POINT_CLOUD] = cloud[..., :num_points, :3]
+        return picked
+
+    def observed(self, batch: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
+        """Returns clouds (B, N, 3) [m] and tool poses (B, 10) of one observation.
+
+        LeRobot adds a missing batch dimension to states, but not to clouds.
+        """
+        picked = self.pick_inputs(batch)
+        cloud, pose = picked[POINT_CLOUD], picked[STATE][..., :ACTION_DIM]
+        return (cloud[None] if cloud.dim() == 2 else cloud).float(), pose.float()
+
+    # Publishing -----------------------------------------------------------------------------------------------------
+
+    def require_own_push(self) -> None:
+        """Raises `ConfigurationError` if ``push_to_hub`` is set and this LeRobot would publish local paths.
+
+        LeRobot 0.6.1 asks the policy for its card and training configuration; later versions offer no hook.
+        """
+        if self.config.push_to_hub and self.config.repo_id and not hasattr(PreTrainedPolicy, "generate_model_card"):
+            raise ConfigurationError(
+                "This LeRobot publishes a policy with the local paths of its training.",
+                got=f"--policy.push_to_hub=true, to {self.config.repo_id}",
+                allowed="--policy.push_to_hub=false",
+                hint="train with --policy.push_to_hub=false, then adamanip push model CHECKPOINT --repo-id USER/NAME",
+            )
+
+    def push_to_hub(self, *args: Any, **kwargs: Any) -> Any:
+        """Uploads as LeRobot does; see `require_own_push`."""
+        self.require_own_push()
+        return super().push_to_hub(*args, **kwargs)
+
+    def generate_model_card(self, *args: Any, cfg: Any = None, dataset_meta: Any = None, **kwargs: Any) -> Any:
+        """Returns the card of `adamanip push model`. LeRobot's own is validated online, whatever ``HF_ENDPOINT`` is."""
+        import draccus
+        from huggingface_hub import ModelCard
+
+        from lerobot_adamanip.datasets.cards.templates import check_card
+        from lerobot_adamanip.hub.model_card import Checkpoint, model_card
+        from lerobot_adamanip.hub.portable_config import shareable
+
+        updates = getattr(self, "ema_steps", None)
+        checkpoint = Checkpoint(
+            shareable({**draccus.encode(self.config), "type": self.config.type}),
+            {} if cfg is None else shareable(draccus.encode(cfg)),
+            sum(each.numel() for each in self.model.parameters()),
+            None if updates is None else int(updates),
+        )
+        text = model_card(checkpoint, self.config.repo_id or "USER/NAME")
+        check_card(text, "model")
+        return ModelCard(text)
+
+    def push_model_to_hub(self, cfg: Any, *args: Any, **kwargs: Any) -> None:
+        """Uploads as LeRobot does, with configurations that name no local folder."""
+        from lerobot_adamanip.hub.portable_config import is_local, shareable_copy
+
+        kept = self.config
+        if is_local(kept.pretrained_path):
+            self.config = copy.deepcopy(kept)
+            self.config.pretrained_path = None
+        try:
+            super().push_model_to_hub(shareable_copy(cfg), *args, **kwargs)
+        finally:
+            self.config = kept
+
+
+def log_training_objects(checkpoint: Path) -> None:
+    """Logs which objects a checkpoint was trained on, if its dataset is on this machine; "seen" is no policy's split.
+
+    Args:
+        checkpoint: folder with ``train_config.json``, as ``lerobot-train`` writes it.
+    """
+    from lerobot.utils.constants import HF_LEROBOT_HOME
+
+    from lerobot_adamanip.datasets.reading import episode_table
+
+    try:
+        dataset = json.loads((checkpoint / "train_config.json").read_text(encoding="utf-8"))["dataset"]
+        root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
+        objects = sorted(set(map(str, episode_table(root)["object_id"].to_pylist())))
+    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or one that is not here
+        return
+    _logger.info("The policy was trained on %d objects: %s.", len(objects), listed(objects))
+
+
+class ChunkGuard:
+    """Refuses chunks of a policy with a history that is not told which actions were executed.
+
+    `select_action` remembers the action that it returns. LeRobot's asynchronous policy server calls
+    `predict_action_chunk` alone, so that the history would stay empty.
+    """
+
+    def __init__(self, policy_type: str) -> None:
+        self._policy_type = policy_type
+        self._predicted: Mapping[str, Tensor] | None = None
+
+    def select(self) -> None:
+        """Notes a call of `select_action`, after which any observation may follow."""
+        self._predicted = None
+
+    def predict(self, observation: Mapping[str, Tensor]) -> None:
+        """Notes a predicted chunk of an observation: cloud (B, N, 3) [m] and state (B, D).
+
+        Raises:
+            ConfigurationError: another observation was predicted from, and no action was selected since.
+        """
+        latest = self._predicted or observation
+        if any(not torch.equal(latest[key], observation[key]) for key in (POINT_CLOUD, STATE)):
+            raise ConfigurationError(
+                f"{self._policy_type} has a history, and is not told which actions were executed.",
+                got="predict_action_chunk for another observation, without select_action since the first",
+                allowed="select_action for each observation; reset() where another episode begins",
+                hint="lerobot-rollout --inference.type=sync, instead of rtc or the asynchronous policy server",
+            )
+        self._predicted = latest

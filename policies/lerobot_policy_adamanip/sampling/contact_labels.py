@@ -1,0 +1,94 @@
+"""Where to take hold, from demonstrations: at each row, the contacts that were made while nothing had moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from lerobot_adamanip.contract.schema import ACTION_DIM, POSITION_DIMS
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
+from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, motion_between
+
+MAX_CONTACTS = 4
+"""Contacts of one row that are kept."""
+
+
+@dataclass(frozen=True)
+class ContactLabels:
+    """Contacts of a dataset, and the rows at which they can be made.
+
+    Attributes:
+        contacts_of: (I, 4) int64 contacts that can be made at the row with this `index`; -1 for none.
+        grasps: (P, 10) float32 pose of contact, its gripper the opening of the approach.
+        motions: (M, 7) float32 commands in contact, in the tool's frame.
+    """
+
+    contacts_of: NDArray[np.int64]
+    grasps: NDArray[np.float32]
+    motions: NDArray[np.float32]
+
+
+def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
+    """Finds, for each row with an open hand, the episode's contacts that can be made there.
+
+    These are the contacts, earlier or later, of the same stretch, in which nothing moved: if a knob and a handle were
+    both grasped before anything moved, both can be grasped from the first row on.
+
+    Raises:
+        ConfigurationError: the demonstrations show no contact.
+    """
+    labels = np.full((1 + int(demonstrations.index.max()), MAX_CONTACTS), -1, dtype=np.int64)
+    grasps: list[NDArray[np.float32]] = []
+    for rows in demonstrations.episodes():
+        numbers, stretch = np.arange(rows.start, rows.stop), demonstrations.stretches(rows)
+        for contact in demonstrations.contacts(rows):
+            counts = stretch == stretch[contact.start - rows.start]
+            counts &= demonstrations.open_and_away(numbers, contact.grasp[:3])
+            _add(labels, demonstrations.index[numbers[counts]], len(grasps))
+            grasps.append(contact.grasp)
+    if not grasps:
+        raise ConfigurationError(
+            "The demonstrations show no contact.",
+            got=f"{len(demonstrations)} rows without a contact",
+            allowed="episodes in which an open hand closes at a part",
+            hint="adamanip collect",
+        )
+    return ContactLabels(labels, np.stack(grasps).reshape(-1, ACTION_DIM), motions_in_contact(demonstrations))
+
+
+def _add(labels: NDArray[np.int64], indices: NDArray[np.int64], contact: int) -> None:
+    """Writes a contact into the first free column of rows; a full row keeps its earlier ones."""
+    for index in indices:
+        free = np.flatnonzero(labels[index] < 0)
+        if len(free):
+            labels[index, free[0]] = contact
+
+
+def motions_in_contact(demonstrations: Demonstrations) -> NDArray[np.float32]:
+    """Returns the commands (M, 7) that were sent in contact, in the tool's frame."""
+    spans = [contact for rows in demonstrations.episodes() for contact in demonstrations.contacts(rows)]
+    rows = np.concatenate([np.arange(contact.first, contact.end) for contact in spans])
+    commands, poses = (torch.from_numpy(each[rows]) for each in (demonstrations.commands, demonstrations.poses))
+    motions: NDArray[np.float32] = motion_between(commands, poses).numpy()
+    return motions.reshape(-1, MOTION_DIM)
+
+
+def draw_contact(grasps: Tensor, contacts: Tensor) -> tuple[Tensor, Tensor]:
+    """Draws one of each row's contacts (B, C), -1 for none; a row without contacts gets any.
+
+    Args:
+        grasps: (P, 10) of all contacts.
+        contacts: (B, C) as `ContactLabels.contacts_of`.
+
+    Returns:
+        the grasps (B, 10), and the places (B, C, 3) [m] of each row's contacts, the drawn one for none.
+    """
+    preferred = torch.rand(contacts.shape, device=contacts.device) + (contacts >= 0)
+    drawn = contacts.gather(1, preferred.argmax(dim=1, keepdim=True))
+    known = torch.where(contacts >= 0, contacts, drawn).clamp(min=0)
+    return grasps[drawn.squeeze(1).clamp(min=0)], grasps[known][..., POSITION_DIMS]
