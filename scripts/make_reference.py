@@ -113,7 +113,7 @@ def _environments() -> str:
     own = [(name, each) for name, cls in classes.items() for each in options(cls) if each.name not in names]
     hidden = [f"| `{name}` | `--env.{each.name}` | {each.text} |" for name, each in own]
     types = [f"| `adamanip_{name}` | {category.instruction} |" for name, category in CATEGORIES.items()]
-    return "\n".join([
+    page = [
         "# Environments\n", HEAD,
         "Options of `lerobot-train`, `lerobot-eval` and `KeyframeEnv(..., name=value)`.\n",
         "## Which environments are there?\n",
@@ -121,7 +121,8 @@ def _environments() -> str:
         "| `adamanip` | all nine in turn; `--env.categories=safe,door` chooses |",
         "\n## Options of every environment\n", _table(rows),
         "\n## How do I fix a hidden value?\n", "| category | option | meaning |", "|---|---|---|", *hidden, "",
-    ])  # fmt: skip
+    ]  # fmt: skip
+    return "\n".join(page)
 
 
 def documents() -> dict[Path, str]:

@@ -29,6 +29,7 @@ def doctor_json(extra: dict[str, str]) -> tuple[int, dict[str, dict[str, object]
     return done.returncode, {row["name"]: row for row in report["checks"]}, report["ok"]
 
 
+@pytest.mark.nightly
 @pytest.mark.sim
 def test_a_machine_that_was_set_up_passes() -> None:
     status, rows, ok = doctor_json({})

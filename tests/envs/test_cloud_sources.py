@@ -17,7 +17,7 @@ pytestmark = pytest.mark.sim
 NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
 
 
-@pytest.fixture(scope="module", params=["coffee_maker", "safe"])
+@pytest.fixture(scope="module", params=[pytest.param("coffee_maker", marks=pytest.mark.nightly), "safe"])
 def task(request: pytest.FixtureRequest) -> Any:
     task = make_task(request.param, cloud_source="render")
     yield task

@@ -75,7 +75,7 @@ def test_plain_maniskill_whose_observations_show_nothing_needs_no_vulkan_device(
     assert all("no Vulkan device" in each for each in said[1:])
 
 
-@pytest.mark.parametrize("code", [TRY, PLAIN])
+@pytest.mark.parametrize("code", [TRY, pytest.param(PLAIN, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("name", ["sapien", pytest.param("mani_skill", marks=pytest.mark.nightly)])
 def test_without_the_simulator_the_extra_is_named(name: str, code: str) -> None:
     said = in_fresh_process(BLOCK.format(name=name) + code)

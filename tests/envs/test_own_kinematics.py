@@ -31,7 +31,10 @@ def told(code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[
     return done
 
 
-@pytest.mark.parametrize("name", ["lerobot_env_adamanip.fork_server_preload", "lerobot_env_adamanip.tasks"])
+@pytest.mark.parametrize(
+    "name",
+    ["lerobot_env_adamanip.fork_server_preload", pytest.param("lerobot_env_adamanip.tasks", marks=pytest.mark.nightly)],
+)
 def test_sapien_keeps_its_own(installed: dict[str, str], name: str) -> None:
     done = told(f"import {name}; {MODULE}; import pinocchio; print(pinocchio.IS_OTHER)", installed)
     assert done.stdout.split() == [OWN, "True"], "and who wants the other one gets it"

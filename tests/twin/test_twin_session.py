@@ -36,12 +36,10 @@ def log_lines(path: Path) -> list[dict[str, Any]]:
 
 
 def record(root: Path, *options: str) -> Path:
-    lerobot(
-        "record", *TWIN, f"--robot.seed={SEED}", "--robot.image_size=64", "--teleop.type=adamanip_scripted",
-        "--dataset.repo_id=local/twin", f"--dataset.root={root}", "--dataset.num_episodes=1",
-        "--dataset.reset_time_s=0", "--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false",
-        *options,
-    )  # fmt: skip
+    robot = (*TWIN, f"--robot.seed={SEED}", "--robot.image_size=64", "--teleop.type=adamanip_scripted")
+    data = ("--dataset.repo_id=local/twin", f"--dataset.root={root}", "--dataset.num_episodes=1")
+    rest = ("--dataset.reset_time_s=0", "--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false")
+    lerobot("record", *robot, *data, *rest, *options)
     return root
 
 
