@@ -16,6 +16,7 @@ import json
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -27,9 +28,9 @@ from expert_episodes import Episode, run_all
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.evaluation.groups import hidden_names
+from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
-from lerobot_adamanip.evaluation.result_rows import ResultRow
-from lerobot_adamanip.evaluation.results import check_command, make_result, write_result
+from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
@@ -164,16 +165,18 @@ def result_rows(episodes: list[Episode]) -> list[ResultRow]:
         cells.setdefault((e.kind, e.preset, e.category, e.split), []).append(e)
     rows = []
     for (kind, preset, category, split), chosen in cells.items():
-        hidden: dict[str, tuple[int, int]] = {}
+        hidden: dict[str, list[bool]] = {}
         for e in chosen:
             discrete = {name: value for name, value in (e.hidden or {}).items() if not isinstance(value, float)}
             for name in hidden_names(category, discrete, {}):
-                kept, all_of_it = hidden.get(name, (0, 0))
-                hidden[name] = (kept + e.success, all_of_it + 1)
-        made = _counts(chosen)
+                hidden.setdefault(name, []).append(e.success)
+        metrics = Metrics(
+            success=rate(sum(e.success for e in chosen), len(chosen)),
+            hidden={name: rate(sum(each), len(each)) for name, each in sorted(hidden.items())},
+            key_frames=dict(sorted(Counter(e.key_frames for e in chosen if e.success).items())),
+        )
         objects = split if split in SPLITS else object_split(chosen[0].object_id) or "external"
-        counts = (made["attempted"], made["kept"], made["mean_key_frames"])
-        rows.append(ResultRow(kind, preset, category, objects, *counts, hidden=dict(sorted(hidden.items()))))
+        rows.append(ResultRow(kind, preset, category, objects, metrics))
     return rows
 
 

@@ -17,7 +17,7 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
-from lerobot_adamanip.evaluation.tables import readme_block, results_page, with_block
+from lerobot_adamanip.evaluation.results_page import readme_block, results_page, with_block
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json", "policies.json", "experts.json")

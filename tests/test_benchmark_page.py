@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.evaluation.rates import rate, success_summary
+from lerobot_adamanip.evaluation.rates import success_summary
 from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,6 +51,6 @@ def test_results_are_those_of_the_result_file() -> None:
     for name in CATEGORIES:
         for cell, objects in zip(told[f"adamanip_{name}"], ("seen", "unseen", "novel"), strict=True):
             found = measured[name, objects]
-            keys = success_summary(rate(found.successes, found.episodes))
+            keys = success_summary(found.metrics.success)
             low, high = keys["pc_success_ci95"]
             assert cell == f"{keys['n_success']}/{keys['n_episodes']} [{low:.1f}, {high:.1f}]"

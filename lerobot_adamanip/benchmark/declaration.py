@@ -1,19 +1,20 @@
-"""What a benchmark consists of: methods, what they learn from, and scales. Read from TOML, checked field by field."""
+"""Declaration of a benchmark: methods, what they learn from, and scales. Read from TOML, checked field by field."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.benchmark.declaration_fields import DECLARATION, DEMONSTRATIONS, METHOD, SCALE, TRIALS
+from lerobot_adamanip.benchmark.declaration_fields import DECLARATION, DEMONSTRATIONS, METHOD, ROUND, SCALE, TRIALS
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS
 from lerobot_adamanip.episode.options import POSES
+from lerobot_adamanip.experts import EXPERT_STRATEGIES
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_adamanip.util.json_fields import Check, choice, table
@@ -26,19 +27,13 @@ METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstrations:
-    """A set of demonstrations, of each category; see `lerobot_adamanip.cli.collect.Collect`.
+    """A set of demonstrations, of each category; fields as of `lerobot_adamanip.cli.collect.Collect`.
 
-    Attributes:
-        expert: ``adaptive`` or ``static``.
-        trials: failed tries that the adaptive expert demonstrates before it changes its mind.
-        late_starts: share of episodes that start where another hand has lost its grip.
-        num_points: points per cloud, also in evaluations.
-        image_size: side of the pictures [px], also in evaluations; 0 for demonstrations without any.
-        poses: also in evaluations.
-        mechanism_rules: also in evaluations.
+    ``num_points``, ``image_size`` (0: no pictures), ``poses`` and ``mechanism_rules`` hold in evaluations too.
     """
 
     expert: str = "adaptive"
+    expert_strategy: str = EXPERT_STRATEGIES[0]
     trials: int = 1
     late_starts: float = DEFAULT_LATE_STARTS
     num_points: int = schema.DEFAULT_NUM_POINTS
@@ -48,19 +43,35 @@ class Demonstrations:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Round:
+    """A round of corrections (DAgger): the policy drives, the expert corrects it, and it is trained on all there is.
+
+    Attributes:
+        corrections: corrected episodes, per category.
+        steps: of the training.
+        start: ``new`` weights, or those that were ``trained`` before.
+    """
+
+    corrections: int
+    steps: int
+    start: str = "new"
+
+
+@dataclass(frozen=True, kw_only=True)
 class Method:
     """A row of the table.
 
     Attributes:
-        title: what tables call it.
+        title: its name in tables.
         policy: ``--policy.type``.
         options: ``--policy.NAME=VALUE`` options that it is made with.
         demonstrations: name of the set that it is trained on; empty for a policy that needs no training.
+        rounds: of corrections, after that training.
         train: further options of ``lerobot-train``; they win over the scale's.
         evaluate: further options of ``lerobot-eval``, likewise.
         steps: of its training, by scale, where they are not the scale's.
         train_at: by scale, options of ``lerobot-train`` that win over ``train``.
-        paper: what the paper calls it; empty if it is not in the paper.
+        paper: its name in the paper; empty if it is not there.
         package: the distribution that declares it; empty for the declaration's own.
     """
 
@@ -68,6 +79,7 @@ class Method:
     policy: str
     options: tuple[str, ...] = ()
     demonstrations: str = ""
+    rounds: tuple[Round, ...] = ()
     train: tuple[str, ...] = ()
     evaluate: tuple[str, ...] = ()
     steps: Mapping[str, int] = field(default_factory=dict)
@@ -85,13 +97,13 @@ class Scale:
         objects: that demonstrations are of, and that the split ``seen`` stands for.
         demonstrations: per category.
         steps, batch_size: of a training.
-        save_every: steps between checkpoints; what is interrupted goes on from the last one. Decides no result.
+        save_every: steps between checkpoints; an interrupted training resumes from the last one. Decides no result.
         episodes: of an evaluation; ``environments`` run at once.
         device: of torch.
         poses: of all scenes; empty for those of each set of demonstrations.
         evaluate: options of ``lerobot-eval``; those of a method win.
-        note: what its numbers say, for its report; ``beside_paper``: whether the paper's stand beside them there.
-            Neither decides a result.
+        note: one sentence for its report; ``beside_paper``: whether the paper's numbers stand there. Both decide no
+            result.
     """
 
     objects: str
@@ -113,10 +125,10 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialsCurve:
-    """A method on demonstrations of more and more trials that fail, the paper's second table.
+    """A method on demonstrations of more and more failed trials, the paper's second table.
 
     Attributes:
-        method: which one.
+        method: name.
         numbers: of trials.
         none: set of demonstrations that stands for no trial.
         categories, splits, scales: where the curve is measured.
@@ -147,7 +159,7 @@ class Declaration:
     trials: TrialsCurve | None = None
 
     def scale(self, name: str) -> Scale:
-        """Returns a scale by its name; raises `ConfigurationError` if there is no such one."""
+        """Returns a scale by its name; raises `ConfigurationError` if there is none."""
         return self.scales[require_choice("scale", name, self.scales)]
 
 
@@ -167,7 +179,6 @@ def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
 def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     """Returns the declaration in decoded TOML; raises ValueError that names what is wrong with it."""
     found = DECLARATION("the declaration", {"trials": {}, **content})
-    curve = TrialsCurve(**TRIALS("trials", found["trials"])) if found["trials"] else None
     made = Declaration(
         reference=found["reference"],
         scales={name: _made(Scale, SCALE, f"scales.{name}", each) for name, each in found["scales"].items()},
@@ -175,8 +186,8 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
             name: _made(Demonstrations, DEMONSTRATIONS, f"demonstrations.{name}", each)
             for name, each in found["demonstrations"].items()
         },
-        methods={name: _made(Method, METHOD, f"methods.{name}", each) for name, each in found["methods"].items()},
-        trials=curve,
+        methods={name: _method(f"methods.{name}", each) for name, each in found["methods"].items()},
+        trials=TrialsCurve(**TRIALS("trials", found["trials"])) if found["trials"] else None,
     )
     _check_names(made)
     return made
@@ -195,9 +206,9 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
     try:
         if point.name in declaration.methods:
             raise ValueError("the declaration has a method of that name")
-        method = _made(Method, METHOD, point.name, dict(point.load()))
+        method = _method(point.name, dict(point.load()))
         _check_method(declaration, point.name, method)
-    except Exception as error:  # whatever a package of somebody's does when it is imported
+    except Exception as error:  # other packages may raise anything when they are imported
         raise ConfigurationError(
             f"The benchmark method {point.name!r} cannot be used.",
             got=f"{point.value} of {package}: {error}",
@@ -205,6 +216,12 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
             hint=f"mend {package}, or uninstall it",
         ) from error
     return replace(method, package=package)
+
+
+def _method(name: str, given: Mapping[str, Any]) -> Method:
+    method = _made(Method, METHOD, name, given)
+    rounds = (_made(Round, ROUND, f"{name}.rounds[{place}]", each) for place, each in enumerate(method.rounds))  # type: ignore[arg-type]
+    return replace(method, rounds=tuple(rounds))
 
 
 def _made[Made](kind: type[Made], check: Mapping[str, Check], name: str, given: Mapping[str, Any]) -> Made:
@@ -219,24 +236,25 @@ def _made[Made](kind: type[Made], check: Mapping[str, Check], name: str, given: 
 
 
 def _check_names(made: Declaration) -> None:
-    _one_of("reference", made.reference, made.methods)
+    _require("reference", made.reference, made.methods)
     for name, method in made.methods.items():
         _check_method(made, name, method)
     if (curve := made.trials) is not None:
-        _one_of("trials.method", curve.method, made.methods)
-        _one_of("trials.none", curve.none, made.demonstrations)
-        _one_of(
-            f"methods.{curve.method}.demonstrations", made.methods[curve.method].demonstrations, made.demonstrations
-        )
+        _require("trials.method", curve.method, made.methods)
+        _require("trials.none", curve.none, made.demonstrations)
+        learnt = made.methods[curve.method].demonstrations
+        _require(f"methods.{curve.method}.demonstrations", learnt, made.demonstrations)
         for scale in curve.scales:
-            _one_of("trials.scales", scale, made.scales)
+            _require("trials.scales", scale, made.scales)
 
 
 def _check_method(made: Declaration, name: str, method: Method) -> None:
-    _one_of(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
+    _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
+    if method.rounds and not method.demonstrations:
+        raise ValueError(f"methods.{name}.rounds are of a method without demonstrations")
     for scale in (*method.steps, *method.train_at):
-        _one_of(f"methods.{name}.steps and train_at", scale, made.scales)
+        _require(f"methods.{name}.steps and train_at", scale, made.scales)
 
 
-def _one_of(name: str, got: str, names: Mapping[str, Any] | Sequence[str]) -> None:
+def _require(name: str, got: str, names: Iterable[str]) -> None:
     choice(tuple(names))(name, got)

@@ -1,4 +1,4 @@
-"""What each field of a benchmark's declaration may hold."""
+"""Checks of the fields of a benchmark's declaration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lerobot_adamanip.benchmark.paper_rates import SUCCESS
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.collection_spec import LIMITS
 from lerobot_adamanip.episode.options import IMAGE_SIZES, POSES
-from lerobot_adamanip.experts import EXPERT_KINDS
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.json_fields import Check, choice, flag, integer, listing, mapping, number, table, text
 
@@ -42,6 +42,7 @@ SCALE: Mapping[str, Check] = {
 }
 DEMONSTRATIONS: Mapping[str, Check] = {
     "expert": choice(EXPERT_KINDS),
+    "expert_strategy": choice(EXPERT_STRATEGIES),
     "trials": integer(*LIMITS["trials"]),
     "late_starts": number(0, 1),
     "num_points": integer(1, 16_384),
@@ -54,12 +55,14 @@ METHOD: Mapping[str, Check] = {
     "policy": NAME,
     "options": listing(text(r"--policy\.[a-z][\w.]*=[^\r\n`]{0,400}", "an option --policy.NAME=VALUE"), 0, 60),
     "demonstrations": text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or nothing"),
+    "rounds": listing(_ANYTHING, 0, 20),
     "train": _OPTIONS,
     "evaluate": _OPTIONS,
     "steps": mapping(NAME, _COUNT, 20),
     "train_at": mapping(NAME, _OPTIONS, 20),
     "paper": choice(("", *SUCCESS)),
 }
+ROUND: Mapping[str, Check] = {"corrections": _COUNT, "steps": _COUNT, "start": choice(("new", "trained"))}
 TRIALS = table(
     {
         "method": NAME,

@@ -1,4 +1,4 @@
-"""Where a benchmark lives: what its steps produce, what is known of each step, and the results.
+"""Folder of a benchmark: products of its steps, notes on each step, and the results.
 
 A step counts as done once its note says so: written, atomically, after its command has ended well.
 """
@@ -12,22 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.plan import COLLECT, EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step
+from lerobot_adamanip.benchmark.plan import EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step
 from lerobot_adamanip.benchmark.result import STEP_COST, StepCost
 from lerobot_adamanip.benchmark.training import last_checkpoint
-from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util import json_fields as checked_json
 from lerobot_adamanip.util.errors import DatasetError
 
+_NOTE = checked_json.either(STEP_COST, checked_json.table({"begun": checked_json.integer(1, 10**6)}))
+
 
 @dataclass(frozen=True)
 class BenchmarkFolder:
-    """The folder of one scale of a benchmark.
-
-    Attributes:
-        root: in which commands run.
-    """
+    """The folder of one scale of a benchmark; commands run in ``root``."""
 
     root: Path
 
@@ -41,29 +38,27 @@ class BenchmarkFolder:
         return self.cells / f"{cell.name}.json"
 
     def log(self, step: Step) -> Path:
-        """What a step's command has said."""
+        """Output of a step's command."""
         return self._note(step).with_suffix(".log")
 
     def product(self, step: Step) -> Path:
-        """Folder of what a step produces."""
+        """Folder that a step produces."""
         return self.root / step.product
 
     def make(self) -> None:
         """Makes the folders."""
-        for name in ("steps", *FOLDERS.values()):
+        for name in ("steps", "cells", *FOLDERS.values()):
             (self.root / name).mkdir(parents=True, exist_ok=True)
-        self.cells.mkdir(exist_ok=True)
         for folder in (self.cells, self.root / "steps"):
             files.remove_temporaries(folder)
 
     def begin(self, step: Step) -> None:
-        """Takes note that a step's command is about to run."""
+        """Notes that a step's command is about to run."""
         self._write(step, {"begun": self._begun(step) + 1})
 
     def finish(self, step: Step, seconds: float, machine: Mapping[str, int | bool]) -> None:
-        """Takes note that a step's command has ended well."""
-        cost = StepCost(begun=max(1, self._begun(step)), seconds=round(seconds, 1), machine=machine)
-        self._write(step, asdict(cost))
+        """Notes that a step's command has ended well."""
+        self._write(step, asdict(StepCost(max(1, self._begun(step)), round(seconds, 1), machine)))
 
     def cost(self, step: Step) -> StepCost | None:
         """Returns what a step took; None if it has not been done."""
@@ -71,14 +66,10 @@ class BenchmarkFolder:
         return StepCost(**note) if "seconds" in note else None
 
     def is_done(self, step: Step) -> bool:
-        """Whether a step has been done, and what it produced is still there."""
+        """Whether a step has been done, and its product is still there."""
         product = self.product(step)
-        made = {
-            COLLECT: manifest_path(product),
-            TRAIN: last_checkpoint(product),
-            EVALUATE: product / EPISODE_LOG,
-        }
-        return self.cost(step) is not None and made[step.kind].exists()
+        made = {TRAIN: last_checkpoint(product), EVALUATE: product / EPISODE_LOG}
+        return self.cost(step) is not None and made.get(step.kind, product / "meta" / "info.json").exists()
 
     def is_begun(self, step: Step) -> bool:
         """Whether a step has been begun, and perhaps is done."""
@@ -105,7 +96,3 @@ class BenchmarkFolder:
                 "The note of a step is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
             ) from error
         return found
-
-
-_BEGUN = checked_json.table({"begun": checked_json.integer(1, 10**6)})
-_NOTE = checked_json.either(STEP_COST, _BEGUN)

@@ -1,4 +1,4 @@
-"""Which commands a cell needs, and the keys by which cells share what they produce. Pure functions.
+"""Plan of a cell: the commands it needs, and the keys by which cells share what they produce. Pure functions.
 
 A key is a hash of the command that makes something, with what that command reads named by its own key, and of the code
 that runs. Cells whose trainings have equal keys share one training; anything that decides a result changes its key.
@@ -18,16 +18,18 @@ from lerobot_adamanip.benchmark.training import last_checkpoint
 from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.evaluation.results import check_command
 
-COLLECT, TRAIN, EVALUATE = "collect", "train", "evaluate"
-FOLDERS: Mapping[str, str] = {COLLECT: "demonstrations", TRAIN: "trainings", EVALUATE: "evaluations"}
+COLLECT, CORRECT, MERGE, TRAIN, EVALUATE = "collect", "correct", "merge", "train", "evaluate"
+FOLDERS: Mapping[str, str] = {
+    **dict.fromkeys((COLLECT, CORRECT, MERGE), "demonstrations"), TRAIN: "trainings", EVALUATE: "evaluations",
+}  # fmt: skip
 """Kind of step -> folder of what such steps produce, relative to that of the benchmark, in which commands run."""
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
-"""Of an evaluation's first scene, and of a policy's draws in it: the same for all methods and trainings."""
+"""Seed of an evaluation's first scene, and of a policy's draws in it: the same for all methods and trainings."""
 NUMBERS = ("lerobot_adamanip.evaluation.metrics", "lerobot_adamanip.evaluation.log")
 """Modules that count an evaluation's episodes."""
 _ATTEMPTS = 25
-"""Of an episode of demonstrations: with six failed trials each, safes that take many key frames run out of time."""
+"""Attempts at an episode of demonstrations: with six failed trials each, long episodes of safes run out of time."""
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _SPELLED_IN_KEYS = {
@@ -56,21 +58,21 @@ class Code:
 
 @dataclass(frozen=True)
 class Step:
-    """A command and what it needs first.
+    """A command and the steps whose products it reads.
 
     Attributes:
-        kind: `COLLECT`, `TRAIN` or `EVALUATE`.
+        kind: `COLLECT`, `CORRECT`, `MERGE`, `TRAIN` or `EVALUATE`.
         key: of what it produces.
         command: as typed in the benchmark's folder.
-        aside: further options, which decide nothing.
-        needs: the step whose product it reads.
+        non_key_options: further options, which do not enter the key.
+        needs: the steps whose products it reads.
     """
 
     kind: str
     key: str
     command: tuple[str, ...]
-    aside: tuple[str, ...] = ()
-    needs: Step | None = None
+    non_key_options: tuple[str, ...] = ()
+    needs: tuple[Step, ...] = ()
 
     @property
     def product(self) -> str:
@@ -78,10 +80,18 @@ class Step:
         return f"{FOLDERS[self.kind]}/{self.key}"
 
     def chain(self) -> Iterator[Step]:
-        """Yields the steps it needs, in order, and itself."""
-        if self.needs is not None:
-            yield from self.needs.chain()
+        """Yields the steps it needs, in order and each once, and itself."""
+        yield from dict.fromkeys(step for need in self.needs for step in need.chain())
         yield self
+
+
+def named_steps(last: Step) -> dict[str, Step]:
+    """Returns name -> step of a chain, in order: ``collect``, ``train``; further ones of a kind are ``train_2``."""
+    found: dict[str, Step] = {}
+    for step in last.chain():
+        before = sum(each.kind == step.kind for each in found.values())
+        found[f"{step.kind}_{before + 1}" if before else step.kind] = step
+    return found
 
 
 def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> Step:
@@ -96,10 +106,14 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> S
     like = replace(like, poses=scale.poses or like.poses)
     training = None
     if learnt is not None:
-        collected = _collection(cell, like, scale, code)
-        steps = method.steps.get(scale_name, scale.steps)
-        last_word = (*method.train, *method.train_at.get(scale_name, ()))
-        training = _training(cell, replace(method, train=last_word), replace(scale, steps=steps), collected, code)
+        data = _collection(cell, like, scale, code)
+        method = replace(method, train=(*method.train, *method.train_at.get(scale_name, ())))
+        training = _training(cell, method, scale, data, code, steps=method.steps.get(scale_name, scale.steps))
+        for each in method.rounds:
+            corrected = _correction(cell, like, scale, code, episodes=each.corrections, training=training)
+            data = _merge((data, corrected))
+            start = training if each.start == "trained" else None
+            training = _training(cell, method, scale, data, code, steps=each.steps, start=start)
     return _evaluation(cell, method, scale, code, like=like, training=training)
 
 
@@ -119,55 +133,87 @@ def _demonstrations(cell: Cell, declaration: Declaration) -> Demonstrations | No
 
 
 def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) -> Step:
-    objects = len(parse_object_selection(cell.category, scale.objects))
-    # Pictures and trials only where they are: equal demonstrations shall have equal commands.
-    pictures = (f"--image-size={wanted.image_size}",) if wanted.image_size else ("--no-images",)
+    expert = (f"--expert={wanted.expert}", *_expert_options(wanted))
+    # Only where they count: equal demonstrations shall have equal commands.
     trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()
+    how = (*expert, *trials, f"--late-starts={wanted.late_starts:g}")
+    return _recording(COLLECT, cell, wanted, scale, code, episodes=scale.demonstrations, how=how)
+
+
+def _correction(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code, *, episodes: int, training: Step) -> Step:
+    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(wanted))
+    return _recording(CORRECT, cell, wanted, scale, code, episodes=episodes, how=how, needs=(training,))
+
+
+def _expert_options(wanted: Demonstrations) -> tuple[str, ...]:
+    strategy = wanted.expert_strategy
+    return () if strategy == Demonstrations().expert_strategy else (f"--expert-strategy={strategy}",)
+
+
+def _recording(
+    kind: str,
+    cell: Cell,
+    wanted: Demonstrations,
+    scale: Scale,
+    code: Code,
+    *,
+    episodes: int,
+    how: tuple[str, ...],
+    needs: tuple[Step, ...] = (),
+) -> Step:
+    objects = len(parse_object_selection(cell.category, scale.objects))
     command = (
         "adamanip",
         "collect",
         f"--category={cell.category}",
         f"--objects={scale.objects}",
-        f"--episodes-per-object={math.ceil(scale.demonstrations / objects)}",
-        f"--expert={wanted.expert}",
-        *trials,
-        f"--late-starts={wanted.late_starts:g}",
+        f"--episodes-per-object={math.ceil(episodes / objects)}",
+        *how,
         f"--num-points={wanted.num_points}",
-        *pictures,
+        f"--image-size={wanted.image_size}" if wanted.image_size else "--no-images",
         f"--poses={wanted.poses}",
         f"--mechanism-rules={wanted.mechanism_rules}",
         _COLLECTED,
     )
     # Attempts of an episode end with the first success, so that a larger bound changes no dataset that is ever made.
-    # So does saying that pictures are wanted: where none can be taken, the step fails at once.
+    # So does asking for pictures: where none can be taken, the step fails at once.
     required = ("--images",) if wanted.image_size else ()
-    return _step(COLLECT, command, code.demonstrations, aside=(f"--max-attempts={_ATTEMPTS}", *required))
+    return _step(kind, command, code.demonstrations, (f"--max-attempts={_ATTEMPTS}", *required), needs)
 
 
-def _training(cell: Cell, method: Method, scale: Scale, collected: Step, code: Code) -> Step:
+def _merge(parts: tuple[Step, ...]) -> Step:
+    command = ("adamanip", "merge", *(part.product for part in parts), f"--out={FOLDERS[MERGE]}/{_KEY}")
+    return _step(MERGE, command, "", needs=parts)
+
+
+def _training(
+    cell: Cell, method: Method, scale: Scale, data: Step, code: Code, *, steps: int, start: Step | None = None
+) -> Step:
+    begin = f"--policy.type={method.policy}" if start is None else f"--policy.path={last_checkpoint(start.product)}"
     command = _with_options(
         "lerobot-train",
-        f"--policy.type={method.policy}",
+        begin,
         *method.options,
         f"--policy.device={scale.device}",
         "--policy.push_to_hub=false",
-        f"--dataset.repo_id=local/{collected.key}",
-        f"--dataset.root={collected.product}",
+        f"--dataset.repo_id=local/{data.key}",
+        f"--dataset.root={data.product}",
         f"--batch_size={scale.batch_size}",
-        f"--steps={scale.steps}",
+        f"--steps={steps}",
         "--num_workers=0",
         f"--seed={cell.seed}",
         f"--output_dir={FOLDERS[TRAIN]}/{_KEY}",
         *method.train,
     )
-    aside = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, scale.steps // 20)}")
-    return _step(TRAIN, command, code.policies.get(cell.method, ""), aside, collected)
+    logging = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, steps // 20)}")
+    needs = (data,) if start is None else (data, start)
+    return _step(TRAIN, command, code.policies.get(cell.method, ""), logging, needs)
 
 
 def _evaluation(
     cell: Cell, method: Method, scale: Scale, code: Code, *, like: Demonstrations, training: Step | None
 ) -> Step:
-    """Returns the evaluation of a policy that is trained, or needs no training, in scenes ``like`` demonstrations."""
+    """Returns the evaluation of a policy, trained or not, in scenes ``like`` those of demonstrations."""
     made = (f"--policy.type={method.policy}", *method.options)
     trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()
@@ -191,21 +237,27 @@ def _evaluation(
         *scale.evaluate,
         *method.evaluate,
     )
-    # A policy that is not trained has its code told here, for it has no training whose key would tell it.
+    # The code of a policy that is not trained enters here, for it has no training whose key holds it.
     policy = "" if training else code.policies.get(cell.method, "")
-    told = f"{code.episodes} {code.numbers} {policy}".strip()
+    decides = f"{code.episodes} {code.numbers} {policy}".strip()
     # A policy that looks at pictures has been trained with them; without, evaluating is faster, and the same.
     named = any(word.startswith("--env.observe_images=") for word in command)
     observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)
-    return _step(EVALUATE, command, told, aside=observed, needs=training)
+    return _step(EVALUATE, command, decides, observed, () if training is None else (training,))
 
 
-def _step(kind: str, command: Iterable[str], code: str, aside: tuple[str, ...] = (), needs: Step | None = None) -> Step:
+def _step(
+    kind: str,
+    command: Iterable[str],
+    code: str,
+    non_key_options: tuple[str, ...] = (),
+    needs: tuple[Step, ...] = (),
+) -> Step:
     template = list(command)
     check_command(" ".join(template))  # now, not when hours later a result is written
     decides = json.dumps({"command": [_spelled_in_key(word) for word in template], "code": code}).encode()
     key = hashlib.sha256(decides).hexdigest()[:_LENGTH]
-    return Step(kind, key, tuple(word.replace(_KEY, key) for word in template), aside, needs)
+    return Step(kind, key, tuple(word.replace(_KEY, key) for word in template), non_key_options, needs)
 
 
 def _spelled_in_key(word: str) -> str:

@@ -1,4 +1,4 @@
-"""What result files amount to: numbers of a method's trainings together, and what was not reached. Pure functions."""
+"""Report of a benchmark: metrics of a method's trainings together, and the cells without a result. Pure functions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.counts import Numbers, pooled
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.paper_rates import reported, reported_mean
@@ -17,6 +16,7 @@ from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.rates import Difference, difference
 
 BUDGETS = (5, 10, 15, 25, MAX_KEY_FRAMES)
@@ -31,8 +31,8 @@ class Row:
     """A method.
 
     Attributes:
-        name, title: as declared, or as its results say where it is declared no more.
-        paper: what the paper calls it; empty if it is not in the paper, or its numbers do not stand beside the scale's.
+        name, title: as declared, or as in its results where it is declared no more.
+        paper: its name in the paper; empty if the paper's numbers are not to be shown.
         package: that declares it; empty for the declaration itself.
     """
 
@@ -44,7 +44,7 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A number of the table: all trainings of a method in one category and split of objects.
+    """All trainings of a method in one category and split of objects.
 
     Attributes:
         numbers: of their episodes together.
@@ -54,7 +54,7 @@ class Entry:
         other_options: whether some are of other options than are declared.
     """
 
-    numbers: Numbers
+    numbers: Metrics
     seeds: tuple[int, ...]
     wanted: int
     other_code: bool
@@ -63,12 +63,11 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkReport:
-    """All that result files say of one scale.
+    """The results of one scale.
 
     Attributes:
         scale: name.
-        note: what its numbers say; empty if the tables speak for themselves.
-        beside_paper: whether the paper's numbers stand beside them.
+        note, beside_paper: see `Scale`.
         reference: method that the others are compared with.
         rows: declared ones first.
         categories, splits: in the order of the tables.
@@ -125,7 +124,7 @@ class BenchmarkReport:
         if len(numbers) < len(self.categories):
             return None
         rates = [each.success if within is None else each.opened_within(within) for each in numbers]
-        return sum(each.count / each.episodes for each in rates) / len(rates)
+        return sum(each.rate or 0.0 for each in rates) / len(rates)
 
     def to_reference(self, method: str, categories: Sequence[str], objects: str) -> Difference | None:
         """Returns the reference's success less a method's, episodes of the categories together.
@@ -135,10 +134,10 @@ class BenchmarkReport:
         both = [self.numbers(name, categories, (objects,)) for name in (self.reference, method)]
         if any(len(each) < len(categories) for each in both):
             return None
-        first, second = (pooled(each).success for each in both)
+        first, second = (pool(each).success for each in both)
         return difference(first, second)
 
-    def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Numbers]:
+    def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Metrics]:
         """Returns what numbers there are of a method in these categories and splits of objects."""
         places = itertools.product(categories, splits)
         return [found.numbers for place in places if (found := self.entry(method, *place)) is not None]
@@ -147,8 +146,8 @@ class BenchmarkReport:
         """Returns kind of step -> what each took; steps that several cells share are there once."""
         found: dict[str, dict[str, StepCost]] = {}
         for result in self.results:
-            for kind, cost in result.costs.items():
-                found.setdefault(kind, {})[result.steps[kind].key] = cost
+            for name, cost in result.costs.items():
+                found.setdefault(name.partition("_")[0], {})[result.steps[name].key] = cost
         return {kind: list(costs.values()) for kind, costs in found.items()}
 
     def to_json(self) -> dict[str, Any]:
@@ -239,7 +238,7 @@ def _entries(
         found.setdefault(_place(result.cell), []).append(result)
     return {
         place: Entry(
-            numbers=pooled(each.numbers for each in several),
+            numbers=pool(each.numbers for each in several),
             seeds=tuple(sorted(each.cell.seed for each in several)),
             wanted=wanted[place],
             other_code=any(each.cell in other_code for each in several),

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.benchmark.counts import pooled
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
 from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Row
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.evaluation.metrics import pool
 from lerobot_adamanip.evaluation.plots import heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import words
@@ -91,7 +91,7 @@ def _plot_key_frames(report: BenchmarkReport, folder: Path) -> Path:
     for axes, category in zip(panels, report.categories_with_results, strict=False):
         for number, row in enumerate(report.rows_with_results):
             if found := report.numbers(row.name, (category,), report.splits):
-                numbers = pooled(found)
+                numbers = pool(found)
                 shares = [100 * (numbers.opened_within(k).rate or 0.0) for k in range(MAX_KEY_FRAMES + 1)]
                 axes.plot(range(MAX_KEY_FRAMES + 1), shares, label=row.title, color=f"C{number}", linewidth=1.5)
         axes.set_title(words(category), fontsize=9)
@@ -119,10 +119,11 @@ def _plot_wasted(report: BenchmarkReport, folder: Path) -> Path:
     for number, row in enumerate(report.rows_with_results):
         places, width = _places(report, number)
         found = [report.numbers(row.name, (category,), report.splits) for category in report.categories_with_results]
-        tries = [pooled(each).tries if each else None for each in found]
-        bars = [(x, each.wasted) for x, each in zip(places, tries, strict=True) if each is not None]
-        axes.bar([x for x, _ in bars], [wasted for _, wasted in bars], 0.92 * width, color=f"C{number}")
-        _mark_missing(axes, [x for x, each in zip(places, tries, strict=True) if each is None])
+        tries = [pool(each).wasted_tries if each else None for each in found]
+        wasted = [None if each is None else each.value for each in tries]
+        bars = [(x, each) for x, each in zip(places, wasted, strict=True) if each is not None]
+        axes.bar([x for x, _ in bars], [height for _, height in bars], 0.92 * width, color=f"C{number}")
+        _mark_missing(axes, [x for x, each in zip(places, wasted, strict=True) if each is None])
     axes.axhline(0, color="0.3", linewidth=0.8)
     _name_categories(axes, report)
     axes.set(ylabel="wasted tries per success")

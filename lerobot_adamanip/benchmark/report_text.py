@@ -1,10 +1,9 @@
-"""A benchmark's report as Markdown, for its folder and for docs/results.md."""
+"""Report of a benchmark as Markdown, for its folder and for docs/results.md."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from lerobot_adamanip.benchmark.counts import Numbers, pooled
 from lerobot_adamanip.benchmark.paper_rates import (
     PAPER_OBJECTS,
     SUCCESS_BY_TRIALS,
@@ -13,9 +12,11 @@ from lerobot_adamanip.benchmark.paper_rates import (
     reported_mean,
 )
 from lerobot_adamanip.benchmark.report import BUDGETS, BenchmarkReport, Entry, Row
+from lerobot_adamanip.benchmark.run import WORDS
+from lerobot_adamanip.evaluation.groups import is_half_of_range
+from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
-from lerobot_adamanip.evaluation.rates import Difference
-from lerobot_adamanip.evaluation.tables import is_half_of_range
+from lerobot_adamanip.evaluation.rates import Difference, Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
@@ -32,7 +33,6 @@ _MARKS = {
     OTHER_CODE: "of other code than the present: not what it would give",
     OTHER_OPTIONS: "of other options than are declared now",
 }
-_KINDS = {"collect": "collecting", "train": "training", "evaluate": "evaluating"}
 
 
 def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
@@ -208,18 +208,18 @@ def _wasted(report: BenchmarkReport) -> str:
     return f"{_by_category(report, _wasted_cell)}\n\n{told}"
 
 
-def _wasted_cell(numbers: Numbers) -> str:
-    return "-" if numbers.tries is None else f"{numbers.tries.wasted:+.2f}"
+def _wasted_cell(numbers: Metrics) -> str:
+    wasted = None if numbers.wasted_tries is None else numbers.wasted_tries.value
+    return "-" if wasted is None else f"{wasted:+.2f}"
 
 
 def _recovery(report: BenchmarkReport) -> str:
     rows = []
     for row in report.rows:
         if found := report.numbers(row.name, report.categories, report.splits):
-            recovered = pooled(found).recovery
-            new = recovered.untried.get(1)
-            cells = [interval_text(recovered.repeated), "-" if new is None else interval_text(new)]
-            rows.append([_name(row), *cells])
+            metrics = pool(found)
+            after_one = (metrics.repeated, (metrics.untried or {}).get(1))
+            rows.append([_name(row), *("-" if each is None else interval_text(each) for each in after_one)])
     return markdown_table(["", "the same again", "something new after one that failed"], rows)
 
 
@@ -231,12 +231,17 @@ def _lucky(report: BenchmarkReport) -> str:
     return f"{_by_category(report, _lucky_cell)}\n\n{told}"
 
 
-def _lucky_cell(numbers: Numbers) -> str:
-    counts = {name: count for name, count in numbers.hidden.items() if not is_half_of_range(name) and count[1]}
-    if not counts:
+def _lucky_cell(numbers: Metrics) -> str:
+    known = {name: each for name, each in _discrete(numbers).items() if each.episodes}
+    if not known:
         return "-"
-    name = max(sorted(counts), key=lambda each: counts[each][0] / counts[each][1])
-    return f"{counts[name][0]}/{counts[name][1]} ({name})"
+    name = max(sorted(known), key=lambda each: known[each].rate or 0.0)
+    return f"{known[name].count}/{known[name].episodes} ({name})"
+
+
+def _discrete(numbers: Metrics) -> dict[str, Rate]:
+    """Returns success by hidden value, without halves of continuous ranges, which differ between evaluations."""
+    return {name: each for name, each in (numbers.hidden or {}).items() if not is_half_of_range(name)}
 
 
 def _hidden(report: BenchmarkReport) -> str:
@@ -246,11 +251,10 @@ def _hidden(report: BenchmarkReport) -> str:
         found = {}
         for row in methods:
             if numbers := report.numbers(row.name, (category,), report.splits):
-                found[row.name] = pooled(numbers).hidden
-        names = dict.fromkeys(name for hidden in found.values() for name in hidden if not is_half_of_range(name))
-        for name in sorted(names):
-            counts = [found.get(row.name, {}).get(name) for row in methods]
-            cells = ["-" if each is None else f"{each[0]}/{each[1]}" for each in counts]
+                found[row.name] = _discrete(pool(numbers))
+        for name in sorted({name for hidden in found.values() for name in hidden}):
+            rates = [found.get(row.name, {}).get(name) for row in methods]
+            cells = ["-" if each is None else f"{each.count}/{each.episodes}" for each in rates]
             rows.append([f"{words(category)}: {name}", *cells])
     return markdown_table(["", *map(_name, methods)], rows)
 
@@ -258,7 +262,7 @@ def _hidden(report: BenchmarkReport) -> str:
 def _costs(report: BenchmarkReport) -> str:
     costs = report.costs()
     lines = [
-        f"- {_KINDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {counted(len(found), 'time')}"
+        f"- {WORDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {counted(len(found), 'time')}"
         for kind, found in costs.items()
     ]
     machines = sorted(
@@ -277,12 +281,12 @@ def _costs(report: BenchmarkReport) -> str:
     return "\n".join(lines)
 
 
-def _by_category(report: BenchmarkReport, cell: Callable[[Numbers], str]) -> str:
+def _by_category(report: BenchmarkReport, cell: Callable[[Metrics], str]) -> str:
     rows = []
     for row in report.rows:
         found = [report.numbers(row.name, (category,), report.splits) for category in report.categories]
         if any(found):
-            rows.append([_name(row), *(cell(pooled(each)) if each else "-" for each in found)])
+            rows.append([_name(row), *(cell(pool(each)) if each else "-" for each in found)])
     return _table(report, rows)
 
 

@@ -1,21 +1,20 @@
-"""The result file of a cell: its numbers with what made them; times and machines apart, for they differ every time."""
+"""Result file of a cell: its metrics with what made them; times and machines apart, because they differ every time."""
 
 from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.counts import Numbers
 from lerobot_adamanip.benchmark.declaration_fields import NAME, OBJECT_SPLITS, TITLE
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step, option
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, ORIGIN, Origin
-from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.results import check_command
 from lerobot_adamanip.util import json_fields as checked_json
 from lerobot_adamanip.util.errors import DatasetError
@@ -38,18 +37,18 @@ class StepDone:
 
     @classmethod
     def of(cls, step: Step) -> StepDone:
-        """Takes note of a step."""
-        return cls(key=step.key, command=shlex.join((*step.command, *step.aside)))
+        """Returns the note of a step."""
+        return cls(key=step.key, command=shlex.join((*step.command, *step.non_key_options)))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class StepCost:
     """What a step took; shared by all cells that need it.
 
     Attributes:
-        begun: how often it was begun, by interruptions.
-        seconds: the last time, from where it went on.
-        machine: as `machine_class` tells it.
+        begun: how often it was begun; more than once after interruptions.
+        seconds: of the last time.
+        machine: see `machine_class`.
     """
 
     begun: int
@@ -59,20 +58,20 @@ class StepCost:
 
 @dataclass(frozen=True, kw_only=True)
 class CellResult:
-    """What a result file holds.
+    """Content of a result file.
 
     Attributes:
         cell: which one.
-        title: what tables call its method.
+        title: of its method, in tables.
         package: distribution that declared the method; empty for the declaration itself.
         scale: name.
         options: `lerobot_adamanip.benchmark.plan.options_key` of what was declared.
-        steps: by kind, in order; the last one's key is the cell's.
+        steps: by name, see `named_steps`; the last one's key is the cell's.
         fingerprint: of the code that decided the episodes.
         origin: commit and versions.
         scene_seeds: the first scene's and the last one's.
-        numbers: what came of it.
-        costs: by kind of step; all that is not the same every time.
+        numbers: what came of its episodes.
+        costs: by name of step; all that is not the same every time.
     """
 
     cell: Cell
@@ -84,7 +83,7 @@ class CellResult:
     fingerprint: str
     origin: Origin
     scene_seeds: tuple[int, int]
-    numbers: Numbers
+    numbers: Metrics
     costs: Mapping[str, StepCost]
 
     @property
@@ -115,14 +114,8 @@ class CellResult:
         }
 
 
-def scene_seeds_of(records: Sequence[EpisodeRecord]) -> tuple[int, int]:
-    """Returns the first and the last seed that an evaluation gave its scenes."""
-    seeds = [record.given_seed for record in records]
-    return min(seeds), max(seeds)
-
-
 def write_cell(path: Path, result: CellResult) -> None:
-    """Writes a result file; what it holds is checked as if somebody else had written it."""
+    """Writes a result file; its content is checked as that of a stranger's file is."""
     content = result.to_json()
     parse_cell(json.loads(json.dumps(content)))
     write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
@@ -164,7 +157,7 @@ def parse_cell(content: object) -> CellResult:
 
 
 _LINE = checked_json.text(r"[^\r\n`]{1,4000}", "one line without backquotes")
-_KIND = checked_json.choice(tuple(FOLDERS))
+_NAME = checked_json.text(rf"({'|'.join(FOLDERS)})(_\d+)?", "the name of a step")
 STEP_COST = checked_json.table(
     {"begun": checked_json.integer(1, 10**6), "seconds": checked_json.number(0, 10**9), "machine": MACHINE}
 )
@@ -185,11 +178,11 @@ _CELL_RESULT = checked_json.table(
         "package": checked_json.text(r"[\w.-]{0,100}", "a distribution's name, or nothing"),
         "scale": NAME,
         "options": HASH,
-        "steps": checked_json.mapping(_KIND, checked_json.table({"key": HASH, "command": _LINE}), 3),
+        "steps": checked_json.mapping(_NAME, checked_json.table({"key": HASH, "command": _LINE}), 100),
         **ORIGIN,
         "fingerprint": HASH,
         "scene_seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
-        "numbers": Numbers.from_json,
-        "costs": checked_json.mapping(_KIND, STEP_COST, 3),
+        "numbers": Metrics.from_json,
+        "costs": checked_json.mapping(_NAME, STEP_COST, 100),
     }
 )

@@ -12,15 +12,28 @@ from dataclasses import dataclass, field
 
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.command import Runner, Running, run_command
-from lerobot_adamanip.benchmark.counts import Numbers
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
-from lerobot_adamanip.benchmark.plan import COLLECT, EPISODE_LOG, EVALUATE, TRAIN, Code, Step, option, options_key, plan
-from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, scene_seeds_of, write_cell
+from lerobot_adamanip.benchmark.plan import (
+    COLLECT,
+    CORRECT,
+    EPISODE_LOG,
+    EVALUATE,
+    MERGE,
+    TRAIN,
+    Code,
+    Step,
+    named_steps,
+    option,
+    options_key,
+    plan,
+)
+from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, write_cell
 from lerobot_adamanip.benchmark.training import resuming, trained_steps
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
+from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.metrics import first_episodes
+from lerobot_adamanip.evaluation.metrics import measure
 from lerobot_adamanip.evaluation.provenance import Origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.util import files
@@ -32,7 +45,13 @@ _POLL_SECONDS = 0.02
 SIGN_OF_LIFE_SECONDS = 30.0
 """A step that runs is reported every so often, with the last line of its log."""
 _LINE_LENGTH = 120
-_WORDS = {COLLECT: "collecting", TRAIN: "training", EVALUATE: "evaluating"}
+WORDS = {
+    COLLECT: "collecting",
+    CORRECT: "correcting",
+    MERGE: "merging",
+    TRAIN: "training",
+    EVALUATE: "evaluating",
+}
 
 
 class StepError(AdaManipError, RuntimeError):
@@ -158,17 +177,14 @@ class BenchmarkRun:
         return self.state(cell)
 
     def _next_step(self, whole: Step) -> Step | None:
-        """Returns the first step after the last one that is done: what that was made of is no longer needed."""
-        missing = None
-        for step in reversed(list(whole.chain())):
-            if self.folder.is_done(step):
-                break
-            missing = step
-        return missing
+        """Returns the first step to run; what a finished step was made of is no longer needed."""
+        if self.folder.is_done(whole):
+            return None
+        return next((missing for need in whole.needs if (missing := self._next_step(need))), whole)
 
     def _begun(self, step: Step, lock: int, label: str) -> bool:
         """Begins a step; False if it was ended at once, for its command had nothing left to do."""
-        self.say(f"{label}: {_WORDS[step.kind]}, log: {self.folder.log(step)}")
+        self.say(f"{label}: {WORDS[step.kind]}, log: {self.folder.log(step)}")
         self.folder.begin(step)
         begin = time.perf_counter()
         command = self._command(step)
@@ -196,7 +212,7 @@ class BenchmarkRun:
                 for each in self._running.values():
                     seconds = time.perf_counter() - each.begin
                     line = files.last_line(self.folder.log(each.step))[:_LINE_LENGTH]
-                    self.say(f"{each.label}: {_WORDS[each.step.kind]} for {seconds:.0f} s: {line}")
+                    self.say(f"{each.label}: {WORDS[each.step.kind]} for {seconds:.0f} s: {line}")
             time.sleep(_POLL_SECONDS)
 
     def _end(self, step: Step, begin: float, status: int, program: str) -> None:
@@ -221,11 +237,11 @@ class BenchmarkRun:
 
     def _command(self, step: Step) -> list[str]:
         """Returns the command that does a step from where it is; empty if there is nothing left to do."""
-        product, whole = self.folder.product(step), [*step.command, *step.aside]
-        if step.kind == COLLECT:
+        product, whole = self.folder.product(step), [*step.command, *step.non_key_options]
+        if step.kind in (COLLECT, CORRECT):
             return [*whole, *self.collect_options]
-        if step.kind == TRAIN and step.needs is not None:
-            leave_poses_unscaled(self.folder.product(step.needs))  # for every method alike, LeRobot's own among them
+        if step.kind == TRAIN:
+            leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods alike, LeRobot's own too
         if step.kind == TRAIN and (behind := trained_steps(product)):
             wanted = int(option(step.command, "--steps"))
             return [] if behind >= wanted else resuming(step.product, wanted)
@@ -252,17 +268,18 @@ class BenchmarkRun:
         return records
 
     def _result(self, cell: Cell, step: Step) -> CellResult:
-        method, records, steps = self.declaration.methods[cell.method], self._records(step), list(step.chain())
+        method, records, steps = self.declaration.methods[cell.method], self._records(step), named_steps(step)
+        seeds = [record.given_seed for record in records]
         return CellResult(
             cell=cell,
             title=method.title,
             package=method.package,
             scale=self.scale,
             options=options_key(cell, self.declaration, self.scale),
-            steps={each.kind: StepDone.of(each) for each in steps},
+            steps={name: StepDone.of(each) for name, each in steps.items()},
             fingerprint=self.code.episodes,
             origin=self.origin,
-            scene_seeds=scene_seeds_of(records),
-            numbers=Numbers.of(records),
-            costs={each.kind: cost for each in steps if (cost := self.folder.cost(each)) is not None},
+            scene_seeds=(min(seeds), max(seeds)),
+            numbers=measure(without_repeats(records)),
+            costs={name: cost for name, each in steps.items() if (cost := self.folder.cost(each)) is not None},
         )

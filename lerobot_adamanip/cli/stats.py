@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_adamanip.cli.folder_argument import DatasetFolder
-from lerobot_adamanip.cli.report import FILE_WIDTH, check_plot, percent
+from lerobot_adamanip.cli.report import check_plot
 from lerobot_adamanip.datasets.contents import Contents, GroupContents, contents
+from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
 
 
 @dataclass
@@ -47,20 +47,9 @@ class Stats:
 
 
 def _print(found: Contents) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Column, Table
-
-    console = Console(file=sys.stdout, soft_wrap=True)
-    if not console.is_terminal:
-        console.width = FILE_WIDTH
-    names = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
-    table = Table(*(Column(name, no_wrap=True) for name in names), box=None, pad_edge=False)
-    for group, each in found.groups.items():
-        table.add_row(escape(group.label), *_cells(each))
-    console.print(table)
-    for line in _lines(found):
-        console.print(line, markup=False, highlight=False)
+    titles = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
+    rows = ([group.label, *_cells(each)] for group, each in found.groups.items())
+    print("\n".join((markdown_table(titles, rows, align=True), "", *_lines(found))))
 
 
 def _cells(found: GroupContents) -> Iterator[str]:
@@ -69,7 +58,7 @@ def _cells(found: GroupContents) -> Iterator[str]:
     for tries in (found.tries, found.failed_tries):
         yield f"{tries}, {tries / found.labelled:.2f} each" if found.labelled else "-"
     yield "-" if not found.recovered.episodes else f"{found.recovered.count}/{found.recovered.episodes}"
-    yield percent(found.success)
+    yield interval_text(found.success)
 
 
 def _lines(found: Contents) -> Iterator[str]:
@@ -82,9 +71,9 @@ def _lines(found: Contents) -> Iterator[str]:
         yield f"Recorded on a robot, so without labels of tries: {unlabelled} episodes"
     yield f"Objects: {found.objects}. Late starts: {found.late}. Rows: {found.rows}. Size: {found.bytes / 1e6:.1f} MB"
     if found.recovery is not None:
-        yield f"After a try that failed, the same again: {percent(found.recovery.repeated)}"
+        yield f"After a try that failed, the same again: {interval_text(found.recovery.repeated)}"
     if found.attempts is not None:
-        yield f"Attempts kept: {percent(found.attempts.kept)}; given up: {found.attempts.given_up}"
+        yield f"Attempts kept: {interval_text(found.attempts.kept)}; given up: {found.attempts.given_up}"
         if found.attempts.kept.count < found.attempts.kept.episodes:
             for label, (kept, tried) in found.attempts.hidden.items():
                 yield f"  {label}: {kept} of {tried}"

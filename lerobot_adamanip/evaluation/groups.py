@@ -1,4 +1,4 @@
-"""Which episodes are looked at together: by category, by split of objects and of scenes, by whatever is hidden."""
+"""Groups of episodes: by category, by split of objects and of scenes, by hidden value."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from lerobot_adamanip.evaluation.record import EpisodeRecord, HiddenValue
 
 Boundaries = Mapping[tuple[str, str], float]
-"""(category, hidden name) -> value that parts a continuous range in two."""
-_OBJECT_SPLITS, _SCENE_SPLITS = ("seen", "unseen", "novel", "external"), ("test", "validation", "train", "other")
+"""(category, hidden name) -> value that halves a continuous range."""
+OBJECT_SPLITS, _SCENE_SPLITS = ("seen", "unseen", "novel", "external"), ("test", "validation", "train", "other")
 
 
 @dataclass(frozen=True)
 class Group:
-    """A set of episodes by what they have in common.
+    """Episodes that have something in common.
 
     Attributes:
         by: ``all``, ``category``, ``objects``, ``category and objects``, ``scenes`` or ``hidden``.
-        name: what they have in common: ``safe``, ``unseen``, ``safe, unseen``, ``test``, ``safe: locked``.
+        name: ``safe``, ``unseen``, ``safe, unseen``, ``test`` or ``safe: locked``.
     """
 
     by: str
@@ -27,7 +27,7 @@ class Group:
 
     @property
     def label(self) -> str:
-        """How a table or picture calls it."""
+        """Its name in tables and pictures."""
         return f"{self.name} {self.by}" if self.by in ("objects", "scenes") else self.name
 
 
@@ -35,9 +35,9 @@ ALL = Group("all", "all")
 
 
 def hidden_boundaries(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float]:
-    """Returns the medians of the continuous hidden values, by category; to three digits, so that a name can tell it.
+    """Returns the medians of the continuous hidden values, by category, to three digits.
 
-    Evaluations that are compared need the same ones: take them of all records together.
+    Compared evaluations need the same boundaries: pass the records of all of them.
     """
     values: dict[tuple[str, str], list[float]] = {}
     for record in records:
@@ -48,7 +48,7 @@ def hidden_boundaries(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str],
 
 
 def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: Boundaries) -> Iterator[str]:
-    """Yields what a hidden state is called: ``locked``, ``direction +1``, ``mode 2``, ``turn_range < 1.1``."""
+    """Yields names of a hidden state's values: ``locked``, ``direction +1``, ``mode 2``, ``turn_range < 1.1``."""
     for name, value in sorted(hidden.items()):
         if isinstance(value, bool):
             yield name if value else ("unlocked" if name == "locked" else f"not {name}")
@@ -57,6 +57,11 @@ def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: B
             yield f"{name} {'<' if value < boundary else '>='} {boundary:g}"
         else:
             yield f"{name} {value:+d}" if name == "direction" else f"{name} {value}"
+
+
+def is_half_of_range(name: str) -> bool:
+    """Whether a hidden value's name is that of a half of a continuous range, whose boundary is one evaluation's own."""
+    return " < " in name or " >= " in name
 
 
 def groups_of(record: EpisodeRecord, boundaries: Boundaries) -> Iterator[Group]:
@@ -90,15 +95,55 @@ def group_records(
 
 def _order(group: Group) -> tuple[int, int, str]:
     kinds = ("all", "category", "objects", "category and objects", "scenes", "hidden")
-    order = {"objects": _OBJECT_SPLITS, "scenes": _SCENE_SPLITS}.get(group.by, ())
+    order = {"objects": OBJECT_SPLITS, "scenes": _SCENE_SPLITS}.get(group.by, ())
     return (kinds.index(group.by), order.index(group.name) if group.name in order else 0, group.name)
 
 
 def worth_showing(groups: Iterable[Group]) -> list[Group]:
-    """Returns the groups less those that only repeat another: one category is all there is, one split of scenes too."""
+    """Returns the groups without those that repeat another one, as the only category repeats ``all``."""
     chosen = list(groups)
     names = {by: {group.name for group in chosen if group.by == by} for by in ("category", "objects", "scenes")}
     dull = {by for by in ("category", "scenes") if len(names[by]) < 2}
     if len(names["category"]) < 2 or len(names["objects"]) < 2:
         dull.add("category and objects")
     return [group for group in chosen if group.by not in dull]
+
+
+def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
+    """Returns the records with each episode once, the last one winning, in the order of those kept.
+
+    An episode is its seed, object and hidden state. One seed on seen and on unseen objects is two episodes.
+    """
+    last: dict[tuple[object, ...], EpisodeRecord] = {}
+    for record in records:
+        last.pop(record.identity, None)
+        last[record.identity] = record
+    return list(last.values())
+
+
+def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
+    """Returns the records of each `EpisodeRecord.evaluation` that a log holds, in order of appearance.
+
+    Splits of scenes stay apart, also where all evaluations are pooled into one.
+    """
+    found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
+    for record in records:
+        found.setdefault((None if pool else record.evaluation, record.split), []).append(record)
+    return list(found.values())
+
+
+def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[EpisodeRecord]:
+    """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
+
+    LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
+    other, and counts the first ``n_episodes``: those given the lowest seeds. A log holds the last batch's surplus too,
+    unless ``--env.logged_seeds`` leaves it out.
+    (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
+    """
+    found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
+    for record in records:
+        found.setdefault((record.evaluation, record.category), []).append(record)
+    counted = [set(sorted({each.given_seed for each in group})[:count]) for group in found.values()]
+    return [
+        each for group, seeds in zip(found.values(), counted, strict=True) for each in group if each.given_seed in seeds
+    ]

@@ -1,229 +1,221 @@
-"""What an evaluation amounts to: success by group, with intervals, tries, failures by object. Pure functions."""
+"""Metrics of episodes. A new metric is one field of `Metrics`: reports, result files and tables then have it.
+
+Values are counts, so that metrics of several evaluations can be added: a `Rate`, a `Mean`, or a mapping of them.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any, get_type_hints
 
-from lerobot_adamanip.evaluation.failures import count_failures
-from lerobot_adamanip.evaluation.groups import ALL, Boundaries, Group, group_records
-from lerobot_adamanip.evaluation.rates import Rate, rate
+from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
+from lerobot_adamanip.evaluation.metric_values import COUNT, Mean, add, decode, encode, mean_length, show
+from lerobot_adamanip.evaluation.old_results import modernised
+from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.recovery import Recovery, recovery
-from lerobot_adamanip.mechanisms import fixed_direction
+from lerobot_adamanip.evaluation.text_format import interval_text
+from lerobot_adamanip.evaluation.tries import (
+    CAUSES,
+    FAILED_AT,
+    best_tries,
+    failed_at,
+    failure_cause,
+    made_tries,
+    recovery,
+    tried_locked_first,
+)
+from lerobot_adamanip.util.json_fields import Check, integer, table
 
-BEST_TRIES = {"locked": 1.0, "direction": 0.5, "mode": 1.0}
-"""Tries in vain, on average, of the best strategy that sees nothing either. A pull tells that a door is locked, and is
-cheaper than its key. A direction that is drawn is wrong half of the time. Of three motions, tried one after the other,
-zero, one or two fail."""
+Records = Sequence[EpisodeRecord]
 
 
 @dataclass(frozen=True)
-class Tries:
-    """Tries that led nowhere, per *successful* episode: who does nothing, or gives up, tries little and is no better.
+class Metric:
+    """How a field of `Metrics` is measured and shown.
 
     Attributes:
-        made: mean per success.
-        best: the same mean, in the same episodes, of the best strategy that does not see the hidden state either.
-        wasted: ``made - best``. Below zero: it succeeds where it guesses right, and fails where it does not.
+        title: heading of its column or row.
+        measure: episodes, each once -> its value.
+        kind: type of its value: `Rate`, `Mean` or dict.
+        show: its value -> text.
+        by_objects: whether tables of policies show it by split of objects.
+        is_detail: whether brief tables leave it out.
     """
 
-    made: float
-    best: float
-    wasted: float
+    title: str
+    measure: Callable[[Records], Any]
+    kind: type
+    show: Callable[[Any], str] = show
+    by_objects: bool = False
+    is_detail: bool = True
+
+
+def _solved(records: Records) -> list[EpisodeRecord]:
+    return [record for record in records if record.success]
+
+
+def _success(records: Records) -> Rate:
+    return rate(len(_solved(records)), len(records))
+
+
+def _tries_of_successes(records: Records, tries: Callable[[EpisodeRecord], float]) -> Mean:
+    """Means of tries are per success: a failed episode with few tries must not count as a good one."""
+    solved = _solved(records)
+    return Mean(sum(map(tries, solved)), len(solved))
+
+
+def _failed_tries(records: Records) -> Mean:
+    return _tries_of_successes(records, made_tries)
+
+
+def _wasted_tries(records: Records) -> Mean:
+    return _tries_of_successes(records, lambda record: made_tries(record) - best_tries(record))
+
+
+def _tried_locked_first(records: Records) -> Rate:
+    locked = [record for record in records if record.locked]
+    return rate(sum(map(tried_locked_first, locked)), len(locked))
+
+
+def _failed_at(records: Records) -> dict[str, Mean]:
+    solved = _solved(records)
+    found = Counter(kind for record in solved for kind in failed_at(record))
+    return {kind: Mean(found[kind], len(solved)) for kind in FAILED_AT}
+
+
+def _failures(records: Records) -> dict[str, int]:
+    found = Counter(map(failure_cause, records))
+    return {cause: found[cause] for cause in CAUSES}
+
+
+def _by_hidden_value(records: Records) -> dict[str, Rate]:
+    boundaries, found = hidden_boundaries(records), dict[str, list[bool]]()
+    for record in records:
+        for name in hidden_names(record.category, record.hidden_state, boundaries):
+            found.setdefault(name, []).append(record.success)
+    return {name: rate(sum(each), len(each)) for name, each in sorted(found.items())}
+
+
+def _repeated(records: Records) -> Rate:
+    return recovery(records).repeated
+
+
+def _untried(records: Records) -> Mapping[int, Rate]:
+    return recovery(records).untried
+
+
+def _key_frames(records: Records) -> dict[int, int]:
+    return dict(sorted(Counter(record.key_frames for record in _solved(records)).items()))
+
+
+def _show_key_frames(lengths: Mapping[float, int]) -> str:
+    mean = mean_length(lengths)
+    return "-" if mean is None else f"{mean:.1f}"
 
 
 @dataclass(frozen=True)
-class GroupResult:
-    """How a group of episodes went.
+class Metrics:
+    """What came of some episodes. All but ``success`` are None where they were not counted.
 
     Attributes:
         success: share that was opened.
-        key_frames_of_successes: mean; None without a success.
-        tries: of the successes; None without one.
+        wasted_tries: failed tries of the successes beyond those of an optimal blind strategy. Below zero: the policy
+            succeeds where it guesses right, and fails where it does not.
+        repeated: failed tries that were repeated unchanged, of those that another try followed.
+        failed_at: what failed tries of the successes failed at, one of `FAILED_AT` -> their mean.
+        failures: cause, one of `CAUSES` -> failed episodes.
+        hidden: name of a hidden value -> success in its episodes; meaningful in one category.
+        key_frames: number of key frames -> successes that took as many. Old results hold their mean alone.
+        failed_tries: mean of the successes.
+        untried: number of different tries that have failed -> following tries that have not failed yet.
+        tried_locked_first: of the episodes that start locked, those whose first try is a pull.
     """
 
-    success: Rate
-    key_frames_of_successes: float | None
-    tries: Tries | None
+    success: Annotated[Rate, Metric("success", _success, Rate, interval_text)]
+    wasted_tries: Annotated[
+        Mean | None, Metric("wasted tries", _wasted_tries, Mean, by_objects=True, is_detail=False)
+    ] = None
+    repeated: Annotated[
+        Rate | None, Metric("failed tries repeated", _repeated, Rate, by_objects=True, is_detail=False)
+    ] = None
+    failed_at: Annotated[Mapping[str, Mean] | None, Metric("a success's failed tries", _failed_at, dict)] = None
+    failures: Annotated[Mapping[str, int] | None, Metric("how failures ended", _failures, dict)] = None
+    hidden: Annotated[Mapping[str, Rate] | None, Metric("by what is hidden", _by_hidden_value, dict)] = None
+    key_frames: Annotated[
+        Mapping[float, int] | None, Metric("key frames of a success", _key_frames, dict, _show_key_frames)
+    ] = None
+    failed_tries: Annotated[Mean | None, Metric("failed tries", _failed_tries, Mean)] = None
+    untried: Annotated[Mapping[int, Rate] | None, Metric("something new after N failed tries", _untried, dict)] = None
+    tried_locked_first: Annotated[Rate | None, Metric("tried the locked door first", _tried_locked_first, Rate)] = None
+
+    def show(self, name: str) -> str:
+        """Returns a metric as text; ``-`` where it was not counted."""
+        value = getattr(self, name)
+        return "-" if value is None else METRICS[name].show(value)
+
+    def opened_within(self, key_frames: int) -> Rate:
+        """Returns the share that was opened within so many key frames."""
+        opened = sum(count for length, count in (self.key_frames or {}).items() if length <= key_frames)
+        return rate(opened, self.success.episodes)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary; LeRobot's keys of the success are for other readers."""
+        found = {name: encode(getattr(self, name)) for name in METRICS if name != "success"}
+        counts = {"episodes": self.success.episodes, "successes": self.success.count}
+        return {**counts, **success_summary(self.success), **found}
+
+    @classmethod
+    def from_json(cls, name: str, content: object) -> Metrics:
+        """Returns the metrics in decoded JSON, of old files too; raises ValueError that names what is wrong."""
+        try:
+            found = _METRICS(name, modernised(content))
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"{name}: {error}") from error
+        episodes, successes = found.pop("episodes"), found.pop("successes")
+        made = cls(success=rate(successes, episodes), **found)
+        if made.key_frames is not None and sum(made.key_frames.values()) != successes:
+            raise ValueError(f"{name}: key_frames are not of {successes} successes")
+        if sum((made.failures or {}).values()) not in (0, episodes - successes):
+            raise ValueError(f"{name}: causes are not of the episodes that failed")
+        if any(each.episodes > episodes for each in (made.hidden or {}).values()):
+            raise ValueError(f"{name}: a hidden value has more than {episodes} episodes")
+        return made
 
 
-@dataclass(frozen=True)
-class ObjectResult:
-    """Episodes and failures on one object."""
-
-    episodes: int
-    failures: int
+METRICS: Mapping[str, Metric] = {
+    name: hint.__metadata__[0] for name, hint in get_type_hints(Metrics, include_extras=True).items()
+}
+"""Name -> metric, in the order of tables."""
 
 
-@dataclass(frozen=True)
-class EvaluationSummary:
-    """What an evaluation amounts to.
+def _check(metric: Metric) -> Check:
+    def check(name: str, value: object) -> Any:
+        found = None if value is None else decode(name, value)
+        if not isinstance(found, metric.kind | None):
+            raise ValueError(f"{name} is no {metric.kind.__name__.lower()}")
+        return found
 
-    Attributes:
-        episodes: counted, each once.
-        repeats: records dropped because the same episode came again later.
-        groups: how each group went; `ALL` is always there, and first.
-        tried_locked_first: of the episodes that started locked, those whose first try was a pull that failed.
-        recovery: what follows a try that failed.
-        objects: per object id, in order.
-        failures: cause -> episodes; see `lerobot_adamanip.evaluation.failures`.
-        fingerprints, versions, mechanism_rules: what made the episodes; one each, unless evaluations were mixed.
-    """
-
-    episodes: int
-    repeats: int
-    groups: Mapping[Group, GroupResult]
-    tried_locked_first: Rate
-    recovery: Recovery
-    objects: Mapping[str, ObjectResult]
-    failures: Mapping[str, int]
-    fingerprints: tuple[str, ...]
-    versions: tuple[str, ...]
-    mechanism_rules: tuple[str, ...]
-
-    @property
-    def scenes(self) -> str:
-        """Split of the episodes' scenes; of several, all with ``and`` between them."""
-        return " and ".join(group.name for group in self.groups if group.by == "scenes")
-
-    @property
-    def overall(self) -> GroupResult:
-        """All episodes."""
-        return self.groups[ALL]
-
-    def success(self, group: Group) -> Rate:
-        """Returns a group's success; of no episodes where the group has none."""
-        return self.groups[group].success if group in self.groups else rate(0, 0)
+    return check
 
 
-def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
-    """Returns the records with each episode once, the last one winning, in the order of those kept.
-
-    An episode is its seed, object and hidden state. One seed on seen and on unseen objects is two episodes.
-    """
-    last: dict[tuple[object, ...], EpisodeRecord] = {}
-    for record in records:
-        last.pop(record.identity, None)
-        last[record.identity] = record
-    return list(last.values())
+_METRICS = table(
+    {
+        "episodes": integer(1, 10**9),
+        "successes": COUNT,
+        **{name: _check(metric) for name, metric in METRICS.items() if name != "success"},
+    },
+    ignored=(*SUCCESS_KEYS, "interval"),
+)
 
 
-def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
-    """Returns the records of each `EpisodeRecord.evaluation` that a log holds, in order of appearance.
-
-    Splits of scenes stay apart, also where all evaluations are pooled into one.
-    """
-    found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
-    for record in records:
-        found.setdefault((None if pool else record.evaluation, record.split), []).append(record)
-    return list(found.values())
+def measure(records: Records) -> Metrics:
+    """Returns the metrics of episodes, each of them there once."""
+    return Metrics(**{name: metric.measure(records) for name, metric in METRICS.items()})
 
 
-def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[EpisodeRecord]:
-    """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
-
-    LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
-    other, and counts the first ``n_episodes``: those given the lowest seeds. A log holds the last batch's surplus too,
-    unless ``--env.logged_seeds`` leaves it out.
-    (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
-    """
-    found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
-    for record in records:
-        found.setdefault((record.evaluation, record.category), []).append(record)
-    counted = [set(sorted({each.given_seed for each in group})[:count]) for group in found.values()]
-    return [
-        each for group, seeds in zip(found.values(), counted, strict=True) for each in group if each.given_seed in seeds
-    ]
-
-
-def tried_locked_first(record: EpisodeRecord) -> bool:
-    """Whether a robot pulled first at a door that was locked."""
-    return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
-
-
-def best_tries(record: EpisodeRecord) -> float:
-    """Returns the tries in vain that the best strategy under the same uncertainty makes in this episode, on average."""
-    if record.locked is False:
-        return 0.0
-    known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_rules) else set()
-    return sum(cost for name, cost in BEST_TRIES.items() if name in record.hidden_state and name not in known)
-
-
-def count_tries(records: Iterable[EpisodeRecord]) -> Tries | None:
-    """Counts the failed tries of the successes, against the best possible under the same uncertainty.
-
-    Made: each failed try; and working the key of what was not locked, one. Best: see `BEST_TRIES`.
-    """
-    solved = [record for record in records if record.success]
-    if not solved:
-        return None
-    made = sum(record.failed_tries + (record.key_moved and record.locked is False) for record in solved) / len(solved)
-    best = sum(map(best_tries, solved)) / len(solved)
-    return Tries(made, best, made - best)
-
-
-def group_result(records: Sequence[EpisodeRecord]) -> GroupResult:
-    """Returns how a group of episodes went, each of them there once."""
-    lengths = [record.key_frames for record in records if record.success]
-    mean = sum(lengths) / len(lengths) if lengths else None
-    return GroupResult(rate(len(lengths), len(records)), mean, count_tries(records))
-
-
-def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None) -> EvaluationSummary:
-    """Summarises the records of an evaluation, each episode counted once.
-
-    Args:
-        records: as read.
-        boundaries: of continuous hidden values; see `lerobot_adamanip.evaluation.groups.hidden_boundaries`.
-    """
-    kept = without_repeats(records)
-    locked = [record for record in kept if record.locked is True]
-    made = [record.provenance for record in kept]
-    return EvaluationSummary(
-        episodes=len(kept),
-        repeats=len(records) - len(kept),
-        groups={group: group_result(chosen) for group, chosen in group_records(kept, boundaries).items()},
-        tried_locked_first=rate(sum(map(tried_locked_first, locked)), len(locked)),
-        recovery=recovery(kept),
-        objects=_by_object(kept),
-        failures=count_failures(kept),
-        fingerprints=tuple(sorted({each.fingerprint for each in made})),
-        versions=tuple(sorted({each.version for each in made})),
-        mechanism_rules=tuple(sorted({each.mechanism_rules for each in made})),
-    )
-
-
-def _by_object(records: Sequence[EpisodeRecord]) -> dict[str, ObjectResult]:
-    episodes = Counter(record.object_id for record in records)
-    failures = Counter(record.object_id for record in records if not record.success)
-    return {name: ObjectResult(episodes[name], failures[name]) for name in sorted(episodes)}
-
-
-def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> list[str]:
-    """Returns what a reader of these numbers has to know: what was mixed, and what cannot be compared.
-
-    Args:
-        summaries: by label.
-    """
-    said = []
-    for label, summary in summaries.items():
-        if " and " in summary.scenes:
-            said.append(f"{label}: {summary.scenes} scenes are mixed; a number is of one split")
-        elif summary.scenes != "test":
-            said.append(f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test")
-        if "train" in summary.scenes:
-            said.append(f"{label}: scenes that demonstrations are recorded in are among these")
-        for what, found in (("fingerprint", summary.fingerprints), ("set of rules", summary.mechanism_rules)):
-            if len(found) > 1:
-                said.append(f"{label}: its episodes are of more than one {what}: {', '.join(found)}")
-    for what, sets in (
-        ("fingerprints", [summary.fingerprints for summary in summaries.values()]),
-        ("mechanism rules", [summary.mechanism_rules for summary in summaries.values()]),
-        ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
-    ):
-        if len(set(sets)) > 1:
-            told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
-            said.append(f"not to be compared: {what} differ ({told})")
-    return said
+def pool(several: Iterable[Metrics]) -> Metrics:
+    """Returns the metrics of all episodes together; of at least one evaluation."""
+    found = list(several)
+    return Metrics(**{name: add([getattr(each, name) for each in found]) for name in METRICS})

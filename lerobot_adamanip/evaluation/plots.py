@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lerobot_adamanip.evaluation.comparison import Comparison, compare
-from lerobot_adamanip.evaluation.groups import Group
-from lerobot_adamanip.evaluation.metrics import without_repeats
+from lerobot_adamanip.evaluation.groups import Group, without_repeats
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.report import Comparison, compare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,4 @@
-"""Result files: numbers with what made them. Written by measurements, rendered into the documents, refused if stale.
+"""Result files: numbers with what made them. Written by measurements, and made into tables of the documents.
 
 A file in ``results/`` is one JSON object; `scripts/make_results.py` makes tables of them all.
 """
@@ -12,9 +12,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS, without_repeats
+from lerobot_adamanip.evaluation.metrics import Metrics, measure
 from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.result_rows import ROW, ResultRow, parse_row
 from lerobot_adamanip.util import json_fields as checked_json
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
@@ -28,11 +30,46 @@ PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")
 
 
 @dataclass(frozen=True)
+class ResultRow:
+    """Episodes of one subject, preset, category and split of objects.
+
+    Attributes:
+        subject: who acted, as a table calls it: ``adaptive``, ``dp3_adaptive, adaptive demonstrations``.
+        preset: of the mechanisms.
+        category: ``safe``.
+        objects: one of `OBJECT_SPLITS`.
+        metrics: what came of them; failed and unreachable episodes count too.
+        train_minutes: that a policy was trained; None if not measured.
+    """
+
+    subject: str
+    preset: str
+    category: str
+    objects: str
+    metrics: Metrics
+    train_minutes: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a flat JSON-able dictionary."""
+        labels = {name: value for name, value in vars(self).items() if name != "metrics"}
+        return {**labels, **self.metrics.to_json()}
+
+    @classmethod
+    def from_json(cls, name: str, content: object) -> ResultRow:
+        """Returns the row in decoded JSON; raises ValueError that names what is wrong with it."""
+        if not isinstance(content, Mapping):
+            raise ValueError(f"{name} is not a row")
+        labels = {key: value for key, value in content.items() if key in _LABELS}
+        rest = {key: value for key, value in content.items() if key not in _LABELS}
+        return cls(**checked_json.table(_LABELS)(name, labels), metrics=Metrics.from_json(name, rest))
+
+
+@dataclass(frozen=True)
 class ResultFile:
     """A measurement.
 
     Attributes:
-        kind: see `KINDS`.
+        kind: one of `KINDS`.
         title: what was measured, one line.
         command: that measured it, as typed in the repository's root.
         commit: of the repository; None outside one. ``changed``: whether files differed from it.
@@ -60,7 +97,7 @@ class ResultFile:
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
-        return {"schema": 1, **asdict(self), "rows": [row.to_json() for row in self.rows]}
+        return {"schema": 1, **vars(self), "rows": [row.to_json() for row in self.rows]}
 
 
 def check_command(command: str) -> str:
@@ -75,6 +112,21 @@ def check_command(command: str) -> str:
     return command
 
 
+def rows_of_records(
+    records: Sequence[EpisodeRecord], subject: str, train_minutes: float | None = None
+) -> list[ResultRow]:
+    """Returns a row for each preset, category and split of objects in an evaluation's records."""
+    found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
+    for record in without_repeats(records):
+        key = (record.provenance.mechanism_rules, record.category, record.object_split or "external")
+        found.setdefault(key, []).append(record)
+
+    def order(key: tuple[str, str, str]) -> tuple[str, int, int]:
+        return key[0], tuple(CATEGORIES).index(key[1]), OBJECT_SPLITS.index(key[2])
+
+    return [ResultRow(subject, *key, measure(found[key]), train_minutes) for key in sorted(found, key=order)]
+
+
 def make_result(
     rows: Iterable[ResultRow],
     *,
@@ -86,11 +138,11 @@ def make_result(
     scenes: str | None,
     seconds: float | None = None,
 ) -> ResultFile:
-    """Returns a result with what is known here filled in: its origin and the machine.
+    """Returns a result with its origin and the machine filled in.
 
     Args:
         rows: at least one.
-        kind: see `KINDS`.
+        kind: one of `KINDS`.
         title: one line.
         command: as typed; raises `ConfigurationError` if it holds a path of this machine.
         fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()` for experts, else that of the log.
@@ -112,16 +164,13 @@ def make_result(
     )
 
 
-def policy_result(
-    rows: Iterable[ResultRow],
-    records: Sequence[EpisodeRecord],
-    *,
-    title: str,
-    command: str,
-    kind: str = "policy",
-    seconds: float | None = None,
-) -> ResultFile:
-    """Returns the result of policies' evaluations: rows as of `rows_of_records`, and the records they are of.
+def policy_result(rows: Iterable[ResultRow], records: Sequence[EpisodeRecord], **given: Any) -> ResultFile:
+    """Returns the result of policies' evaluations.
+
+    Args:
+        rows: as of `rows_of_records`.
+        records: that they are of.
+        **given: ``title``, ``command`` and what else `make_result` takes.
 
     Raises:
         ConfigurationError: the records are of several codes or splits of scenes, or the command cannot be published.
@@ -134,21 +183,13 @@ def policy_result(
             allowed="episodes of one fingerprint and one split",
             hint="a new log, or a result file for each",
         )
-    (fingerprint, split) = made[0]
-    return make_result(
-        rows,
-        kind=kind,
-        title=title,
-        command=command,
-        fingerprint=fingerprint,
-        seeds=[record.seed for record in records],
-        scenes=split,
-        seconds=seconds,
-    )
+    ((fingerprint, split),) = made
+    seeds = [record.seed for record in records]
+    return make_result(rows, **{"kind": "policy", **given}, fingerprint=fingerprint, seeds=seeds, scenes=split)
 
 
 def write_result(path: Path, result: ResultFile) -> None:
-    """Writes a result file; what it holds is checked as if somebody else had written it."""
+    """Writes a result file; its content is checked as that of a stranger's file is."""
     content = json.loads(json.dumps(result.to_json()))
     parse_result(content)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -167,23 +208,20 @@ def read_result(path: Path) -> ResultFile:
 
 def parse_result(content: object) -> ResultFile:
     """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
-    found = _RESULT("the result", _completed(content))
+    found = _RESULT("the result", content)
     del found["schema"]
-    rows = tuple(map(parse_row, found.pop("rows")))
     if PRIVATE_PATH.search(found["command"]):
         raise ValueError("command holds a path of one machine")
-    return ResultFile(rows=rows, **{**found, "seeds": tuple(found["seeds"])})
+    return ResultFile(**found)
 
 
-def _completed(content: object) -> object:
-    """Adds to a result of before what its rows lack: how failures had ended, and what failed, was not counted."""
-    rows = content.get("rows") if isinstance(content, dict) else None
-    if not isinstance(content, dict) or not isinstance(rows, list):
-        return content
-    return {**content, "rows": [{**_NOT_COUNTED, **row} if isinstance(row, dict) else row for row in rows]}
-
-
-_NOT_COUNTED = {"failures": None, "in_vain": None}
+_LABELS: Mapping[str, checked_json.Check] = {
+    "subject": LINE,
+    "preset": checked_json.text(r"[a-z_]{1,30}", "a preset's name"),
+    "category": checked_json.choice(tuple(CATEGORIES)),
+    "objects": checked_json.choice(OBJECT_SPLITS),
+    "train_minutes": checked_json.optional(checked_json.number(0, 10**6)),
+}
 _RESULT = checked_json.table(
     {
         "schema": checked_json.integer(1, 1),
@@ -196,6 +234,6 @@ _RESULT = checked_json.table(
         "scenes": checked_json.optional(checked_json.choice(("test", "validation", "train"))),
         "seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
         "seconds": checked_json.optional(checked_json.number(0, 10**9)),
-        "rows": checked_json.listing(ROW, 1, 10_000),
+        "rows": checked_json.listing(ResultRow.from_json, 1, 10_000),
     }
 )

@@ -1,4 +1,4 @@
-"""How tables tell things: categories, durations, shares with intervals, and tables of Markdown themselves."""
+"""Text of reports and pages: tables of Markdown, shares with intervals, durations."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lerobot_adamanip.evaluation.rates import Rate
 
 
 def words(category: str) -> str:
-    """Returns how tables and pictures call a category: ``coffee maker``."""
+    """Returns a category as words: ``coffee maker``."""
     return category.replace("_", " ")
 
 
@@ -19,13 +19,9 @@ def counted(count: int, noun: str) -> str:
 
 def duration_text(seconds: float) -> str:
     """Returns ``90 s``, ``45 min`` or ``3.2 h``."""
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 120
-        else f"{seconds / 60:.0f} min"
-        if seconds < 7200
-        else f"{seconds / 3600:.1f} h"
-    )
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def interval_text(share: Rate) -> str:
@@ -35,6 +31,13 @@ def interval_text(share: Rate) -> str:
     return f"{share.count}/{share.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
 
 
-def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table of Markdown."""
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ["---"] * len(titles), *rows))
+def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], *, align: bool = False) -> str:
+    """Returns a table of Markdown; ``align`` pads its columns, for a terminal."""
+    lines = [list(titles), *map(list, rows)]
+    if not align:
+        lines.insert(1, ["---"] * len(titles))
+        return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    lines.insert(1, ["-" * width for width in widths])
+    padded = ([cell.ljust(width) for cell, width in zip(cells, widths, strict=True)] for cells in lines)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in padded)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.datasets.cards.templates import table
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.rates import rate, success_summary
-from lerobot_adamanip.evaluation.result_rows import ResultRow, rows_of_records
-from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result
+from lerobot_adamanip.evaluation.metrics import METRICS
+from lerobot_adamanip.evaluation.rates import success_summary
+from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result, rows_of_records
+from lerobot_adamanip.evaluation.text_format import markdown_table, words
 from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from huggingface_hub import EvalResult
 
+_SHOWN = ("success", "key_frames", "failed_tries")
 NONE = (
     "None are published with it. `adamanip report LOG --out FILE --command '...'`, then "
     "`adamanip push ... --results FILE`, adds them."
@@ -52,28 +53,22 @@ def _of_log(path: Path, command: str | None) -> ResultFile:
 
 def results_table(results: Sequence[ResultFile]) -> str:
     """Returns what a card says of results: rates with 95 % Wilson intervals, and what made them."""
-    if not results:
-        return NONE
-    header = ("who", "category", "objects", "mechanisms", "success", "key frames", "failed tries")
-    return "\n\n".join(
-        f"{each.title} ({_scenes(each)}, seeds {each.seeds[0]} to {each.seeds[1]}):\n\n"
-        + table(header, [_cells(row) for row in each.rows])
-        + f"\n\nCommand: `{each.command}`; commit {each.commit or 'of a released version'}; version {each.version}; "
-        f"fingerprint `{each.fingerprint}`."
-        for each in results
+    return "\n\n".join(map(_table, results)) or NONE
+
+
+def _table(result: ResultFile) -> str:
+    scenes = "scenes of no split" if result.scenes is None else f"scenes of the {result.scenes} split"
+    titles = ["who", "category", "objects", "mechanisms", *(METRICS[name].title for name in _SHOWN)]
+    rows = (
+        [row.subject, words(row.category), row.objects, row.preset, *(row.metrics.show(name) for name in _SHOWN)]
+        for row in result.rows
     )
-
-
-def _scenes(result: ResultFile) -> str:
-    return "scenes of no split" if result.scenes is None else f"scenes of the {result.scenes} split"
-
-
-def _cells(row: ResultRow) -> tuple[Any, ...]:
-    found = rate(row.successes, row.episodes)
-    share = "-" if found.rate is None else f"{100 * found.rate:.1f} % [{100 * found.low:.1f}, {100 * found.high:.1f}]"
-    means = ["-" if value is None else f"{value:.1f}" for value in (row.key_frames, row.failed_tries)]
-    category = row.category.replace("_", " ")
-    return (row.subject, category, row.objects, row.preset, f"{row.successes}/{row.episodes}: {share}", *means)
+    seeds = f"seeds {result.seeds[0]} to {result.seeds[1]}"
+    return (
+        f"{result.title} ({scenes}, {seeds}):\n\n{markdown_table(titles, rows)}\n\n"
+        f"Command: `{result.command}`; commit {result.commit or 'of a released version'}; version {result.version}; "
+        f"fingerprint `{result.fingerprint}`."
+    )
 
 
 def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
@@ -88,21 +83,21 @@ def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
             task_type="robotics",
             task_name="articulated manipulation under hidden state",
             dataset_type=f"adamanip_{row.category}",
-            dataset_name=f"AdaManip {row.category.replace('_', ' ')}, {row.objects} objects",
+            dataset_name=f"AdaManip {words(row.category)}, {row.objects} objects",
             dataset_config=row.preset,
             dataset_split=row.objects,
             dataset_args={
                 "scenes": each.scenes,
                 "seeds": list(each.seeds),
-                "episodes": row.episodes,
-                **success_summary(rate(row.successes, row.episodes)),
+                "episodes": row.metrics.success.episodes,
+                **success_summary(row.metrics.success),
                 "command": each.command,
                 "commit": each.commit,
             },
             dataset_revision=each.fingerprint,
             metric_type="success_rate",
             metric_name=f"success rate ({row.subject})",
-            metric_value=round(row.successes / row.episodes, 4),
+            metric_value=round(row.metrics.success.rate or 0.0, 4),
         )
         for each in results
         for row in each.rows

@@ -60,11 +60,28 @@ def collect(root: Path, options: dict[str, str]) -> int:
     return 0
 
 
+def merge(parts: list[str], options: dict[str, str]) -> int:
+    """One file that follows from those of all parts."""
+    root = Path(options["--out"])
+    partial = root.with_name(f"{root.name}.partial")
+    (partial / "meta").mkdir(parents=True, exist_ok=True)
+    (partial / "0").write_text(digest([dataset_files(Path(part)) for part in parts]))
+    for name in ("info.json", "stats.json", "collection.json"):
+        (partial / "meta" / name).write_text((Path(parts[0]) / "meta" / name).read_text())
+    moment()
+    partial.rename(root)
+    return 0
+
+
+def dataset_files(root: Path) -> list[str]:
+    return [path.read_text() for path in sorted(root.iterdir()) if path.is_file()]
+
+
 def dataset_digest(root: Path) -> str:
     assert (root / "meta" / "collection.json").exists(), "a training on half a dataset"
     ranges = json.loads((root / "meta" / "stats.json").read_text())["action"]
     assert ranges == {"min": [0.25] * 3 + [-1.0] * 7, "max": [0.5] * 3 + [1.0] * 7}, "rotation and gripper are scaled"
-    return digest([path.read_text() for path in sorted(root.iterdir()) if path.is_file()])
+    return digest(dataset_files(root))
 
 
 def train(options: dict[str, str]) -> int:
@@ -135,7 +152,8 @@ def main() -> int:
     options = {word.partition("=")[0]: word.partition("=")[2] for word in words if word.startswith("--")}
     KIND = {"adamanip": "collect", "lerobot-train": "train", "lerobot-eval": "evaluate"}[command]
     if KIND == "collect":
-        return collect(Path(next(word for word in words[1:] if not word.startswith("--"))), options)
+        parts = [word for word in words[1:] if not word.startswith("--")]
+        return merge(parts, options) if words[0] == "merge" else collect(Path(parts[0]), options)
     return train(options) if KIND == "train" else evaluate(options, templates)
 
 

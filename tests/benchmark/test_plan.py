@@ -13,8 +13,9 @@ from benchmark_helpers import CODE, SCALE, content, declared, with_scale
 
 from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
 from lerobot_adamanip.benchmark.declaration import Declaration, read_declaration
-from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, TRAIN, Code, Step, option, options_key, plan
+from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, TRAIN, Code, Step, named_steps, option, options_key, plan
 from lerobot_adamanip.benchmark.policies import policy_hash
+from lerobot_adamanip.benchmark.training import last_checkpoint
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -96,7 +97,7 @@ def test_unknown_names_are_one_error(selection: Selection, message: str) -> None
 def test_collecting_is_a_command_of_ours(name: str) -> None:
     declaration = read_declaration()
     step = steps_of(declaration, name)[COLLECT]
-    made = parse("collect", [*step.command[2:], *step.aside])
+    made = parse("collect", [*step.command[2:], *step.non_key_options])
     wanted = declaration.demonstrations[declaration.methods[name].demonstrations]
     assert (made.expert, made.trials, made.late_starts) == (wanted.expert, wanted.trials, wanted.late_starts)
     assert made.images == bool(wanted.image_size)
@@ -122,7 +123,7 @@ def test_training_and_testing_are_commands_of_lerobots(name: str) -> None:
 
     found = steps_of(read_declaration(), name)
     train, test = found[TRAIN], found[EVALUATE]
-    made = draccus.parse(config_class=TrainPipelineConfig, args=[*train.command[1:], *train.aside])
+    made = draccus.parse(config_class=TrainPipelineConfig, args=[*train.command[1:], *train.non_key_options])
     assert (made.policy.type, str(made.output_dir), made.save_freq) == (name, train.product, 400)
     checkpoint = option(test.command, "--policy.path")
     arguments = [word for word in test.command[1:] if checkpoint not in word]
@@ -139,11 +140,11 @@ def test_the_tests_are_those_of_the_demonstrations_objects_poses_and_points() ->
     pictures = declared(demonstrations={"adaptive": {"image_size": 96, "num_points": 512}, "static": {}})
     tested = steps(pictures)[EVALUATE]
     assert (option(tested.command, "--env.image_size"), option(tested.command, "--env.num_points")) == ("96", "512")
-    assert tested.aside == ("--env.observe_images=true",)
-    assert steps(declaration)[EVALUATE].aside == ("--env.observe_images=false",)
+    assert tested.non_key_options == ("--env.observe_images=true",)
+    assert steps(declaration)[EVALUATE].non_key_options == ("--env.observe_images=false",)
     methods = content()["methods"]
     methods["ours"]["evaluate"] = ["--env.observe_images=true"]
-    assert steps(declared(methods=methods))[EVALUATE].aside == (), "no second word after a method's own"
+    assert steps(declared(methods=methods))[EVALUATE].non_key_options == (), "no second word after a method's own"
 
 
 def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
@@ -168,6 +169,32 @@ def test_options_of_a_method_win() -> None:
     assert (option(command, "--batch_size"), option(command, "--policy.dim_model")) == ("9", "8")
     command = found[EVALUATE].command
     assert (option(command, "--env.episode_length"), option(command, "--env.max_parallel_tasks")) == ("15", "1")
+
+
+def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everything() -> None:
+    methods = content()["methods"]
+    methods["ours"]["rounds"] = [
+        {"corrections": 5, "steps": 4},
+        {"corrections": 2, "steps": 3, "start": "trained"},
+    ]
+    found = named_steps(plan(cell(), declared(methods=methods), SCALE, CODE))
+    assert list(found) == [
+        "collect", "train", "correct", "merge", "train_2", "correct_2", "merge_2", "train_3", "evaluate",
+    ]  # fmt: skip
+    before = steps()
+    assert (found["collect"], found["train"]) == (before[COLLECT], before[TRAIN]), "they are those without a round"
+    first = found["correct"]
+    made = parse("collect", [*first.command[2:], *first.non_key_options])
+    assert (made.episodes_per_object, str(made.policy)) == (3, str(last_checkpoint(found["train"].product)))
+    assert found["merge"].command[2:4] == (found["collect"].product, first.product)
+    assert found["merge_2"].command[2:4] == (found["merge"].product, found["correct_2"].product)
+    for name, data, begin in (
+        ("train_2", "merge", "--policy.type=dp3_adaptive"),
+        ("train_3", "merge_2", f"--policy.path={last_checkpoint(found['train_2'].product)}"),
+    ):
+        assert option(found[name].command, "--dataset.root") == found[data].product
+        assert begin in found[name].command
+    assert option(found["evaluate"].command, "--policy.path") == str(last_checkpoint(found["train_3"].product))
 
 
 def test_a_path_of_this_machine_is_refused_before_anything_runs(tmp_path: Path) -> None:

@@ -12,16 +12,14 @@ from typing import Any
 import pytest
 from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, content, declared, run_all
 from PIL import Image
-from records import record
 
-from lerobot_adamanip.benchmark.counts import Numbers, pooled
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.evaluation.provenance import machine_text
-from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, difference, rate
+from lerobot_adamanip.evaluation.rates import difference, rate
 from lerobot_adamanip.util.errors import DatasetError
 
 TRIALS = {
@@ -277,43 +275,10 @@ def test_the_json_is_json_and_the_pictures_are_drawn(cells: Path, tmp_path: Path
 # Numbers and files ------------------------------------------------------------------------------------------------
 
 
-def test_pooled_numbers_are_those_of_all_episodes() -> None:
-    records = [
-        record(seed=k, locked=k % 2 == 0, success=k % 3 != 0, key_frames=9 + k % 4, blocked_pulls=k % 2)
-        for k in range(24)
-    ]
-    parts = [Numbers.of(records[:7]), Numbers.of(records[7:])]
-    one, together = Numbers.of(records), pooled(parts)
-    assert together.success == one.success
-    assert together.key_frames == one.key_frames
-    assert together.recovery == one.recovery
-    assert together.hidden == one.hidden
-    assert together.tries is not None
-    assert one.tries is not None
-    assert together.tries.wasted == pytest.approx(one.tries.wasted)
-    assert Numbers.from_json("numbers", json.loads(json.dumps(one.to_json()))) == one
-
-
-def test_numbers_without_a_success() -> None:
-    none = Numbers.of([record(seed=k, success=False) for k in range(3)])
-    assert none.tries is None
-    assert pooled([none, none]).tries is None
-    assert Numbers.from_json("numbers", none.to_json()) == none
-
-
 def test_a_result_comes_back_as_it_was(cells: Path, tmp_path: Path) -> None:
     result = read_cell(cells / "ours-safe-seen-1.json")
     write_cell(tmp_path / "again.json", result)
     assert read_cell(tmp_path / "again.json") == result
-
-
-def test_numbers_are_written_with_lerobots_keys_and_read_without(cells: Path) -> None:
-    numbers = read_cell(cells / "ours-safe-seen-1.json").numbers
-    content = numbers.to_json()
-    assert (content["n_success"], content["n_episodes"]) == (numbers.success.count, numbers.success.episodes)
-    assert content["pc_success_ci95"] == [100 * numbers.success.low, 100 * numbers.success.high]
-    earlier = {key: value for key, value in content.items() if key not in SUCCESS_KEYS}
-    assert Numbers.from_json("numbers", earlier) == numbers
 
 
 def spoiled(result: CellResult, path: str, value: Any) -> dict[str, Any]:

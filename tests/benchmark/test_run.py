@@ -69,13 +69,29 @@ def test_a_result_says_what_made_it(tmp_path: Path) -> None:
     assert found.scene_seeds == (1000, 1004)
     numbers = found.numbers
     assert numbers.success.episodes == 5
-    assert sum(numbers.key_frames.values()) == numbers.success.count
-    assert sum(episodes for name, (_, episodes) in numbers.hidden.items() if name.endswith("locked")) == 5
+    assert sum((numbers.key_frames or {}).values()) == numbers.success.count
+    assert sum(each.episodes for name, each in (numbers.hidden or {}).items() if name.endswith("locked")) == 5
     assert (found.fingerprint, found.origin) == (CODE.episodes, made.origin)
     assert {cost.begun for cost in found.costs.values()} == {1}
     assert found.costs["train"].machine == {"cores": 2, "gpu": False}
     text = (tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json").read_text()
     assert str(tmp_path) not in text
+
+
+def test_rounds_of_corrections_go_on_after_a_death(tmp_path: Path) -> None:
+    methods = content()["methods"]
+    methods["ours"]["rounds"] = [{"corrections": 2, "steps": 4, "start": start} for start in ("new", "trained")]
+    corrected = declared(methods={name: methods[name] for name in ("ours", "ours_on_static")})
+    run_all(benchmark(tmp_path / "whole", FakeRunner(tmp_path), corrected))
+    for moment in ("collect:2", "train:6"):
+        root = tmp_path / moment.replace(":", "")
+        assert killed(root, FakeRunner(tmp_path, die=moment), declaration=corrected)
+        wait_for_the_orphan(root)
+        run_all(benchmark(root, FakeRunner(tmp_path), corrected))
+        assert results(root) == results(tmp_path / "whole")
+    found = read_cell(tmp_path / "whole" / "cells" / "ours-safe-seen-1000.json")
+    assert list(found.costs) == list(found.steps)
+    assert list(found.steps)[2:6] == ["correct", "merge", "train_2", "correct_2"]
 
 
 @pytest.mark.parametrize("jobs", [2, 3, 8])
@@ -125,7 +141,7 @@ def test_what_a_finished_step_was_made_of_is_no_longer_needed(tmp_path: Path) ->
 # Kills ------------------------------------------------------------------------------------------------------------
 
 
-def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "", jobs: int = 1) -> bool:
+def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "", **given: Any) -> bool:
     """Runs the benchmark in a process that is killed; returns whether it was.
 
     By its runner; or after some seconds; or as soon as a file of that name is written in its folder.
@@ -142,7 +158,7 @@ def killed(root: Path, runner: FakeRunner, *, seconds: float = 0.0, log: str = "
             threading.Timer(seconds, kill).start()
         status = 1
         try:
-            run_all(benchmark(root, runner, jobs=jobs))
+            run_all(benchmark(root, runner, **given))
             status = 0
         finally:
             os._exit(status)

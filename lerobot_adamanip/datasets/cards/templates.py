@@ -77,12 +77,6 @@ def front_matter(kind: str, fields: Mapping[str, Any]) -> str:
     return f"---\n{data.to_yaml().strip()}\n---"
 
 
-def table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> str:
-    """Returns a table in Markdown."""
-    lines = [header, ("---",) * len(header), *rows]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
-
-
 def check_card(text: str, kind: str) -> None:
     """Checks a card without the Hub, whose own check is made when it is uploaded.
 

@@ -1,18 +1,17 @@
-"""Result files as tables of Markdown: the page docs/results.md and the block in the README."""
+"""Tables of result files: the page docs/results.md, and the block in the README."""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.evaluation.failed_tries import IN_VAIN
-from lerobot_adamanip.evaluation.failures import CAUSES, failures_text
+from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS
+from lerobot_adamanip.evaluation.metric_values import mean_length
+from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
-from lerobot_adamanip.evaluation.rates import rate
-from lerobot_adamanip.evaluation.result_rows import OBJECT_SPLITS, ResultRow
-from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.evaluation.text_format import duration_text, interval_text, markdown_table, words
+from lerobot_adamanip.evaluation.results import ResultFile, ResultRow
+from lerobot_adamanip.evaluation.text_format import duration_text, markdown_table, words
 
 START, END = "<!-- results -->", "<!-- /results -->"
 INTRODUCTION = """# Results
@@ -29,10 +28,10 @@ sees. *How failures ended*: without any try, without a joint that moved, with th
 sample standard deviation of trainings that differ in their seed alone.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
-_CONTINUOUS = ("<", ">=")
-_LONG_TITLES = ("a success's failed tries", "how failures ended", "by what is hidden")
-"""Columns at the end of a policy's table that a brief one does without."""
-_POLICY_TITLES = ("wasted tries", "failed tries repeated", "trained", *_LONG_TITLES)
+_COLUMNS = ("wasted_tries", "repeated", "trained", "failed_at", "failures", "hidden")
+"""Metrics in the tables of policies, with the minutes of their training; a new one is shown behind them."""
+_ELSEWHERE = ("success", "key_frames", "failed_tries", "untried", "tried_locked_first")
+"""Metrics that tables of policies show otherwise, or not at all."""
 
 
 def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
@@ -71,7 +70,11 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], mor
     fresh = by_kind["policy"] or by_kind["expert"]
     parts = [START]
     for result in fresh:
-        told = f" {_success(result.rows[0])}" if len(result.rows) == 1 else f"\n\n{result_table(result, brief=True)}"
+        told = (
+            f" {result.rows[0].metrics.show('success')}"
+            if len(result.rows) == 1
+            else f"\n\n{result_table(result, brief=True)}"
+        )
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
     parts += [f"{line}\n" for line in more if line]
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
@@ -118,33 +121,33 @@ def _scenes(result: ResultFile) -> str:
 
 
 def _expert_table(rows: Sequence[ResultRow]) -> str:
-    columns = sorted({(row.preset, row.subject, row.objects) for row in rows}, key=_column_order)
+    columns = sorted(
+        {(row.preset, row.subject, row.objects) for row in rows},
+        key=lambda key: (*key[:2], OBJECT_SPLITS.index(key[2])),
+    )
     several = len({preset for preset, _, _ in columns}) > 1
     titles = [f"{preset + ': ' if several else ''}{subject}, {objects}" for preset, subject, objects in columns]
+
+    def cells(chosen: Sequence[ResultRow]) -> list[str]:
+        found = [[row for row in chosen if (row.preset, row.subject, row.objects) == column] for column in columns]
+        return [_expert_cell(each) if each else "-" for each in found]
+
     names = [name for name in CATEGORIES if any(row.category == name for row in rows)]
-    lines = [
-        (name, [_cell([row for row in rows if row.category == name], column) for column in columns]) for name in names
-    ]
-    if len(names) > 1:
-        lines.append(("all", [_cell(rows, column) for column in columns]))
-    return markdown_table(["", *titles], [[words(name), *cells] for name, cells in lines])
+    lines = [[words(name), *cells([row for row in rows if row.category == name])] for name in names]
+    return markdown_table(["", *titles], [*lines, ["all", *cells(rows)]] if len(names) > 1 else lines)
 
 
-def _cell(rows: Iterable[ResultRow], column: tuple[str, str, str]) -> str:
-    chosen = [row for row in rows if (row.preset, row.subject, row.objects) == column]
-    if not chosen:
-        return "-"
-    frames = f" ({chosen[0].key_frames:.1f})" if len(chosen) == 1 and chosen[0].key_frames is not None else ""
-    return f"{sum(row.successes for row in chosen)}/{sum(row.episodes for row in chosen)}{frames}"
-
-
-def _column_order(column: tuple[str, str, str]) -> tuple[str, str, int]:
-    return column[0], column[1], OBJECT_SPLITS.index(column[2])
+def _expert_cell(rows: Sequence[ResultRow]) -> str:
+    metrics = pool(row.metrics for row in rows)
+    frames = mean_length(metrics.key_frames) if len(rows) == 1 else None
+    return f"{metrics.success.count}/{metrics.success.episodes}{'' if frames is None else f' ({frames:.1f})'}"
 
 
 def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
     splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
     several = len({row.preset for row in rows}) > 1
+    names = [*_COLUMNS, *(name for name in METRICS if name not in (*_COLUMNS, *_ELSEWHERE))]
+    names = [name for name in names if not brief or name == "trained" or not METRICS[name].is_detail]
     lines = []
     for subject, preset in dict.fromkeys((row.subject, row.preset) for row in rows):
         of_policy = [row for row in rows if (row.subject, row.preset) == (subject, preset)]
@@ -152,31 +155,37 @@ def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
         categories = list(dict.fromkeys(row.category for row in of_policy))
         for category in categories:
             mine = [row for row in of_policy if row.category == category]
-            by_split = {row.objects: row for row in mine}
-            cells = [_success(by_split[split]) if split in by_split else "-" for split in splits]
-            lines.append(
-                [
-                    name,
-                    words(category),
-                    *cells,
-                    _by_split(_wasted, by_split, splits),
-                    _by_split(_repeated, by_split, splits),
-                    _minutes(mine),
-                    _in_vain(mine),
-                    _failures(mine),
-                    _hidden(mine),
-                ]
-            )
+            cells = _by_split(mine, splits, "success")
+            lines.append([name, words(category), *cells, *(_policy_cell(mine, splits, each) for each in names)])
         if len(categories) > 1:
-            means = [
-                _mean_success([row for row in of_policy if row.objects == split], len(categories)) for split in splits
-            ]
-            lines.append([name, f"mean of {len(categories)}", *means, *[""] * len(_POLICY_TITLES)])
-    titles = ["policy", "category", *(f"{split} objects" for split in splits), *_POLICY_TITLES]
-    # What nobody measured needs no column.
-    last = len(titles) - (len(_LONG_TITLES) if brief else 0)
-    kept = [place for place in range(last) if any(line[place] not in ("-", "") for line in lines)]
+            means = [_mean_success([row for row in of_policy if row.objects == each], categories) for each in splits]
+            lines.append([name, f"mean of {len(categories)}", *means, *[""] * len(names)])
+    metrics = ["trained" if name == "trained" else METRICS[name].title for name in names]
+    titles = ["policy", "category", *(f"{split} objects" for split in splits), *metrics]
+    kept = [place for place in range(len(titles)) if any(line[place] not in ("-", "") for line in lines)]
     return markdown_table([titles[place] for place in kept], [[line[place] for place in kept] for line in lines])
+
+
+def _by_split(rows: Iterable[ResultRow], splits: Sequence[str], name: str) -> list[str]:
+    by_split = {row.objects: row.metrics.show(name) for row in rows}
+    return [by_split.get(split, "-") for split in splits]
+
+
+def _policy_cell(rows: Sequence[ResultRow], splits: Sequence[str], name: str) -> str:
+    """Returns a metric by split of objects, or of all objects together."""
+    if name == "trained":
+        known = [row.train_minutes for row in rows if row.train_minutes is not None]
+        return f"{max(known):.0f} min" if known else "-"
+    if not METRICS[name].by_objects:
+        return pool(row.metrics for row in rows).show(name)
+    cells = _by_split(rows, splits, name)
+    return "-" if set(cells) == {"-"} else ", ".join(cells)
+
+
+def _mean_success(rows: Sequence[ResultRow], categories: Sequence[str]) -> str:
+    """Returns the mean of the categories' shares; nothing where one of them was not measured."""
+    shares = [row.metrics.success.rate or 0.0 for row in rows]
+    return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == len(categories) else "-"
 
 
 def _seeds_table(rows: Sequence[ResultRow]) -> str:
@@ -185,12 +194,12 @@ def _seeds_table(rows: Sequence[ResultRow]) -> str:
     lines = []
     for category in dict.fromkeys(row.category for row in rows):
         mine = [row for row in rows if row.category == category]
-        shares = [[100 * row.successes / row.episodes for row in mine if row.objects == split] for split in splits]
-        names = dict.fromkeys(row.subject for row in mine)
-        of_training = [[row for row in mine if row.subject == name] for name in names]
-        wasted = [tries for tries in map(_mean_wasted, of_training) if tries is not None]
+        shares = [[100 * (row.metrics.success.rate or 0.0) for row in mine if row.objects == each] for each in splits]
+        trainings = list(dict.fromkeys(row.subject for row in mine))
+        pooled = [pool(row.metrics for row in mine if row.subject == name).wasted_tries for name in trainings]
+        wasted = [round(each.value, 2) for each in pooled if each is not None and each.value is not None]
         cells = [_spread(values, ".1f", " %") for values in shares]
-        lines.append([words(category), str(len(of_training)), *cells, _spread(wasted, ".2f", "")])
+        lines.append([words(category), str(len(trainings)), *cells, _spread(wasted, ".2f", "")])
     return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
 
 
@@ -201,78 +210,3 @@ def _spread(values: Sequence[float], digits: str, unit: str) -> str:
     deviation = f" ± {statistics.stdev(values):{digits}}" if len(values) > 1 else ""
     each = ", ".join(f"{value:.4g}" for value in values)
     return f"{statistics.mean(values):{digits}}{unit}{deviation} ({each})"
-
-
-def _mean_success(rows: Sequence[ResultRow], categories: int) -> str:
-    """Returns the mean of the categories' shares; nothing where one of them was not measured."""
-    shares = [row.successes / row.episodes for row in rows]
-    return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == categories else "-"
-
-
-def _wasted(rows: Iterable[ResultRow]) -> str:
-    """Returns tries wasted per success."""
-    tries = _mean_wasted(rows)
-    return "-" if tries is None else f"{tries:.2f}"
-
-
-def _mean_wasted(rows: Iterable[ResultRow]) -> float | None:
-    """Returns tries wasted per success, to two digits; None if nobody counted them, or nothing succeeded."""
-    counted = [(row.wasted_tries, row.successes) for row in rows if row.wasted_tries is not None and row.successes]
-    if not counted:
-        return None
-    return round(sum(tries * successes for tries, successes in counted) / sum(each for _, each in counted), 2)
-
-
-def _by_split(told: Callable[[Iterable[ResultRow]], str], rows: Mapping[str, ResultRow], splits: Sequence[str]) -> str:
-    """Returns what is told of each split's row, in order; ``-`` if there is nothing to tell of any."""
-    each = [told([rows[split]]) if split in rows else "-" for split in splits]
-    return "-" if set(each) == {"-"} else ", ".join(each)
-
-
-def _repeated(rows: Iterable[ResultRow]) -> str:
-    """Returns how many failed tries were repeated unchanged."""
-    counted = [row.repeated for row in rows if row.repeated is not None]
-    return f"{sum(count for count, _ in counted)}/{sum(tries for _, tries in counted)}" if counted else "-"
-
-
-def _minutes(rows: Iterable[ResultRow]) -> str:
-    """Returns how long the policy was trained; its rows say the same."""
-    known = [row.train_minutes for row in rows if row.train_minutes is not None]
-    return f"{max(known):.0f} min" if known else "-"
-
-
-def _in_vain(rows: Iterable[ResultRow]) -> str:
-    """Returns what failed per success, of all splits of objects together."""
-    counted = [(row.in_vain, row.successes) for row in rows if row.in_vain is not None and row.successes]
-    if not counted:
-        return "-"
-    successes = sum(each for _, each in counted)
-    means = {kind: sum(tries.get(kind, 0) for tries, _ in counted) / successes for kind in IN_VAIN}
-    return ", ".join(f"{kind} {mean:.2f}" for kind, mean in means.items() if mean >= 0.005) or "none"
-
-
-def _failures(rows: Iterable[ResultRow]) -> str:
-    """Returns how failed episodes had ended, of all splits of objects together."""
-    counted = [row.failures for row in rows if row.failures is not None]
-    found = {cause: sum(each.get(cause, 0) for each in counted) for cause in CAUSES}
-    return failures_text({cause: count for cause, count in found.items() if count}) if counted else "-"
-
-
-def _success(row: ResultRow) -> str:
-    return interval_text(rate(row.successes, row.episodes))
-
-
-def is_half_of_range(name: str) -> bool:
-    """Whether a hidden value's name is that of a half of a continuous range, whose boundary is one evaluation's own."""
-    return any(sign in name for sign in _CONTINUOUS)
-
-
-def _hidden(rows: Iterable[ResultRow]) -> str:
-    """Returns counts by hidden value, of all splits of objects together; halves of continuous ranges are left out."""
-    counts: dict[str, tuple[int, int]] = {}
-    for row in rows:
-        for name, (count, episodes) in (row.hidden or {}).items():
-            if not is_half_of_range(name):
-                before = counts.get(name, (0, 0))
-                counts[name] = (before[0] + count, before[1] + episodes)
-    return ", ".join(f"{name} {count}/{episodes}" for name, (count, episodes) in sorted(counts.items())) or "-"

@@ -1,0 +1,213 @@
+"""Evaluations side by side: their metrics by group, differences, and warnings about what cannot be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from lerobot_adamanip.evaluation.groups import (
+    ALL,
+    Boundaries,
+    Group,
+    group_records,
+    hidden_boundaries,
+    without_repeats,
+    worth_showing,
+)
+from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
+from lerobot_adamanip.evaluation.rates import Difference, Rate, difference, rate
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.text_format import interval_text
+
+_MADE_BY = ("fingerprint", "version", "mechanism_rules")
+
+
+@dataclass(frozen=True)
+class EvaluationSummary:
+    """One evaluation.
+
+    Attributes:
+        episodes: counted, each once.
+        repeats: records dropped because the same episode came again later.
+        groups: metrics of each group; `ALL` is always there, and first.
+        objects: success by object id.
+        made_by: ``fingerprint``, ``version`` and ``mechanism_rules`` -> the values that occur; one each, unless
+            evaluations were mixed.
+    """
+
+    episodes: int
+    repeats: int
+    groups: Mapping[Group, Metrics]
+    objects: Mapping[str, Rate]
+    made_by: Mapping[str, tuple[str, ...]]
+
+    @property
+    def scenes(self) -> str:
+        """Split of the episodes' scenes; of several, all with ``and`` between them."""
+        return " and ".join(group.name for group in self.groups if group.by == "scenes")
+
+    @property
+    def overall(self) -> Metrics:
+        """Metrics of all episodes."""
+        return self.groups[ALL]
+
+    def success(self, group: Group) -> Rate:
+        """Returns a group's success; of no episodes where the group has none."""
+        return self.groups[group].success if group in self.groups else rate(0, 0)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns a JSON-able dictionary, with LeRobot's keys for each rate of success."""
+        groups = [
+            {**asdict(group), "success": asdict(found.success), **found.to_json()}
+            for group, found in self.groups.items()
+        ]
+        objects = {
+            name: {"episodes": each.episodes, "failures": each.episodes - each.count}
+            for name, each in self.objects.items()
+        }
+        made_by = {f"{name.removesuffix('s')}s": values for name, values in self.made_by.items()}
+        told = {"scenes": self.scenes, "repeats": self.repeats, "groups": groups, "objects": objects}
+        return {**self.overall.to_json(), "episodes": self.episodes, **told, **made_by}
+
+
+def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None) -> EvaluationSummary:
+    """Returns the summary of an evaluation's records, each episode counted once.
+
+    Args:
+        records: as read.
+        boundaries: of continuous hidden values, see `hidden_boundaries`; of these records if left out.
+    """
+    kept = without_repeats(records)
+    objects: dict[str, list[bool]] = {}
+    for record in kept:
+        objects.setdefault(record.object_id, []).append(record.success)
+    return EvaluationSummary(
+        episodes=len(kept),
+        repeats=len(records) - len(kept),
+        groups={group: measure(chosen) for group, chosen in group_records(kept, boundaries).items()},
+        objects={name: rate(sum(each), len(each)) for name, each in sorted(objects.items())},
+        made_by={name: tuple(sorted({getattr(each.provenance, name) for each in kept})) for name in _MADE_BY},
+    )
+
+
+@dataclass(frozen=True)
+class GroupDifference:
+    """Success of the first evaluation less that of another one, in a group that both have episodes of."""
+
+    first: str
+    second: str
+    group: Group
+    success: Difference
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One or more evaluations.
+
+    Attributes:
+        summaries: by label; continuous hidden values are halved at the same places in all.
+        differences: of the first from every other one on the same split of scenes, by group.
+        warnings: what was mixed and what cannot be compared.
+    """
+
+    summaries: Mapping[str, EvaluationSummary]
+    differences: tuple[GroupDifference, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        """Heading of tables and pictures."""
+        scenes = " and ".join(dict.fromkeys(summary.scenes for summary in self.summaries.values()))
+        return f"Success on {scenes} scenes, with 95 % Wilson intervals"
+
+    @property
+    def groups(self) -> list[Group]:
+        """The groups of any of them that do not repeat another, in order."""
+        found = [group for summary in self.summaries.values() for group in summary.groups]
+        kinds = list(dict.fromkeys(group.by for group in found))
+        return worth_showing(sorted(dict.fromkeys(found), key=lambda group: kinds.index(group.by)))
+
+    def rows(self) -> Iterator[list[str]]:
+        """Yields the rows of a table: a name, and a cell for each evaluation."""
+        found = list(self.summaries.values())
+        yield ["episodes", *(f"{summary.episodes} on {summary.scenes} scenes" for summary in found)]
+        for group in self.groups:
+            yield [group.label, *(interval_text(summary.success(group)) for summary in found)]
+        for name, metric in METRICS.items():
+            if name not in ("success", "hidden"):  # groups show both
+                yield [metric.title, *(summary.overall.show(name) for summary in found)]
+        for group in self.groups:
+            if group.by in ("category", "hidden"):
+                cells = [each.groups[group].show("wasted_tries") if group in each.groups else "-" for each in found]
+                yield [f"wasted tries, {group.label}", *cells]
+
+    def lines(self) -> Iterator[str]:
+        """Yields what stands below the table: repeats, differences, failures by object, warnings."""
+        if repeats := sum(summary.repeats for summary in self.summaries.values()):
+            yield f"{repeats} repeated episodes were counted once, the last record of each."
+        shown = set(self.groups)
+        for one in self.differences:
+            if one.group in shown:
+                gap, low, high = (100 * value for value in (one.success.difference, one.success.low, one.success.high))
+                yield f"{one.first} - {one.second}, {one.group.label}: {gap:+.1f} points [{low:+.1f}, {high:+.1f}]"
+        for label, summary in self.summaries.items():
+            failed = [
+                f"{name} {each.episodes - each.count}/{each.episodes}"
+                for name, each in summary.objects.items()
+                if each.count < each.episodes
+            ]
+            yield f"Failures by object, {label}: {', '.join(failed) or 'none'}"
+        yield from (f"Warning: {warning}" for warning in self.warnings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns ``evaluations`` (label, metrics, groups as a list), ``differences`` and ``warnings``."""
+        return {
+            "evaluations": [{"label": label, **summary.to_json()} for label, summary in self.summaries.items()],
+            "differences": [
+                {"first": one.first, "second": one.second, **asdict(one.group), **asdict(one.success)}
+                for one in self.differences
+            ],
+            "warnings": list(self.warnings),
+        }
+
+
+def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
+    """Summarises evaluations and compares every one with the first.
+
+    Args:
+        evaluations: label -> records; at least one.
+    """
+    boundaries = hidden_boundaries(record for records in evaluations.values() for record in records)
+    summaries = {label: summarise(records, boundaries) for label, records in evaluations.items()}
+    (first, reference), *others = summaries.items()
+    differences = tuple(
+        GroupDifference(first, label, group, difference(reference.success(group), summary.success(group)))
+        for label, summary in others
+        if summary.scenes == reference.scenes
+        for group in reference.groups
+        if group in summary.groups
+    )
+    return Comparison(summaries, differences, tuple(warnings_of(summaries)))
+
+
+def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
+    """Yields warnings about evaluations, by label: what was mixed, and what cannot be compared."""
+    for label, summary in summaries.items():
+        if " and " in summary.scenes:
+            yield f"{label}: {summary.scenes} scenes are mixed; a number is of one split"
+        elif summary.scenes != "test":
+            yield f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test"
+        if "train" in summary.scenes:
+            yield f"{label}: scenes that demonstrations are recorded in are among these"
+        for name in ("fingerprint", "mechanism_rules"):
+            if len(found := summary.made_by[name]) > 1:
+                yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(found)}"
+    for what, sets in (
+        ("fingerprints", [summary.made_by["fingerprint"] for summary in summaries.values()]),
+        ("mechanism rules", [summary.made_by["mechanism_rules"] for summary in summaries.values()]),
+        ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
+    ):
+        if len(set(sets)) > 1:
+            told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
+            yield f"not to be compared: {what} differ ({told})"

@@ -1,0 +1,109 @@
+"""Classification of an episode's tries: what they failed at, what follows a failure, what the best strategy needs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from lerobot_adamanip.evaluation.rates import Rate, rate
+from lerobot_adamanip.evaluation.record import EpisodeRecord, TryMade
+from lerobot_adamanip.mechanisms import fixed_direction
+
+BEST_TRIES = {"locked": 1.0, "direction": 0.5, "mode": 1.0}
+"""Hidden value -> expected failed tries of an optimal blind strategy. It pulls at a locked door once, because that is
+cheaper than its key; turns the wrong way half of the time; and tries three modes one after the other."""
+NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR = "no try", "tried in vain", "key moved", "ajar"
+CAUSES = (NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR)
+"""How a failed episode ended: without any try; without a joint that moved; with the other joint (knob, cap, lever)
+moved; or with the opening joint moved, but not far enough."""
+MIN_AJAR = 5e-3
+"""Position of the opening joint from which it is ajar [rad or m]."""
+PART_HELD, KEY_HELD, NO_FURTHER = "part held", "key held", "no further"
+FAILED_AT = (PART_HELD, KEY_HELD, NO_FURTHER)
+"""What a try failed at: the opening joint held, the other joint held, or a joint at its end after it had gone this
+way before."""
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """How tries follow failed ones.
+
+    Attributes:
+        repeated: of the failed tries that another one follows, those repeated unchanged (same joint, same sign).
+        untried: number of different tries that have failed -> following tries that have not failed yet.
+    """
+
+    repeated: Rate
+    untried: Mapping[int, Rate]
+
+
+def failure_cause(record: EpisodeRecord) -> str | None:
+    """Returns which of `CAUSES` an episode failed by; None for a success."""
+    if record.success:
+        return None
+    if abs(next(iter(record.joints.values()), 0.0)) > MIN_AJAR:
+        return AJAR
+    if not record.try_sequence:
+        return NO_TRY
+    return KEY_MOVED if record.key_moved else NOTHING_MOVED
+
+
+def failed_at(record: EpisodeRecord) -> list[str]:
+    """Returns which of `FAILED_AT` each failed try of an episode was, in order."""
+    moved = set[tuple[int, int]]()
+    found = []
+    for joint, sign, fails in record.try_sequence:
+        if not fails:
+            moved.add((joint, sign))
+        elif (joint, sign) in moved:
+            found.append(NO_FURTHER)
+        else:
+            found.append(KEY_HELD if joint else PART_HELD)
+    return found
+
+
+def made_tries(record: EpisodeRecord) -> int:
+    """Returns the failed tries of an episode, and one more where the key of an unlocked object was moved."""
+    return record.failed_tries + (record.key_moved and record.locked is False)
+
+
+def best_tries(record: EpisodeRecord) -> float:
+    """Returns the expected failed tries of an optimal blind strategy in this episode, see `BEST_TRIES`."""
+    if record.locked is False:
+        return 0.0
+    known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_rules) else set()
+    return sum(cost for name, cost in BEST_TRIES.items() if name in record.hidden_state and name not in known)
+
+
+def tried_locked_first(record: EpisodeRecord) -> bool:
+    """Whether the first try was a pull at a locked door."""
+    return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
+
+
+def recovery(records: Iterable[EpisodeRecord]) -> Recovery:
+    """Counts what follows failed tries, in all episodes. A failure is forgotten as soon as a joint has moved."""
+    repeated, followed = 0, 0
+    untried, decided = Counter[int](), Counter[int]()
+    for record in records:
+        for failed, latest, tried in _decisions(record.try_sequence):
+            followed += 1
+            repeated += tried == latest
+            decided[len(failed)] += 1
+            untried[len(failed)] += tried not in failed
+    return Recovery(
+        rate(repeated, followed), {count: rate(untried[count], total) for count, total in sorted(decided.items())}
+    )
+
+
+def _decisions(
+    sequence: Iterable[TryMade],
+) -> Iterator[tuple[frozenset[tuple[int, int]], tuple[int, int], tuple[int, int]]]:
+    """Yields, for each try after a failed one: the failures since the last motion, the latest of them, the try."""
+    failed: frozenset[tuple[int, int]] = frozenset()
+    latest: tuple[int, int] | None = None
+    for joint, sign, fails in sequence:
+        tried = joint, sign
+        if failed and latest is not None:
+            yield failed, latest, tried
+        failed, latest = (failed | {tried} if fails else frozenset()), tried
