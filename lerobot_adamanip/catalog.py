@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import importlib.util
 import os
 import re
 from pathlib import Path
@@ -76,9 +75,7 @@ def make_object(identifier: str) -> ArticulatedObject:
     """Builds an object by id. Deterministic: one id is one object, everywhere."""
     category, number = parse_object_id(identifier)
     novel = _is_novel(identifier)
-    # A category's novel objects are made in a file of their own, or beside the others.
-    apart = novel and importlib.util.find_spec(f"lerobot_adamanip.objects.novel.{category}") is not None
-    generator = importlib.import_module(f"lerobot_adamanip.objects.{'novel.' if apart else ''}{category}")
+    generator = importlib.import_module(f"lerobot_adamanip.objects.{category}")
     made: ArticulatedObject = getattr(generator, f"make_{'novel_' if novel else ''}{category}")(number)
     return made
 

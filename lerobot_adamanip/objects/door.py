@@ -1,13 +1,12 @@
 """Doors: a leaf in a piece of wall, with a lever, knob or bar that turns before it opens.
 
 Sizes follow narrow real doors (cabins, closets, lockers, utility cupboards: 36 to 43 cm by 84 to 108 cm), which an arm
-on a table can swing. What an object is is drawn from its number alone; which way the handle turns, and how far, is
-drawn per episode by the mechanism and leaves no trace in the geometry.
+on a table can swing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +41,10 @@ _WALLS = {
     "brick": ((0.45, 0.16, 0.10), (0.52, 0.27, 0.17), (0.40, 0.30, 0.26)),
 }
 _WHITE = (0.82, 0.82, 0.80)
+
+NOVEL_STYLES = ("ladder", "eight panels", "high window")
+NOVEL_HANDLE_STYLES = ("paddle lever", "ball lever", "octagon knob", "cross bar")
+NOVEL_COLORS = ((0.62, 0.22, 0.34), (0.24, 0.10, 0.34), (0.62, 0.60, 0.16), (0.02, 0.22, 0.20), (0.74, 0.32, 0.10))
 
 
 @dataclass(frozen=True)
@@ -112,9 +115,40 @@ def draw_design(rng: np.random.Generator) -> DoorDesign:
     )
 
 
+def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
+    """Draws a door narrower and lower, or wider and taller, than any seen one, leaf and handle in new styles."""
+    base = draw_design(rng)
+    small = rng.random() < 0.5
+    color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))]) * rng.uniform(0.85, 1.1)
+    height = rng.uniform(0.74, 0.82) if small else rng.uniform(1.10, 1.20)
+    plan = replace(
+        base.plan,
+        width=rng.uniform(0.325, 0.355) if small else rng.uniform(0.431, 0.437),
+        height=height,
+        style=str(rng.choice(NOVEL_STYLES)),
+        paint=Material(tuple(np.clip(color, 0.02, 0.85)), base.plan.paint.roughness),
+    )
+    # A lever that stands up at rest, or points to the hinges: never down.
+    rest = np.pi if rng.random() < 0.5 else base.hinge_side * np.pi / 2
+    handle = draw_handle(rng, NOVEL_HANDLE_STYLES, rest, METALS)
+    return replace(
+        base,
+        plan=plan,
+        handle=handle,
+        backset=base.backset if small else rng.uniform(0.053, 0.060),
+        handle_v=height * rng.uniform(0.45, 0.52),
+        extra="none",
+    )
+
+
 def make_door(number: int) -> ArticulatedObject:
     """Builds door ``number`` (57 in the paper's set; any number is an object)."""
     return build_door(f"door_{number:03d}", draw_design(np.random.default_rng([number, 0xD008])))
+
+
+def make_novel_door(number: int) -> ArticulatedObject:
+    """Builds novel door ``number``."""
+    return build_door(f"door_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0xD008, 1])))
 
 
 def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
@@ -211,6 +245,3 @@ def _extra(design: DoorDesign) -> tuple[Shape, ...]:
             slots.append(box((0.003, middle, 0.0625 + row * 0.015), (0.001, 0.10, 0.0035), dark, collides=False))
         return tuple(slots)
     return ()
-
-
-__all__ = ["DOOR_UPPER", "LEVER_RANGE", "DoorDesign", "build_door", "draw_design", "make_door"]

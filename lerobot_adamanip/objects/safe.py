@@ -1,19 +1,17 @@
-"""Safes: a steel box with a hinged door, a pull handle and a lock knob. Sizes follow home and office safes.
-
-What an object is (geometry, hinge side, layout, colours) is drawn from its number alone, so ``safe_007`` is the same
-everywhere. What is hidden (locked or not, the knob's direction and range) is drawn per episode by the mechanism and
-leaves no trace in the geometry.
-"""
+"""Safes: a steel box with a hinged door, a pull handle and a lock knob. Sizes follow home and office safes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
+
+Range = tuple[float, float]
 
 WALL = 0.028
 DOOR_THICKNESS = 0.035
@@ -38,6 +36,12 @@ _METALS = (
 HANDLE_STYLES = ("round bar", "flat bar", "arch")
 KNOB_STYLES = ("thumb turn", "octagon", "pointer")
 PANEL_STYLES = ("keypad", "dial", "plate")
+LAYOUT: tuple[Range, ...] = ((0.66, 0.80), (0.38, 0.60), (0.30, 0.62), (0.32, 0.74))
+"""Where the handle's u and v, and the knob's, are drawn from."""
+NOVEL_LAYOUT: tuple[Range, ...] = ((0.66, 0.80), (0.30, 0.62), (0.30, 0.66), (0.24, 0.76))
+NOVEL_HANDLE_STYLES = ("fin", "ball bar")
+NOVEL_KNOB_STYLES = ("hexagon", "cross")
+NOVEL_COLORS = ((0.62, 0.30, 0.05), (0.02, 0.28, 0.30), (0.44, 0.20, 0.34), (0.70, 0.58, 0.16), (0.34, 0.46, 0.24))
 
 
 @dataclass(frozen=True)
@@ -49,11 +53,11 @@ class SafeDesign:
     depth: float
     hinge_side: int
     handle_style: str
-    handle_uv: tuple[float, float]
+    handle_uv: Range
     handle_length: float
     handle_radius: float
     knob_style: str
-    knob_uv: tuple[float, float]
+    knob_uv: Range
     knob_radius: float
     knob_range: float
     panel_style: str
@@ -73,7 +77,7 @@ class SafeDesign:
         """Height of the door leaf [m]."""
         return self.height - 2 * WALL - 2 * GAP
 
-    def on_door(self, uv: tuple[float, float]) -> tuple[float, float]:
+    def on_door(self, uv: Range) -> Range:
         """Returns (y, z) in the door link's frame: y away from the hinge carries the sign of the opening side."""
         return -self.hinge_side * uv[0] * self.door_width, (uv[1] - 0.5) * self.door_height
 
@@ -83,18 +87,18 @@ def draw_design(rng: np.random.Generator) -> SafeDesign:
     width, height = rng.uniform(0.34, 0.46), rng.uniform(0.32, 0.48)
     body_color = np.asarray(_BODY_COLORS[rng.integers(len(_BODY_COLORS))])
     shade = rng.uniform(0.75, 1.5)
-    handle_uv, knob_uv = _draw_layout(rng, width - 2 * WALL, height - 2 * WALL)
+    layout = _draw_layout(rng, width - 2 * WALL, height - 2 * WALL, LAYOUT, MIN_PART_DISTANCE)
     return SafeDesign(
         width=width,
         height=height,
         depth=rng.uniform(0.28, 0.40),
         hinge_side=int(rng.choice([-1, 1])),
         handle_style=str(rng.choice(HANDLE_STYLES)),
-        handle_uv=handle_uv,
+        handle_uv=layout[0],
         handle_length=rng.uniform(0.10, 0.14),
         handle_radius=rng.uniform(0.008, 0.011),
         knob_style=str(rng.choice(KNOB_STYLES)),
-        knob_uv=knob_uv,
+        knob_uv=layout[1],
         knob_radius=rng.uniform(0.021, 0.027),
         knob_range=rng.uniform(np.deg2rad(60), np.deg2rad(95)),
         panel_style=str(rng.choice(PANEL_STYLES)),
@@ -107,19 +111,47 @@ def draw_design(rng: np.random.Generator) -> SafeDesign:
 
 
 def _draw_layout(
-    rng: np.random.Generator, width: float, height: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
+    rng: np.random.Generator, width: float, height: float, ranges: Sequence[Range], apart: float
+) -> tuple[Range, Range]:
+    """Returns (u, v) of handle and knob on a door of this size, no nearer to each other than ``apart`` [m]."""
     while True:
-        handle = (rng.uniform(0.66, 0.80), rng.uniform(0.38, 0.60))
-        knob = (rng.uniform(0.30, 0.62), rng.uniform(0.32, 0.74))
-        if np.hypot((handle[0] - knob[0]) * width, (handle[1] - knob[1]) * height) >= MIN_PART_DISTANCE:
-            return handle, knob
+        handle_u, handle_v, knob_u, knob_v = (rng.uniform(*each) for each in ranges)
+        if np.hypot((handle_u - knob_u) * width, (handle_v - knob_v) * height) >= apart:
+            return (handle_u, handle_v), (knob_u, knob_v)
+
+
+def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
+    """Draws a safe narrower and taller, or wider and lower, than any seen one, handle and knob in new styles."""
+    base = draw_design(rng)
+    tall = rng.random() < 0.5
+    width = rng.uniform(0.29, 0.33) if tall else rng.uniform(0.47, 0.50)
+    height = rng.uniform(0.49, 0.56) if tall else rng.uniform(0.27, 0.31)
+    color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))])
+    door = np.clip(color * rng.uniform(0.75, 1.4), 0.02, 0.8)
+    layout = _draw_layout(rng, width - 2 * WALL, height - 2 * WALL, NOVEL_LAYOUT, 1.03 * MIN_PART_DISTANCE)
+    return replace(
+        base,
+        width=width,
+        height=height,
+        handle_style=str(rng.choice(NOVEL_HANDLE_STYLES)),
+        knob_style=str(rng.choice(NOVEL_KNOB_STYLES)),
+        handle_length=rng.uniform(0.11, 0.14) if tall else rng.uniform(0.09, 0.11),
+        handle_uv=layout[0],
+        knob_uv=layout[1],
+        body=Material(tuple(color), base.body.roughness, 0.2),
+        door=Material(tuple(door), base.door.roughness, 0.3),
+    )
 
 
 def make_safe(number: int) -> ArticulatedObject:
     """Builds safe ``number`` (36 in the paper's set; any number is an object)."""
     design = draw_design(np.random.default_rng([number, 0x5AFE]))
     return build_safe(f"safe_{number:03d}", design)
+
+
+def make_novel_safe(number: int) -> ArticulatedObject:
+    """Builds novel safe ``number``."""
+    return build_safe(f"safe_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0x5AFE, 1])))
 
 
 def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
@@ -217,25 +249,22 @@ def _panel_shapes(design: SafeDesign) -> tuple[Shape, ...]:
 
 
 def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
-    half, radius, metal = design.handle_length / 2, design.handle_radius, design.metal
-    grip_x = GRASP_REACH
+    half, radius, metal, x = design.handle_length / 2, design.handle_radius, design.metal, GRASP_REACH
     foot_plates = tuple(disk((0.002, y, z + s * half), radius * 1.7, 0.002, metal, collides=False) for s in (-1, 1))
     if design.handle_style == "fin":
-        return (chamfered_box((grip_x / 2, y, z), (grip_x / 2 + 0.008, radius, half), 0.003, metal), *foot_plates)
+        return (chamfered_box((x / 2, y, z), (x / 2 + 0.008, radius, half), 0.003, metal), *foot_plates)
     if design.handle_style == "ball bar":
-        tips = [np.array([grip_x, y, z + s * half]) for s in (-1, 1)]
+        tips = [np.array([x, y, z + s * half]) for s in (-1, 1)]
         balls = tuple(rod(tip, tip - (0, 0, 5e-4), 1.6 * radius, metal) for tip in tips)
         stems = tuple(rod((0.0, y, tip[2]), tip, radius * 0.8, metal) for tip in tips)
         return (rod(tips[0], tips[1], radius * 0.9, metal), *balls, *stems, *foot_plates)
     if design.handle_style == "flat bar":
-        bar = chamfered_box((grip_x, y, z), (radius * 0.7, radius, half + radius), 0.002, metal)
-        posts = tuple(
-            box((grip_x / 2, y, z + s * (half - radius)), (grip_x / 2, radius * 0.7, radius * 0.7), metal)
-            for s in (-1, 1)
-        )
+        bar = chamfered_box((x, y, z), (radius * 0.7, radius, half + radius), 0.002, metal)
+        post = (x / 2, radius * 0.7, radius * 0.7)
+        posts = tuple(box((x / 2, y, z + s * (half - radius)), post, metal) for s in (-1, 1))
         return (bar, *posts, *foot_plates)
     grip_half = half if design.handle_style == "round bar" else 0.62 * half
-    ends = [np.array([grip_x, y, z + s * grip_half]) for s in (-1, 1)]
+    ends = [np.array([x, y, z + s * grip_half]) for s in (-1, 1)]
     roots = [np.array([0.0, y, z + s * half]) for s in (-1, 1)]
     posts = tuple(rod(root, end, radius * 0.85, metal) for root, end in zip(roots, ends, strict=True))
     return (rod(ends[0], ends[1], radius, metal), *posts, *foot_plates)
@@ -243,37 +272,27 @@ def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
 
 def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
     """Knob in its own frame: x out of the door, grip square to y so that fingers close on flat faces."""
-    radius, metal = design.knob_radius, design.metal
-    tip = GRASP_REACH + 0.012
-    dark = Material((0.04, 0.04, 0.045), 0.4)
-    if design.knob_style == "octagon":
+    style, radius, metal, tip = design.knob_style, design.knob_radius, design.metal, GRASP_REACH + 0.012
+    dark, white = Material((0.04, 0.04, 0.045), 0.4), Material((0.9, 0.9, 0.88), 0.5)
+    if style == "octagon":
         shapes = [
             disk((0.004, 0, 0), radius * 1.35, 0.004, dark),
             prism(((tip + 0.008) / 2, 0, 0), radius, (tip - 0.008) / 2, 8, metal, top=0.96),
         ]
-        pointer_z, pointer_x = radius * 0.55, tip
-    elif design.knob_style == "hexagon":
+    elif style == "hexagon":
         shapes = [
             disk((0.006, 0, 0), radius * 1.3, 0.006, metal),
             prism(((tip + 0.012) / 2, 0, 0), 0.9 * radius, (tip - 0.012) / 2, 6, dark, top=0.98),
         ]
-        pointer_z, pointer_x = radius * 0.55, tip
-    elif design.knob_style == "cross":
+    elif style == "cross":
         arms = [(0.0080, 1.25 * radius), (1.1 * radius, 0.0095)]
         shapes = [disk((0.017, 0, 0), 0.62 * radius, 0.017, dark)]
         shapes += [chamfered_box(((0.03 + tip) / 2, 0, 0), ((tip - 0.03) / 2, *arm), 0.002, metal) for arm in arms]
-        pointer_z, pointer_x = radius * 0.95, tip
     else:
-        slim = 0.0075 if design.knob_style == "thumb turn" else 0.009
-        base = 0.022
+        slim, base = (0.0075 if style == "thumb turn" else 0.009), 0.022
         shapes = [
-            disk((base / 2, 0, 0), radius * 1.25, base / 2, metal if design.knob_style == "pointer" else dark),
+            disk((base / 2, 0, 0), radius * 1.25, base / 2, metal if style == "pointer" else dark),
             chamfered_box(((base + tip) / 2, 0, 0), ((tip - base) / 2, slim, radius * 1.2), 0.002, metal),
         ]
-        pointer_z, pointer_x = radius * 0.85, tip
-    white = Material((0.9, 0.9, 0.88), 0.5)
-    shapes.append(box((pointer_x, 0, pointer_z), (0.0012, 0.0018, radius * 0.22), white, collides=False))
-    return tuple(shapes)
-
-
-__all__ = ["DOOR_UPPER", "SafeDesign", "build_safe", "draw_design", "make_safe"]
+    up = radius * {"octagon": 0.55, "hexagon": 0.55, "cross": 0.95}.get(style, 0.85)
+    return (*shapes, box((tip, 0, up), (0.0012, 0.0018, radius * 0.22), white, collides=False))

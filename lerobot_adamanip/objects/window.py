@@ -1,13 +1,11 @@
 """Windows: a sash in a piece of wall over a sill, with a handle that turns before the sash opens into the room.
 
-Sizes follow small side-hung windows (30 to 38 cm by 36 to 52 cm of sash), with fixed lights beside or above some of
-them. What an object is is drawn from its number alone; which way the handle turns, and how far, is drawn per episode
-by the mechanism and leaves no trace in the geometry.
+Sizes follow small side-hung windows (30 to 38 cm by 36 to 52 cm of sash); some have fixed lights beside or above them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +35,10 @@ _WALLS = {
     "brick": ((0.45, 0.16, 0.10), (0.52, 0.27, 0.17), (0.40, 0.30, 0.26)),
 }
 _SILLS = (Material((0.84, 0.84, 0.82), 0.5), Material((0.42, 0.26, 0.13), 0.6), Material((0.34, 0.34, 0.33), 0.8))
+
+NOVEL_BARS = ((2, 2), (1, 3), (2, 1), (2, 0), (0, 4))
+NOVEL_HANDLE_STYLES = ("paddle lever", "ball lever", "octagon knob", "cross bar")
+NOVEL_COLORS = ((0.62, 0.30, 0.06), (0.34, 0.10, 0.30), (0.56, 0.54, 0.12), (0.03, 0.30, 0.34), (0.70, 0.36, 0.42))
 
 
 @dataclass(frozen=True)
@@ -139,9 +141,31 @@ def draw_design(rng: np.random.Generator) -> WindowDesign:
     )
 
 
+def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
+    """Draws a window narrower and taller, or wider and lower, than any seen one, bars and handle in new styles."""
+    base = draw_design(rng)
+    tall = rng.random() < 0.5
+    height = rng.uniform(0.54, 0.62) if tall else rng.uniform(0.29, 0.34)
+    color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))]) * rng.uniform(0.9, 1.1)
+    return replace(
+        base,
+        width=rng.uniform(0.25, 0.285) if tall else rng.uniform(0.39, 0.42),
+        height=height,
+        bars=NOVEL_BARS[rng.integers(len(NOVEL_BARS))],
+        handle=draw_handle(rng, NOVEL_HANDLE_STYLES, 0.0, METALS),
+        handle_v=height * rng.uniform(0.46, 0.54),
+        frame=Material(tuple(np.clip(color, 0.02, 0.86)), rng.uniform(0.35, 0.65)),
+    )
+
+
 def make_window(number: int) -> ArticulatedObject:
     """Builds window ``number`` (30 in the paper's set; any number is an object)."""
     return build_window(f"window_{number:03d}", draw_design(np.random.default_rng([number, 0x51D0])))
+
+
+def make_novel_window(number: int) -> ArticulatedObject:
+    """Builds novel window ``number``."""
+    return build_window(f"window_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0x51D0, 1])))
 
 
 def build_window(object_id: str, design: WindowDesign) -> ArticulatedObject:
@@ -232,6 +256,3 @@ def _sash_shapes(design: WindowDesign) -> tuple[Shape, ...]:
         shapes.append(chamfered_box((-half, y, z), (half, a, b), 0.004, design.frame))
     glass = (s, w - s, s, h - s)
     return tuple(shapes + glazing(glass, design.hinge_side, THICKNESS, design.frame, bars=design.bars))
-
-
-__all__ = ["HANDLE_RANGE", "SASH_UPPER", "WindowDesign", "build_window", "draw_design", "make_window"]

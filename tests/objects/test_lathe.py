@@ -7,7 +7,8 @@ import pytest
 from solids import contains, face_planes
 
 from lerobot_adamanip.objects.base import Material
-from lerobot_adamanip.objects.geometry.lathe import PROUD, Ring, decal, fluted, oval, patch, ring_at, swivelled, turned
+from lerobot_adamanip.objects.geometry.lathe import PROUD, Ring, decal, fluted, oval, patch, ring_at, turned
+from lerobot_adamanip.objects.geometry.shapes import rotated
 
 PLAIN = Material((0.5, 0.5, 0.5))
 PROFILE = (Ring(0.0, 0.03), Ring(0.05, 0.04), Ring(0.05, 0.04), Ring(0.08, 0.01))
@@ -80,7 +81,7 @@ def test_ribs_are_decoration_around_a_radius() -> None:
     np.testing.assert_allclose(radii, [0.014, 0.015], atol=1e-6)
 
 
-def test_swivelled_shapes_turn_about_the_link_s_axis() -> None:
+def test_rotated_shapes_turn_about_the_link_s_axis() -> None:
     made = turned((Ring(0.0, 0.01), Ring(0.02, 0.01)), PLAIN, axis=(0.05, 0.0), collides=False)
-    (shape,) = swivelled(made, np.pi / 2)
+    (shape,) = rotated(made, (0.0, 0.0, 1.0), np.pi / 2)
     np.testing.assert_allclose(shape.pose_in_link[:3, 3], [0.0, 0.05, 0.01], atol=1e-12)

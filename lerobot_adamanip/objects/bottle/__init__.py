@@ -1,5 +1,5 @@
-"""Bottles; see `make_bottle`."""
+"""Generator of bottles."""
 
-from lerobot_adamanip.objects.bottle.generator import CAP_RANGE, BottleDesign, build_bottle, draw_design, make_bottle
+from lerobot_adamanip.objects.bottle.generator import make_bottle, make_novel_bottle
 
-__all__ = ["CAP_RANGE", "BottleDesign", "build_bottle", "draw_design", "make_bottle"]
+__all__ = ["make_bottle", "make_novel_bottle"]

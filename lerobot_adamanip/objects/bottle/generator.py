@@ -1,8 +1,4 @@
-"""Bottles: turned bodies of many trades, with a cap that is turned loose and lifted off.
-
-What a bottle is (trade, proportions, colours, cap) is drawn from its number alone. What is hidden (which way the cap
-turns loose, and how far) is drawn per episode by the mechanism and leaves no trace in the geometry.
-"""
+"""Bottles: turned bodies of many trades, with a cap that is turned loose and lifted off."""
 
 from __future__ import annotations
 
@@ -26,7 +22,7 @@ from lerobot_adamanip.objects.base import (
 )
 from lerobot_adamanip.objects.bottle.caps import Cap, cap_shapes
 from lerobot_adamanip.objects.bottle.labels import Label, draw_label, label_shapes
-from lerobot_adamanip.objects.bottle.recipes import CAP_LOOKS, FINISHES, RECIPES, Finish, Range, Recipe
+from lerobot_adamanip.objects.bottle.recipes import CAP_LOOKS, FINISHES, NOVEL_RECIPES, RECIPES, Finish, Recipe
 from lerobot_adamanip.objects.geometry.lathe import Ring, ring_at, turned
 from lerobot_adamanip.objects.geometry.shapes import rod
 
@@ -144,6 +140,14 @@ def make_bottle(number: int) -> ArticulatedObject:
     return build_bottle(f"bottle_{number:03d}", design)
 
 
+def make_novel_bottle(number: int) -> ArticulatedObject:
+    """Builds novel bottle ``number``."""
+    kind = kind_of(number, tuple(NOVEL_RECIPES), _STREAM + 1)
+    return build_bottle(
+        f"bottle_n{number:03d}", draw_design(np.random.default_rng([number, _STREAM, 1]), kind, NOVEL_RECIPES)
+    )
+
+
 def build_bottle(object_id: str, design: BottleDesign) -> ArticulatedObject:
     """Builds the links and the annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
     front = max(design.cap.radius, *(ring.radius * ring.depth for ring in design.rings))
@@ -216,14 +220,3 @@ def _handle_shapes(design: BottleDesign, at: tuple[float, float], wall: Material
     corners = [(inner, top), (outer - 0.006, top), (outer, top - 0.012), (outer, bottom + 0.02), (inner, bottom)]
     points = [(at[0], design.handle * y, z) for y, z in corners]
     return tuple(rod(first, last, 0.007, wall) for first, last in itertools.pairwise(points))
-
-
-__all__ = [
-    "CAP_RANGE",
-    "LIFT_UPPER",
-    "BottleDesign",
-    "Range",
-    "build_bottle",
-    "draw_design",
-    "make_bottle",
-]

@@ -1,18 +1,5 @@
-"""Coffee makers; see `make_coffee_maker`."""
+"""Generator of coffee makers."""
 
-from lerobot_adamanip.objects.coffee_maker.design import CoffeeMakerDesign, draw_design
-from lerobot_adamanip.objects.coffee_maker.generator import (
-    DROP_UPPER,
-    PORTAFILTER_RANGE,
-    build_coffee_maker,
-    make_coffee_maker,
-)
+from lerobot_adamanip.objects.coffee_maker.generator import make_coffee_maker, make_novel_coffee_maker
 
-__all__ = [
-    "DROP_UPPER",
-    "PORTAFILTER_RANGE",
-    "CoffeeMakerDesign",
-    "build_coffee_maker",
-    "draw_design",
-    "make_coffee_maker",
-]
+__all__ = ["make_coffee_maker", "make_novel_coffee_maker"]

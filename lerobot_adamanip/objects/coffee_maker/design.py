@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,9 @@ _GRIPS = (
     Material((0.38, 0.22, 0.10), 0.5),
     Material((0.70, 0.66, 0.55), 0.4),
 )
+
+NOVEL_PANEL_STYLES = ("twin gauge", "slot")
+NOVEL_COLORS = ((0.72, 0.30, 0.04), (0.30, 0.05, 0.20), (0.10, 0.28, 0.10), (0.72, 0.54, 0.10), (0.20, 0.36, 0.56))
 
 
 @dataclass(frozen=True)
@@ -110,4 +113,24 @@ def draw_design(rng: np.random.Generator) -> CoffeeMakerDesign:
         base=BLACK if dark_base else body,
         chrome=Material((0.80, 0.81, 0.83), rng.uniform(0.12, 0.25), 0.95),
         grip=_GRIPS[rng.integers(len(_GRIPS))],
+    )
+
+
+def draw_novel_design(rng: np.random.Generator) -> CoffeeMakerDesign:
+    """Draws a machine slimmer, or wider and lower, than any seen one, in new styles all over."""
+    base = draw_design(rng)
+    slim = rng.random() < 0.5
+    body = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], rng.uniform(0.25, 0.45), 0.1)
+    return replace(
+        base,
+        width=rng.uniform(0.175, 0.195) if slim else rng.uniform(0.31, 0.345),
+        height=base.group_z + (rng.uniform(0.16, 0.19) if slim else rng.uniform(0.105, 0.114)),
+        depth=rng.uniform(0.335, 0.36) if slim else rng.uniform(0.23, 0.248),
+        head_x=-rng.uniform(0.022, 0.034),
+        body_style="slim" if slim else "barrel",
+        panel_style=str(rng.choice(NOVEL_PANEL_STYLES)),
+        top_style="boiler",
+        handle_style="ball end",
+        body=body,
+        base=BLACK if rng.random() < 0.5 else body,
     )

@@ -2,7 +2,6 @@
 
 The portafilter is held from above by its bar handle, which sticks out of the front: a hand that comes down can swing
 the handle 46 degrees to either side of a machine that itself stands a little askew; a level hand's yaw ends at 43.
-What is hidden (which way it turns and how far) is drawn per episode by the mechanism and leaves no trace.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
 from lerobot_adamanip.objects.coffee_maker import looks
-from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign, draw_design
+from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign, draw_design, draw_novel_design
 from lerobot_adamanip.objects.geometry.revolved import revolved
 from lerobot_adamanip.objects.geometry.rounded import bar, upright
 from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
@@ -29,6 +28,12 @@ def make_coffee_maker(number: int) -> ArticulatedObject:
     """Builds machine ``number`` (18 in the paper's set; any number is an object)."""
     design = draw_design(np.random.default_rng([number, 0xCAFA]))
     return build_coffee_maker(f"coffee_maker_{number:03d}", design)
+
+
+def make_novel_coffee_maker(number: int) -> ArticulatedObject:
+    """Builds novel machine ``number``."""
+    design = draw_novel_design(np.random.default_rng([number, 0xCAFA, 1]))
+    return build_coffee_maker(f"coffee_maker_n{number:03d}", design)
 
 
 def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> ArticulatedObject:
@@ -119,7 +124,3 @@ def _handle_shapes(design: CoffeeMakerDesign, start: float) -> list[Shape]:
         ]
     cap = disk((end + 0.001, 0, z), 0.5 * w, 0.0015, design.chrome, collides=False)
     return [collar, *bars, cap]
-
-
-__all__ = ["DROP_UPPER", "PORTAFILTER_RANGE", "CoffeeMakerDesign", "build_coffee_maker", "draw_design",
-           "make_coffee_maker"]  # fmt: skip

@@ -113,6 +113,3 @@ def _butts(y0: float, y1: float, z0: float, z1: float) -> list[tuple[float, floa
 def knuckles(y: float, heights: tuple[float, ...], half: float, metal: Material) -> list[Shape]:
     """Returns hinge pins on the casing at ``y``, ``half`` [m] long to each side of each height."""
     return [rod((0.012, y, z - half), (0.012, y, z + half), 0.0065, metal) for z in heights]
-
-
-__all__ = ["FINISHES", "GAP", "Surround", "knuckles"]

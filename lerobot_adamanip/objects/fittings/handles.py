@@ -8,15 +8,15 @@ stands 55 to 65 mm off its leaf and is 110 to 140 mm long, a knob measures 45 to
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.contract.rotations import rotation_about
 from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, prism, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, prism, rod, rotated
 
 LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever", "paddle lever", "ball lever")
 KNOBS = ("ball knob", "drum knob", "tulip knob", "octagon knob")
@@ -110,7 +110,7 @@ def handle_shapes(design: HandleDesign) -> tuple[Shape, ...]:
         shapes = _centred(design)
     else:
         shapes = _lever(design)
-    return turned(shapes, design.rest)
+    return rotated(shapes, (1.0, 0.0, 0.0), design.rest)
 
 
 def handle_link(
@@ -133,16 +133,8 @@ def handle_link(
     spring = SPRING if design.style in LEVERS else KNOB_SPRING
     tension = -MASS * 9.81 * _sideways(shapes) / spring
     x, y, z = (float(value) for value in pivot)
-    joint = Joint(
-        name,
-        "revolute",
-        (-1.0, 0.0, 0.0),
-        (x, y, z),
-        (-turn_range, turn_range),
-        damping=damping,
-        stiffness=spring,
-        rest=tension,
-    )
+    axis, limits = (-1.0, 0.0, 0.0), (-turn_range, turn_range)
+    joint = Joint(name, "revolute", axis, (x, y, z), limits, damping=damping, stiffness=spring, rest=tension)
     return Link(link, shapes, mass=MASS, parent=parent, joint=joint)
 
 
@@ -160,12 +152,6 @@ def _sideways(shapes: Sequence[Shape]) -> float:
     return float(max(reach) + min(reach)) / 2
 
 
-def turned(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
-    """Returns the shapes turned by ``angle`` [rad] about x."""
-    turn = transform(rotation=rotation_about((1.0, 0.0, 0.0), angle))
-    return tuple(replace(shape, pose_in_link=turn @ shape.pose_in_link) for shape in shapes)
-
-
 def _lever(design: HandleDesign) -> list[Shape]:
     x, end, half, metal = design.standoff, -design.length, design.thickness / 2, design.metal
     neck = rod((0.004, 0, 0), (x, 0, 0), 0.0085, metal, round_ends=False)
@@ -178,12 +164,8 @@ def _lever(design: HandleDesign) -> list[Shape]:
         return [neck, hub, chamfered_box((x, 0, end / 2), (0.010, half, -end / 2), 0.002, metal)]
     if design.style == "ball lever":
         ball = rod((x, 0, end), (x, 0, end + 0.0005), 1.5 * half, metal)
-        return [
-            neck,
-            rod((x, 0, 0.006), (x, 0, end), half, metal),
-            rod((x, 0, 0), (x, 0, 0.0005), 1.45 * half, metal),
-            ball,
-        ]
+        hub = rod((x, 0, 0), (x, 0, 0.0005), 1.45 * half, metal)
+        return [neck, rod((x, 0, 0.006), (x, 0, end), half, metal), hub, ball]
     if design.style == "tapered lever":
         return [rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False), _tapered(x, end, half, metal)]
     if design.style == "swept lever":
@@ -277,9 +259,3 @@ def plate_shapes(
         shapes.append(disk((0.004, y, below), 0.0075, 0.0035, METALS[0], collides=False))
         shapes.append(box((0.0068, y, below - 0.002), (0.001, 0.0013, 0.0045), DARK, collides=False))
     return tuple(shapes)
-
-
-__all__ = [
-    "CENTRED", "KNOBS", "LEVERS", "METALS", "PLATES", "HandleDesign", "draw_handle", "handle_link", "handle_shapes",
-    "lathe", "plate_shapes", "turned",
-]  # fmt: skip

@@ -182,6 +182,3 @@ def _slats(plan: LeafPlan, hinge_side: int, field: Field) -> list[Shape]:
         pose = transform((-0.014, y, z + (i + 0.5 - count / 2) * 2 * b / count), tilt)
         shapes.append(Shape("box", (0.0165, a, 0.003), pose, plan.paint, collides=False))
     return shapes
-
-
-__all__ = ["GLASS", "Field", "LeafPlan", "at_field", "glazing", "leaf_shapes"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh
 
@@ -200,12 +200,6 @@ def oval(width: float, height: float, middle: float, *, sharp: bool = False, shi
     along = np.linspace(-1.0, 1.0, 25)
     half: Array = 0.5 * height * (1 - np.abs(along) if sharp else np.sqrt(np.maximum(0.0, 1 - along**2)))
     return shift + along * width / 2, middle - half, middle + half
-
-
-def swivelled(shapes: Sequence[Shape], angle: float) -> tuple[Shape, ...]:
-    """Returns the shapes turned about their link's z axis by ``angle`` [rad]."""
-    turn = transform(rotation=rotation_about((0.0, 0.0, 1.0), angle))
-    return tuple(replace(shape, pose_in_link=turn @ shape.pose_in_link) for shape in shapes)
 
 
 def _quads(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> NDArray[np.int64]:

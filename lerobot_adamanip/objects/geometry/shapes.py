@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from lerobot_adamanip.contract.rotations import rotation_with_x_along, transform
+from lerobot_adamanip.contract.rotations import rotation_about, rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import Material, Shape
 
 _NO_AREA = 2e-14
@@ -82,6 +83,14 @@ def disk(
 
 def without_collision(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
     """The same shapes as decoration."""
-    from dataclasses import replace
-
     return tuple(replace(shape, collides=False) for shape in shapes)
+
+
+def moved(shapes: Sequence[Shape], pose: NDArray[np.float64]) -> tuple[Shape, ...]:
+    """The shapes moved by ``pose`` (4, 4) in their link's frame."""
+    return tuple(replace(shape, pose_in_link=pose @ shape.pose_in_link) for shape in shapes)
+
+
+def rotated(shapes: Sequence[Shape], axis: tuple[float, float, float], angle: float) -> tuple[Shape, ...]:
+    """The shapes turned by ``angle`` [rad] about an axis through their link's origin."""
+    return moved(shapes, transform(rotation=rotation_about(axis, angle)))

@@ -1,5 +1,6 @@
-"""Lamps; see `make_lamp`."""
+"""Generator of lamps."""
 
-from lerobot_adamanip.objects.lamp.generator import GRIP_DEPTH, LampDesign, build_lamp, draw_design, make_lamp
+from lerobot_adamanip.objects.lamp.generator import make_lamp
+from lerobot_adamanip.objects.lamp.novel import make_novel_lamp
 
-__all__ = ["GRIP_DEPTH", "LampDesign", "build_lamp", "draw_design", "make_lamp"]
+__all__ = ["make_lamp", "make_novel_lamp"]

@@ -23,7 +23,7 @@ from lerobot_adamanip.objects.base import (
 )
 from lerobot_adamanip.objects.geometry.revolved import revolved
 from lerobot_adamanip.objects.geometry.rounded import slab
-from lerobot_adamanip.objects.geometry.shapes import box, rod
+from lerobot_adamanip.objects.geometry.shapes import box, rod, without_collision
 from lerobot_adamanip.objects.lamp.heads import BRASS, HAND_CLEARANCE, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
 
 BASE_STYLES = ("plate", "block", "stadium", "discs")
@@ -116,16 +116,8 @@ def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:
     body = _base_shapes(design, place) + design.head.shapes(place)
     switch = (float(place.switch[0]), float(place.switch[1]), design.thickness)
     top = design.travel + 0.006 + CAP_HEIGHT
-    push = Joint(
-        "button",
-        "prismatic",
-        (0.0, 0.0, -1.0),
-        switch,
-        (0.0, design.travel),
-        damping=4.0,
-        stiffness=SPRING,
-        rest=SPRING_REST,
-    )
+    travel, down = (0.0, design.travel), (0.0, 0.0, -1.0)
+    push = Joint("button", "prismatic", down, switch, travel, damping=4.0, stiffness=SPRING, rest=SPRING_REST)
     turn = Joint("knob", "revolute", limits=(-design.turn_range, design.turn_range), damping=0.01)
     links = (
         Link("base", body, mass=2.5),
@@ -177,15 +169,10 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
 
 def _plunger_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
     """The shaft under the cap, which sinks into the base; looks only, the cap is what is held."""
-    shaft = rod((0, 0, 0.0), (0, 0, top - CAP_HEIGHT), 0.62 * design.knob_radius, METALS[0], round_ends=False)
-    collar = rod(
-        (0, 0, top - CAP_HEIGHT - 0.004),
-        (0, 0, top - CAP_HEIGHT),
-        0.85 * design.knob_radius,
-        METALS[1],
-        round_ends=False,
-    )
-    return tuple(Shape(s.kind, s.size, s.pose_in_link, s.material, collides=False) for s in (shaft, collar))
+    end, radius = (0, 0, top - CAP_HEIGHT), design.knob_radius
+    shaft = rod((0, 0, 0.0), end, 0.62 * radius, METALS[0], round_ends=False)
+    collar = rod((0, 0, top - CAP_HEIGHT - 0.004), end, 0.85 * radius, METALS[1], round_ends=False)
+    return without_collision((shaft, collar))
 
 
 def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
@@ -199,7 +186,7 @@ def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
         for angle in np.arange(20) * 2 * np.pi / 20:
             x, y = radius * np.cos(angle), radius * np.sin(angle)
             groove = rod((x, y, low + 0.004), (x, y, top - 0.007), 0.0008, dark, round_ends=False)
-            shapes.append(Shape(groove.kind, groove.size, groove.pose_in_link, dark, collides=False))
+            shapes += without_collision([groove])
     pale = sum(design.knob.color) > 1.5
     ink = Material((0.05, 0.05, 0.05), 0.5) if pale else Material((0.85, 0.84, 0.80), 0.5)
     shapes.append(box((0.45 * radius, 0, top), (0.28 * radius, 0.0011, 0.0004), ink, collides=False))
@@ -221,6 +208,3 @@ def _bounds(shapes: tuple[Shape, ...]) -> tuple[NDArray[np.float64], NDArray[np.
         corners.append(local @ shape.pose_in_link[:3, :3].T + shape.pose_in_link[:3, 3])
     stacked = np.concatenate(corners)
     return stacked.min(axis=0), stacked.max(axis=0)
-
-
-__all__ = ["LampDesign", "build_lamp", "draw_design", "make_lamp"]

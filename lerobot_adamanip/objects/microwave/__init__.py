@@ -1,21 +1,6 @@
-"""Microwave ovens; see `make_microwave`."""
+"""Generator of microwaves."""
 
-from lerobot_adamanip.objects.microwave.generator import (
-    DOOR_UPPER,
-    FINGER_TIP,
-    GRASP_REACH,
-    MicrowaveDesign,
-    build_microwave,
-    draw_design,
-    make_microwave,
-)
+from lerobot_adamanip.objects.microwave.generator import make_microwave
+from lerobot_adamanip.objects.microwave.novel import make_novel_microwave
 
-__all__ = [
-    "DOOR_UPPER",
-    "FINGER_TIP",
-    "GRASP_REACH",
-    "MicrowaveDesign",
-    "build_microwave",
-    "draw_design",
-    "make_microwave",
-]
+__all__ = ["make_microwave", "make_novel_microwave"]

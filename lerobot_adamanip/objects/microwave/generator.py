@@ -1,7 +1,6 @@
 """Microwave ovens: a door with a window and a bar handle, and a control panel with the button that may release it.
 
-Sizes follow countertop ovens of 17 to 28 litres. What an object is is drawn from its number alone; whether its door is
-locked is drawn per episode by the mechanism and leaves no trace in the geometry.
+Sizes follow countertop ovens of 17 to 28 litres.
 """
 
 from __future__ import annotations
@@ -34,10 +33,8 @@ FINGER_TIP = 0.010
 """How far the fingers reach beyond the tool centre point [m]: closed, they push with their tips."""
 POCKET = 0.045
 """Depth of the well behind the button [m]."""
-SPRING = 250.0
-"""Stiffness of the button's spring [N/m]."""
-SPRING_REST = -0.01
-"""Where the spring is slack [m]: it presses the button out with 2.5 N at rest."""
+SPRING, SPRING_REST = 250.0, -0.01
+"""Stiffness of the button's spring [N/m], and where it is slack [m]: it presses the button out with 2.5 N."""
 HANDLE_STYLES = ("round bar", "flat bar", "bow", "pull")
 BUTTON_STYLES = ("bar", "round", "square")
 
@@ -158,17 +155,8 @@ def _leaf(design: MicrowaveDesign) -> Link:
 
 def _button(design: MicrowaveDesign) -> Link:
     origin = (0.0, design.panel_y, design.foot + design.button_z)
-    joint = Joint(
-        "button",
-        "prismatic",
-        (-1.0, 0.0, 0.0),
-        origin,
-        (0.0, design.button_travel),
-        damping=4.0,
-        # The spring brings it back, and holds it out while nobody pushes.
-        stiffness=SPRING,
-        rest=SPRING_REST,
-    )
+    inward, travel = (-1.0, 0.0, 0.0), (0.0, design.button_travel)
+    joint = Joint("button", "prismatic", inward, origin, travel, damping=4.0, stiffness=SPRING, rest=SPRING_REST)
     return Link("button", _button_shapes(design), 0.05, "body", joint)
 
 
@@ -278,6 +266,3 @@ def _button_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
     radius = 0.004 if design.button_style == "square" else 0.45 * half_z
     mark = box((out, 0, 0), (0.0003, 0.35 * half_y, 0.0012), design.look.trim, collides=False)
     return (plate((center, 0, 0), (half, half_y, half_z), radius, material, bevel=0.002), mark)
-
-
-__all__ = ["DOOR_UPPER", "MicrowaveDesign", "build_microwave", "draw_design", "make_microwave"]

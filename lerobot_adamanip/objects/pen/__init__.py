@@ -1,5 +1,5 @@
-"""Pens; see `make_pen`."""
+"""Generator of pens."""
 
-from lerobot_adamanip.objects.pen.generator import CAP_RANGE, PenDesign, build_pen, draw_design, make_pen
+from lerobot_adamanip.objects.pen.generator import make_novel_pen, make_pen
 
-__all__ = ["CAP_RANGE", "PenDesign", "build_pen", "draw_design", "make_pen"]
+__all__ = ["make_novel_pen", "make_pen"]

@@ -1,8 +1,4 @@
-"""Pens, upright in a desk stand with their cap up: it is turned loose and drawn off.
-
-What a pen is (kind, proportions, colours, stand) is drawn from its number alone. What is hidden (which way the cap
-turns loose, and how far) is drawn per episode by the mechanism and leaves no trace in the geometry.
-"""
+"""Pens, upright in a desk stand with their cap up: it is turned loose and drawn off."""
 
 from __future__ import annotations
 
@@ -23,9 +19,20 @@ from lerobot_adamanip.objects.base import (
     from_above,
     kind_of,
 )
-from lerobot_adamanip.objects.geometry.lathe import swivelled
+from lerobot_adamanip.objects.geometry.shapes import moved, rotated
 from lerobot_adamanip.objects.pen.parts import Pen, barrel_shapes, cap_shapes, tip_shapes
-from lerobot_adamanip.objects.pen.recipes import LOOKS, PLAINS, RECIPES, SOCKETS, STANDS, STONES, WOODS, Recipe
+from lerobot_adamanip.objects.pen.recipes import (
+    LOOKS,
+    NOVEL_RECIPES,
+    NOVEL_STANDS,
+    PLAINS,
+    RECIPES,
+    SOCKETS,
+    STANDS,
+    STONES,
+    WOODS,
+    Recipe,
+)
 from lerobot_adamanip.objects.pen.stands import Stand, draw_stand, stand_shapes
 
 LIFT_UPPER = 0.05
@@ -99,6 +106,13 @@ def make_pen(number: int) -> ArticulatedObject:
     return build_pen(f"pen_{number:03d}", design)
 
 
+def make_novel_pen(number: int) -> ArticulatedObject:
+    """Builds novel pen ``number``."""
+    kind = kind_of(number, tuple(NOVEL_RECIPES), _STREAM + 1)
+    design = draw_design(np.random.default_rng([number, _STREAM, 1]), kind, NOVEL_RECIPES, NOVEL_STANDS)
+    return build_pen(f"pen_n{number:03d}", design)
+
+
 def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
     """Builds the links and the annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
     pen, stand = design.pen, design.stand
@@ -111,7 +125,7 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
         Link("body", _body_shapes(design, lip), mass=0.8),
         Link("plug", (plug,), 0.005, "body", lift),
         Link(
-            "cap", swivelled(cap_shapes(pen), design.clip_turn), 0.012, "plug",
+            "cap", rotated(cap_shapes(pen), (0.0, 0.0, 1.0), design.clip_turn), 0.012, "plug",
             Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), damping=0.006),
         ),
     )  # fmt: skip
@@ -121,14 +135,8 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
     rolls = TWO_FINGERS if pen.squareness else CLIP_ROLLS
     parts = (annotate(links, "cap", "cap", grasp, rolls),)
     size = (float(stand.width), float(stand.depth), float(lip + pen.cap_height))
-    return ArticulatedObject(
-        object_id,
-        "pen",
-        links,
-        parts,
-        size,
-        f"{pen.kind}, {'no' if pen.clip == 'none' else pen.clip} clip, {stand.kind}",
-    )
+    description = f"{pen.kind}, {'no' if pen.clip == 'none' else pen.clip} clip, {stand.kind}"
+    return ArticulatedObject(object_id, "pen", links, parts, size, description)
 
 
 def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:
@@ -137,11 +145,5 @@ def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:
     bottom = (1 - SUNK) * stand.height
     hole = pen.barrel_radius * (1.0 if pen.sides else 0.97)
     standing = barrel_shapes(pen, bottom, lip, (0.0, 0.0)) + tip_shapes(pen, lip, (0.0, 0.0))
-    at = transform((*stand.axis, 0.0))
-    turned_pen = swivelled(standing, design.clip_turn)
-    return stand_shapes(stand, hole) + tuple(
-        Shape(s.kind, s.size, at @ s.pose_in_link, s.material, s.collides, s.vertices, s.faces) for s in turned_pen
-    )
-
-
-__all__ = ["CAP_RANGE", "LIFT_UPPER", "PenDesign", "build_pen", "draw_design", "make_pen"]
+    turned_pen = rotated(standing, (0.0, 0.0, 1.0), design.clip_turn)
+    return stand_shapes(stand, hole) + moved(turned_pen, transform((*stand.axis, 0.0)))

@@ -1,15 +1,5 @@
-"""Pressure cookers; see `generator`."""
+"""Generator of pressure cookers."""
 
-from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign, draw_design
-from lerobot_adamanip.objects.pressure_cooker.generator import (
-    LID_RANGE,
-    LIFT_UPPER,
-    build_pressure_cooker,
-    make_pressure_cooker,
-)
-from lerobot_adamanip.objects.pressure_cooker.parts import GAP, HANDLE_GAP
+from lerobot_adamanip.objects.pressure_cooker.generator import make_novel_pressure_cooker, make_pressure_cooker
 
-__all__ = [
-    "GAP", "HANDLE_GAP", "LID_RANGE", "LIFT_UPPER", "PressureCookerDesign", "build_pressure_cooker", "draw_design",
-    "make_pressure_cooker",
-]  # fmt: skip
+__all__ = ["make_novel_pressure_cooker", "make_pressure_cooker"]

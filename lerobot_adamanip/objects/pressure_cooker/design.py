@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,11 @@ BODY_STYLES = ("straight", "bellied", "tapered")
 LID_STYLES = ("dome", "stepped", "flat")
 VALVE_STYLES = ("weight", "indicator", "dial")
 HANDLE_STYLES = ("straight", "tapered", "moulded")
+
+NOVEL_BODY_STYLES = ("bowl", "chamfered")
+NOVEL_LID_STYLES = ("cone", "plateau")
+NOVEL_VALVE_STYLES = ("bell", "twin")
+NOVEL_COLORS = ((0.02, 0.30, 0.34), (0.55, 0.30, 0.42), (0.36, 0.17, 0.06), (0.55, 0.50, 0.06), (0.20, 0.10, 0.34))
 
 
 @dataclass(frozen=True)
@@ -97,4 +102,24 @@ def draw_design(rng: np.random.Generator) -> PressureCookerDesign:
         steel=steel,
         plastic=_PLASTICS[rng.integers(len(_PLASTICS))],
         accent=_ACCENTS[rng.integers(len(_ACCENTS))],
+    )
+
+
+def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:
+    """Draws a cooker wider and lower, or slimmer and taller, than any seen one, in new styles all over."""
+    base = draw_design(rng)
+    wide = rng.random() < 0.5
+    radius = rng.uniform(0.126, 0.134) if wide else rng.uniform(0.082, 0.090)
+    color = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], 0.25, 0.1)
+    return replace(
+        base,
+        radius=radius,
+        height=rng.uniform(0.098, 0.116) if wide else rng.uniform(0.188, 0.21),
+        body_style=str(rng.choice(NOVEL_BODY_STYLES)),
+        lid_style=str(rng.choice(NOVEL_LID_STYLES)),
+        lid_rise=rng.uniform(0.026, 0.038),
+        valve_style=str(rng.choice(NOVEL_VALVE_STYLES)),
+        handle_style="banded",
+        body=color,
+        lid=color if rng.random() < 0.5 else base.steel,
     )

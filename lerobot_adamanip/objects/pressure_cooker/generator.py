@@ -1,7 +1,6 @@
 """Pressure cookers: a pot, a domed lid with a valve, and two long handles over each other. Sizes of 3 to 8 litre pots.
 
 The lid's handle stands over the pot's, as on a closed cooker, and turns either way before the lid can be lifted off.
-Which way and how far is drawn per episode by the mechanism and leaves no trace in the geometry.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, annotate, from_above
-from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign, draw_design
+from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign, draw_design, draw_novel_design
 from lerobot_adamanip.objects.pressure_cooker.parts import LOOP_DEPTH, lid_shapes, pot_shapes, seal_shapes
 
 LID_RANGE = 0.824
@@ -22,6 +21,12 @@ def make_pressure_cooker(number: int) -> ArticulatedObject:
     """Builds cooker ``number`` (6 in the paper's set; any number is an object)."""
     design = draw_design(np.random.default_rng([number, 0xC270]))
     return build_pressure_cooker(f"pressure_cooker_{number:03d}", design)
+
+
+def make_novel_pressure_cooker(number: int) -> ArticulatedObject:
+    """Builds novel cooker ``number``."""
+    design = draw_novel_design(np.random.default_rng([number, 0xC270, 1]))
+    return build_pressure_cooker(f"pressure_cooker_n{number:03d}", design)
 
 
 def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> ArticulatedObject:
