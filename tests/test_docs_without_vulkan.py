@@ -31,19 +31,16 @@ ONE_CATEGORY = {"--env.type=adamanip": ("--env.categories=safe",)}
 
 def smallest(words: list[str]) -> list[str]:
     """The command at its smallest size."""
-    name = " ".join(words[: 1 + (words[0] == "adamanip")])
-    changed = SMALLEST.get(name, {})
+    ours = words[0] == "adamanip"
+    changed = SMALLEST.get(" ".join(words[: 1 + ours]), {})
     kept, skip = [], False
     for word in words:
         key, _, value = word.partition("=")
         if not skip and key not in changed:
             kept += [word, *ONE_CATEGORY.get(word, ())]
         skip = key in changed and not value
-    options = changed.items()
-    more = (
-        [word for pair in options for word in pair] if words[0] == "adamanip" else ["=".join(pair) for pair in options]
-    )
-    return [*kept, *more]
+    pairs = [list(pair) if ours else ["=".join(pair)] for pair in changed.items()]
+    return [*kept, *(word for pair in pairs for word in pair)]
 
 
 def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -76,26 +73,3 @@ def test_the_commands_of_a_document_run_without_a_vulkan_device(document: str, t
             assert done.returncode == 0, f"{line}\n{done.stdout[-3000:]}\n{done.stderr[-6000:]}"
             ran += 1
     assert ran > 5
-
-
-def test_options_are_replaced_not_repeated() -> None:
-    assert smallest(["adamanip", "collect", "x", "--workers", "2"]) == [
-        "adamanip",
-        "collect",
-        "x",
-        "--objects",
-        "0:1",
-        "--episodes-per-object",
-        "1",
-        "--late-starts",
-        "0",
-        "--workers",
-        "1",
-    ]
-    assert smallest(["lerobot-eval", "--eval.n_episodes=100", "--x=1"]) == [
-        "lerobot-eval",
-        "--x=1",
-        "--eval.n_episodes=1",
-        "--eval.batch_size=1",
-        "--env.episode_length=2",
-    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -36,12 +35,9 @@ def run(no_vulkan: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 def test_every_example_is_run_here_and_named_in_the_readme() -> None:
     assert {path.stem for path in EXAMPLES} == TESTED
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert all(f"examples/{path.name}" in readme for path in EXAMPLES)
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_is_one_idea(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) < 60
+    for path in EXAMPLES:
+        assert f"examples/{path.name}" in readme
+        assert len(path.read_text(encoding="utf-8").splitlines()) < 60
 
 
 def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:
@@ -49,11 +45,6 @@ def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:
     said = run("load_dataset", "outputs/demos")
     assert "observation.point_cloud" in said
     assert "failed tries so far" in said
-
-
-def test_a_dataset_without_pictures_is_read(tmp_path: Path, run: Run) -> None:
-    collect_fake_demos(tmp_path / "outputs" / "demos", observe_images=False)
-    assert re.search(r"observation.images.front +not in this dataset", run("load_dataset", "outputs/demos"))
 
 
 @pytest.mark.sim

@@ -160,28 +160,6 @@ def test_the_tenth_category_is_opened_in_the_simulator(tree: Path) -> None:
     run(tree, IN_THE_SIMULATOR)
 
 
-A_POLICY = """
-import torch
-import lerobot_env_adamanip
-from lerobot.configs.policies import PreTrainedConfig
-from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-
-config = PreTrainedConfig.get_choice_class("hold_still")(device="cpu")
-policy = get_policy_class("hold_still")(config)
-before, after = make_pre_post_processors(config)
-state = torch.arange(24, dtype=torch.float32)
-action = after(policy.select_action(before({"observation.state": state[None]})))
-assert action.tolist() == [[*range(9), 1.0]], action
-policy.save_pretrained("held"); before.save_pretrained("held"); after.save_pretrained("held")
-assert get_policy_class("hold_still").from_pretrained("held").config.gripper == 1.0
-"""
-
-
-@pytest.mark.nightly
-def test_the_method_of_the_page_is_one(tree: Path) -> None:
-    run(tree, A_POLICY)
-
-
 TRAINED_AND_EVALUATED = """
 import json, sys
 import lerobot_env_adamanip
