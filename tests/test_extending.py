@@ -48,7 +48,10 @@ def apply(change: Change, tree: Path) -> None:
     if not change.after:
         path.write_text(f"{text}\n\n{change.code}", encoding="utf-8")
         return
-    (line,) = [line for line in text.splitlines(keepends=True) if line.startswith(change.after) or change.after in line]
+    lines = text.splitlines(keepends=True)
+    (line,) = [line for line in lines if line.startswith(change.after)] or [
+        line for line in lines if change.after in line
+    ]
     path.write_text(text.replace(line, line + change.code), encoding="utf-8")
 
 
