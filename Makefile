@@ -8,8 +8,8 @@ SHELL := /bin/bash
 export NO_SYSTEM
 
 BIN := .venv/bin
-# Processes of the test runner; each simulator process takes about 2 GB.
-JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 4 ? 4 : n)))
+# Processes of the test runner: one more than cores, for tests that wait. With a simulator each takes about 2 GB.
+JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 4 ? 4 : n + 1)))
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 help:  ## this list

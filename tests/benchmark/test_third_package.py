@@ -70,6 +70,7 @@ def test_it_is_in_the_table_by_its_entry_point_alone(tmp_path: Path, monkeypatch
         assert re.search(r"^\| Hold still \(lerobot_policy_hold_still\) \| \d/5: ", page, re.MULTILINE)
 
 
+@pytest.mark.nightly
 def test_the_command_lists_it_as_one_that_can_be_run(tmp_path: Path) -> None:
     """And so does it with the method that docs/benchmark.md declares."""
     hold_still(tmp_path, registered=True)

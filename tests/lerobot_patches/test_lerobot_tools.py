@@ -86,6 +86,7 @@ CASES = {
 """Dataset -> episodes of the whole that it holds."""
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_the_command_keeps_rows_and_statistics(whole: Path, edited: Path, name: str) -> None:
     made, chosen = edited / name, CASES[name]
@@ -102,6 +103,7 @@ def test_the_command_keeps_rows_and_statistics(whole: Path, edited: Path, name: 
     assert check(made).counts.keys() <= check(whole).counts.keys()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_the_command_drops_what_it_does_not_know_of(whole: Path, edited: Path, name: str) -> None:
     """docs/datasets.md says so. Once it keeps them, so can the page."""
@@ -127,6 +129,7 @@ def test_lerobots_streaming_reader_gives_the_same_rows(whole: Path, monkeypatch:
             assert (streamed[index][key] == plain[index][key]).all(), key
 
 
+@pytest.mark.nightly
 def test_lerobots_viewer_writes_a_recording(whole: Path, tmp_path: Path) -> None:
     source = ["--repo-id=local/whole", f"--root={whole}"]
     command("lerobot-dataset-viz", *source, "--episode-index=1", "--save=1", f"--output-dir={tmp_path}")
