@@ -9,7 +9,7 @@ from pathlib import Path
 
 from lerobot_adamanip.cli.folder_argument import DatasetFolder
 from lerobot_adamanip.cli.report import check_plot
-from lerobot_adamanip.datasets.contents import Contents, GroupContents, contents
+from lerobot_adamanip.datasets.stats import DatasetStats, GroupStats, plot_stats, read_stats
 from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
 
 
@@ -32,11 +32,9 @@ class Stats:
     def run(self) -> int:
         """Counts, prints and plots; 0."""
         check_plot(self.out)
-        found = contents(self.root)
+        found = read_stats(self.root)
         if self.out is not None:
-            from lerobot_adamanip.datasets.contents_plot import plot_contents
-
-            plot_contents(found, self.out)
+            plot_stats(found, self.out)
         if self.json:
             print(json.dumps({**found.to_json(), "out": None if self.out is None else str(self.out)}))
             return 0
@@ -46,13 +44,13 @@ class Stats:
         return 0
 
 
-def _print(found: Contents) -> None:
+def _print(found: DatasetStats) -> None:
     titles = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
     rows = ([group.label, *_cells(each)] for group, each in found.groups.items())
     print("\n".join((markdown_table(titles, rows, align=True), "", *_lines(found))))
 
 
-def _cells(found: GroupContents) -> Iterator[str]:
+def _cells(found: GroupStats) -> Iterator[str]:
     yield str(found.episodes)
     yield f"{found.key_frames}, {found.key_frames / max(1, found.episodes):.1f} each"
     for tries in (found.tries, found.failed_tries):
@@ -61,7 +59,7 @@ def _cells(found: GroupContents) -> Iterator[str]:
     yield interval_text(found.success)
 
 
-def _lines(found: Contents) -> Iterator[str]:
+def _lines(found: DatasetStats) -> Iterator[str]:
     lengths = found.length_summary()
     told = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
     yield f"Key frames of an episode: {told}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,8 +18,8 @@ _KINDS = (".png", ".rrd")
 class View:
     """Shows an episode in rerun: cloud, tool path, goals, tries, phases, effort, pictures if there are any.
 
-    Opens rerun's viewer, unless --out or --web is given. The viewer comes with lerobot[viz]. On a machine without a
-    display, use --out or --web.
+    Opens rerun's viewer, unless --out is given. The viewer comes with lerobot[viz]. On a machine without a display, use
+    --out.
     """
 
     root: DatasetFolder
@@ -33,12 +32,6 @@ class View:
     """Write a picture (.png) of the whole episode, or a recording (.rrd) that `rerun FILE.rrd` shows. Neither needs a
     display, and a picture needs no rerun."""
 
-    web: bool = False
-    """Serve it to browsers, until Ctrl-C. rerun listens on every address of this machine, without a password."""
-
-    port: int = 9090
-    """Of the page that --web shows."""
-
     def run(self) -> int:
         """Reads the episode and shows or writes it; 0."""
         kind = None if self.out is None else self.out.suffix.lower()
@@ -46,36 +39,27 @@ class View:
             raise ConfigurationError(
                 "Unknown kind of file.", got=self.out, allowed=" or ".join(_KINDS), hint="--out episode.png"
             )
-        if self.out is None and not self.web:
+        if self.out is None:
             from lerobot_adamanip.datasets.view import viewer
 
             viewer.require_display()
         with contextlib.redirect_stdout(sys.stderr):
-            episode = read_episode(self.root, self.episode, images=kind != ".png" or self.web)
+            episode = read_episode(self.root, self.episode, images=kind != ".png")
         print(episode.title)
-        if self.out is not None:
-            self._write(episode, self.out)
-        if self.out is None or self.web:
-            self._show(episode)
+        if self.out is None:
+            viewer.spawn(episode)
+        else:
+            _write(episode, self.out)
         return 0
 
-    def _write(self, episode: ViewedEpisode, path: Path) -> None:
-        if path.suffix.lower() == ".png":
-            from lerobot_adamanip.datasets.view.still import write_still
 
-            write_still(episode, path)
-        else:
-            from lerobot_adamanip.datasets.view import viewer
+def _write(episode: ViewedEpisode, path: Path) -> None:
+    if path.suffix.lower() == ".png":
+        from lerobot_adamanip.datasets.view.picture import write_picture
 
-            viewer.save(episode, path)
-        print(f"written: {path}")
-
-    def _show(self, episode: ViewedEpisode) -> None:
+        write_picture(episode, path)
+    else:
         from lerobot_adamanip.datasets.view import viewer
 
-        if self.web:
-            print(f"{viewer.serve(episode, self.port)}  (Ctrl-C ends it)", flush=True)
-            while True:
-                time.sleep(3600)
-        else:
-            viewer.spawn(episode)
+        viewer.save(episode, path)
+    print(f"written: {path}")

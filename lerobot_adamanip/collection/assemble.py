@@ -80,7 +80,8 @@ def assemble(
     records, lengths = append_shards(dataset, contents.shards, progress, crews)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
-    _write_card(folder, name, contents, records)
+    card = dataset_card(folder, name, contents.repo_id, contents.manifest.spec.environment.assets)
+    (folder / "README.md").write_text(card)
     files.crash_point("dataset described")
     files.sync_tree(folder)
     files.crash_point("dataset synced")
@@ -144,18 +145,6 @@ def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict
             dataset.add_frame({**frame, "task": episode.record["task"]})
         dataset.save_episode()
         yield episode.record, len(episode)
-
-
-def _write_card(folder: Path, name: str, contents: Contents, records: list[dict[str, Any]]) -> None:
-    card = dataset_card(
-        folder,
-        name,
-        manifest=contents.manifest,
-        records=records,
-        attempts=contents.attempts,
-        repo_id=contents.repo_id,
-    )
-    (folder / "README.md").write_text(card)
 
 
 def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.contract.categories import ALL
-from lerobot_adamanip.datasets.cards.collected import read_dataset_card
+from lerobot_adamanip.datasets.cards.collected import dataset_card
 from lerobot_adamanip.datasets.cards.recorded import has_recorded_episodes, recorded_card
 from lerobot_adamanip.datasets.cards.templates import check_card
 from lerobot_adamanip.datasets.check.dataset import check
@@ -117,7 +117,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
     if has_recorded_episodes(root):
         card = recorded_card(root, name, repo_id)
     else:
-        card = read_dataset_card(root, name, repo_id, assets)
+        card = dataset_card(root, name, repo_id, assets)
     return _finished(Staged("dataset", repo_id, into, _DATASET, version), card, root)
 
 

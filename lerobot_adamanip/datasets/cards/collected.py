@@ -1,4 +1,4 @@
-"""The card of a dataset: its README on the Hub, with the numbers that are true of it."""
+"""The card of a collected dataset: its README on the Hub."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from lerobot_adamanip.datasets.attempts import (
     read_attempts,
 )
 from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
+from lerobot_adamanip.datasets.check.contract import OF_LEROBOT
 from lerobot_adamanip.datasets.collect_command import collect_command
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
@@ -43,24 +44,19 @@ COLUMNS = {
     schema.SUCCESS: "whether the task is done after this row's action",
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
 }
-"""What a column means."""
+"""Column -> meaning."""
 _SIZES = (
-    (1_000, "n<1K"),
-    (10_000, "1K<n<10K"),
-    (100_000, "10K<n<100K"),
-    (1_000_000, "100K<n<1M"),
-    (10_000_000, "1M<n<10M"),
-)
-"""Rows below which the Hub's word for a dataset's size is what follows."""
-_OF_LEROBOT = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+    (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"), (10_000_000, "1M<n<10M"),
+)  # fmt: skip
+"""Number of rows, and the Hub's word for datasets below it."""
 
 
-def read_dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | None = None) -> str:
-    """Returns the README of a finished dataset, from what is in its folder.
+def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | None = None) -> str:
+    """Returns the README of a finished dataset. It holds no path of this machine.
 
     Args:
-        folder: that the dataset is in.
-        name: that its folder will have, in the command that collects the same.
+        folder: of the dataset.
+        name: of the folder in the command that collects the same.
         repo_id: its name on the Hub.
         assets: folder of the external assets that it was collected with, if any.
 
@@ -72,60 +68,22 @@ def read_dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path 
     attempts = read_attempts(attempts_path(folder)) if manifest is not None else []
     records = episode_records(folder)
     selection = read_selection(folder, len(records)) if selection_path(folder).exists() else None
-    return dataset_card(
-        folder,
-        name,
-        manifest=manifest,
-        records=records,
-        attempts=attempts,
-        repo_id=repo_id,
-        selection=selection,
-    )
-
-
-def dataset_card(
-    folder: Path,
-    name: str,
-    *,
-    manifest: Manifest | None,
-    records: list[dict[str, Any]],
-    attempts: list[AttemptRecord],
-    repo_id: str,
-    selection: Selection | None = None,
-) -> str:
-    """Returns the README of a dataset, with the numbers that are true of it. It holds no path of this machine.
-
-    Args:
-        folder: that the dataset is in.
-        name: that its folder will have.
-        manifest: of the collection; None for a dataset that is not one collection, as merged ones.
-        records: of its episodes.
-        attempts: all that were made for the collection.
-        repo_id: its name on the Hub.
-        selection: which episodes of the collection it holds, if not all.
-    """
     info = json.loads((folder / "meta" / "info.json").read_text())
     return card_template("dataset_card.md").substitute(
         _made(manifest, records, name.removesuffix("-failed"), selection),
         **_recorded(records),
         **_attempted(None if selection else manifest, attempts, records),
         **_seen(info, records),
-        front_matter=front_matter("dataset", card_header(info, name)),
-        repo_id=repo_id,
-        frames=info["total_frames"],
-        key_frames=info["total_frames"] - len(records),
+        **common_fields(info, name, repo_id, len(records)),
         root_option=" --dataset.root=DIR" if repo_id.startswith("local/") else "",
-        features=features_table(info["features"]),
-        fps=info["fps"],
-        citation=citation(),
     )
 
 
-def card_header(info: dict[str, Any], name: str) -> dict[str, Any]:
-    """Returns the fields of a card's header."""
+def common_fields(info: dict[str, Any], name: str, repo_id: str, episodes: int) -> dict[str, object]:
+    """Returns the fields of every dataset's card: header, numbers, columns and citation."""
     rows = info["total_frames"]
-    size = next((text for least, text in _SIZES if rows < least), "n>1T")
-    return {
+    size = next((text for most, text in _SIZES if rows < most), "n>1T")
+    header = {
         "license": LICENSE,
         "task_categories": ["robotics"],
         "tags": list(TAGS),
@@ -133,12 +91,27 @@ def card_header(info: dict[str, Any], name: str) -> dict[str, Any]:
         "size_categories": [size],
         "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
     }
+    columns = [
+        f"| `{key}` | {'video, ' if feature['dtype'] == 'video' else ''}{tuple(feature['shape'])} | {COLUMNS[key]} |"
+        for key, feature in info["features"].items()
+        if key not in OF_LEROBOT
+    ]
+    return {
+        "front_matter": front_matter("dataset", header),
+        "repo_id": repo_id,
+        "episodes": episodes,
+        "frames": rows,
+        "key_frames": rows - episodes,
+        "features": "\n".join(columns),
+        "fps": info["fps"],
+        "citation": citation(),
+    }
 
 
 def _made(
     manifest: Manifest | None, records: list[dict[str, Any]], folder: str, selection: Selection | None
 ) -> dict[str, str]:
-    """Returns the fields of a card that say what was asked for."""
+    """Returns the fields about how the dataset was made."""
     categories = list(dict.fromkeys(category_of(record["object_id"]) for record in records))
     together = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
     parts = _fingerprints(records) if manifest is None else manifest.fingerprint
@@ -158,7 +131,7 @@ def _made(
 
 
 def _chosen(selection: Selection) -> str:
-    """Says which part of a dataset this is, and the commands that chose it."""
+    """Describes a part of a dataset, and the commands that chose it."""
     part = f"Part of `DATASET`: {len(selection.episodes)} of its {selection.source_episodes} episodes"
     if not selection.made_with:
         return f"{part}, listed in `meta/selection.json`."
@@ -167,7 +140,7 @@ def _chosen(selection: Selection) -> str:
 
 
 def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, object]:
-    """Returns the fields of a card about the camera and what it looks at."""
+    """Returns the fields about camera and objects."""
     picture = info["features"].get(schema.FRONT_IMAGE)
     if picture is None:
         pictures = "There are no pictures (`adamanip render` adds them)"
@@ -182,13 +155,13 @@ def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, obje
 
 
 def _fingerprints(records: list[dict[str, Any]]) -> dict[str, str]:
-    """Fingerprints of episodes where no manifest tells their parts."""
+    """Returns the episodes' fingerprints, for datasets without a manifest."""
     found = Counter(str(record["fingerprint"]) for record in records)
     return {f"of {count} episodes": value for value, count in found.items()}
 
 
 def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
-    """Returns the fields of a card that count the dataset's episodes."""
+    """Returns the counts of episodes."""
     successes = sum(bool(record["success"]) for record in records)
     tries = Counter(record["failed_tries"] for record in records)
     opened = Counter(record["failed_tries"] for record in records if record["success"])
@@ -196,7 +169,6 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
     return {
         "split": "" if successes else ", failed episodes",
         "kept": kept.get(successes, f"{successes} of its episodes ended in success"),
-        "episodes": len(records),
         "objects": len({record["object_id"] for record in records}),
         "late": sum(record["late"] for record in records),
         "recovered": sum(count for failed, count in opened.items() if failed),
@@ -208,7 +180,7 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
 def _attempted(
     manifest: Manifest | None, attempts: list[AttemptRecord], records: list[dict[str, Any]]
 ) -> dict[str, object]:
-    """Returns the fields of a card that count all attempts of the collection."""
+    """Returns the counts of the collection's attempts."""
     if manifest is None or manifest.attempts is None:
         counted = [_as_attempt(record) for record in records]
         rows = (
@@ -234,16 +206,6 @@ def _attempted(
 
 
 def _as_attempt(record: dict[str, Any]) -> AttemptRecord:
-    """An episode that is all that is known of the attempts at it."""
+    """Returns an episode as the only known attempt at it."""
     facts = {key: record[key] for key in ("object_id", "slot", "attempt", "seed", "hidden_state", "late")}
     return AttemptRecord(**facts, kept=True, reason=SUCCESS if record["success"] else "no success", key_frames=0)
-
-
-def features_table(features: dict[str, Any]) -> str:
-    """Returns a table of a dataset's columns; raises KeyError for one that nobody has described."""
-    rows = [
-        f"| `{key}` | {'video, ' if feature['dtype'] == 'video' else ''}{tuple(feature['shape'])} | {COLUMNS[key]} |"
-        for key, feature in features.items()
-        if key not in _OF_LEROBOT
-    ]
-    return "\n".join(rows)

@@ -1,4 +1,4 @@
-"""The card of a dataset with episodes that a robot has recorded, alone or mixed with simulated ones."""
+"""The card of a dataset with episodes of a robot, alone or mixed with simulated ones."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.datasets.cards.collected import card_header, features_table
-from lerobot_adamanip.datasets.cards.templates import card_template, citation, front_matter
+from lerobot_adamanip.datasets.cards.collected import common_fields
+from lerobot_adamanip.datasets.cards.templates import card_template
 from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import parse
@@ -20,17 +20,17 @@ RECORDED = "recorded"
 
 
 def has_recorded_episodes(root: Path) -> bool:
-    """Whether a robot has recorded any of a dataset's episodes."""
+    """Whether any of a dataset's episodes is a robot's."""
     table = episode_table(root)
     return RECORDED in table.column_names and table[RECORDED].null_count < len(table)
 
 
 def recorded_card(folder: Path, name: str, repo_id: str) -> str:
-    """Returns the README of a dataset that a robot has recorded, or some episodes of it.
+    """Returns the README of a dataset with episodes of a robot.
 
     Args:
-        folder: that the dataset is in.
-        name: that its folder will have.
+        folder: of the dataset.
+        name: of its folder.
         repo_id: its name on the Hub.
 
     Raises:
@@ -48,16 +48,9 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
             hint="adamanip keyframes RECORDING --out DATASET",
         ) from error
     return card_template("recorded_card.md").substitute(
-        front_matter=front_matter("dataset", card_header(info, name)),
-        episodes=len(rows),
-        frames=info["total_frames"],
-        key_frames=info["total_frames"] - len(rows),
+        common_fields(info, name, repo_id, len(rows)),
         successes=sum(bool(row.get("success")) for row in rows),
         sources="\n".join(f"| {count} | {source} |" for source, count in sources.items()),
-        repo_id=repo_id,
-        fps=info["fps"],
-        features=features_table(info["features"]),
-        citation=citation(),
     )
 
 

@@ -1,1 +1,1 @@
-"""Looking at an episode: as a picture, and in rerun's viewer, from the same data."""
+"""Show an episode: as a picture, and in rerun."""

@@ -1,4 +1,4 @@
-"""An episode of a dataset, read for people to look at."""
+"""Read an episode of a dataset for display."""
 
 from __future__ import annotations
 
@@ -23,20 +23,18 @@ from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.util.json_fields import parse
 
 Array = NDArray[np.float32]
-CLOSED = 0.5
-"""Gripper opening below which a hand is told to close."""
 
 
 @dataclass(frozen=True)
 class Try:
-    """A key frame that tried to move a joint.
+    """A try at a joint.
 
     Attributes:
         key_frame: its number, from 0.
         joint: name of the joint.
         failed: whether it covered less than half of its way.
         progress: how far the joint moved, in the direction it was sent [rad or m].
-        recovers: whether it worked, and the try before had failed.
+        recovers: whether it worked after a failed try.
     """
 
     key_frame: int
@@ -48,19 +46,18 @@ class Try:
 
 @dataclass(frozen=True)
 class ViewedEpisode:
-    """What there is to see of an episode of T rows. A row is what was seen before the key frame of its number.
+    """An episode of T rows; a row is observed before the key frame of its number.
 
     Attributes:
-        title: one line on what happened.
+        title: one line: object, hidden state, result.
         clouds: (T, N, 3) points, robot base frame [m].
         tools: (T, 10) poses of the tool, as in the contract's action.
         goals: (T - 1, 10) poses it was sent to.
         effort: (T, 7) external joint torque [N m]; empty if it was not recorded.
-        phases: of each key frame; None where nobody has labelled it.
+        phases: of each key frame; None where unlabelled.
         outcomes: of each key frame; None where it was not recorded.
         tries: in their order.
         seconds: (T,) time of each row [s].
-        camera: (4, 4) pose of the camera in the robot's base frame [m], z ahead and y down; None if unknown.
         images: (T, H, W, 3) RGB; None if there are none.
     """
 
@@ -73,7 +70,6 @@ class ViewedEpisode:
     outcomes: tuple[Outcome | None, ...]
     tries: tuple[Try, ...]
     seconds: Array
-    camera: NDArray[np.float64] | None
     images: NDArray[np.uint8] | None
 
     @property
@@ -123,7 +119,6 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
         outcomes=_labels(Outcome, columns.get(schema.OUTCOME), sent),
         tries=tries,
         seconds=columns["timestamp"].astype(np.float32),
-        camera=_camera(row.get("camera")),
         images=pictures,
     )
 
@@ -137,7 +132,7 @@ _READ = (
 def _labels[Label: enum.IntEnum](
     kind: type[Label], column: NDArray[Any] | None, count: int
 ) -> tuple[Label | None, ...]:
-    """Returns the labels of the first rows; None where there is no column, or no label of this kind in it."""
+    """Returns the labels of the first rows; None where the column or the label is missing."""
     if column is None:
         return (None,) * count
     known = {int(label): label for label in kind}
@@ -165,15 +160,6 @@ def _joint_names(identifier: object) -> tuple[str, ...]:
         return make_mechanism(make_object(identifier)).joints
     except AdaManipError:
         return ()
-
-
-def _camera(text: object) -> NDArray[np.float64] | None:
-    try:
-        pose = np.asarray(parse(text)["extrinsics"], np.float64) if isinstance(text, str) else None
-    except (ValueError, KeyError, TypeError):
-        return None
-    sound = pose is not None and pose.shape == (4, 4) and bool(np.isfinite(pose).all())
-    return pose if sound else None
 
 
 def _images(root: Path, number: int) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""An episode in rerun's viewer. rerun comes with ``lerobot[viz]`` and is imported when it is needed."""
+"""Show an episode in rerun, which comes with ``lerobot[viz]`` and is imported when it is needed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 APPLICATION = "adamanip"
 KEY_FRAME, SECONDS = "key_frame", "time"
-"""The timelines: number of the key frame, and seconds since the start."""
+"""Timelines: number of the key frame, and seconds since the start."""
 _TOOL, _GOAL, _FAILED, _WORKED = (31, 78, 156), (90, 90, 90), (198, 40, 40), (46, 125, 50)
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _AXIS = 0.05
@@ -50,45 +50,26 @@ def spawn(episode: ViewedEpisode) -> None:
         log_episode(recording, episode)
         recording.flush()
     except (RuntimeError, OSError) as error:
-        raise no_display(str(error).partition("\n")[0][:200]) from error
+        raise _no_display(str(error).partition("\n")[0][:200]) from error
 
 
 def require_display() -> None:
     """Raises `ConfigurationError` where rerun's window cannot open: on Linux, without X11 and Wayland."""
     if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
-        raise no_display(f"neither {' nor '.join(_DISPLAYS)} is set")
+        raise _no_display(f"neither {' nor '.join(_DISPLAYS)} is set")
 
 
-def no_display(reason: str) -> ConfigurationError:
-    """Returns the error for a machine on which rerun's window does not open."""
+def _no_display(reason: str) -> ConfigurationError:
     return ConfigurationError(
         "rerun's window does not open here.",
         got=reason,
-        allowed="a desktop; or --out FILE.png, --out FILE.rrd or --web, which need none",
-        hint="--out episode.png",
+        allowed="a desktop; or --out FILE.png or --out FILE.rrd, which need none",
+        hint="--out episode.rrd, then `rerun --web-viewer episode.rrd` serves it to a browser",
     )
 
 
-def serve(episode: ViewedEpisode, port: int) -> str:
-    """Serves the episode to browsers for as long as this process lives; returns the page's address on this machine.
-
-    rerun listens on every address of this machine; it has no option for less.
-    """
-    rr = _rerun()
-    recording = rr.RecordingStream(APPLICATION)
-    data = recording.serve_grpc(default_blueprint=_blueprint(episode))
-    log_episode(recording, episode)
-    rr.serve_web_viewer(web_port=port, open_browser=False, connect_to=data)
-    return f"http://127.0.0.1:{port}/?url={data}"
-
-
 def log_episode(recording: Any, episode: ViewedEpisode) -> None:
-    """Logs an episode, row by row.
-
-    Args:
-        recording: a stream of rerun's.
-        episode: to be shown.
-    """
+    """Logs an episode to a rerun stream, row by row."""
     rr = _rerun()
     _log_names(recording, episode)
     path = episode.tools[:, :3]
@@ -134,11 +115,8 @@ def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
             recording.log("log", rr.TextLog(text, level="ERROR" if each.failed else "INFO"))
             color = _FAILED if each.failed else _WORKED
             where = episode.tools[min(number + 1, len(episode.tools) - 1), :3]
-            # Each under a name of its own: tries stay to be seen.
-            recording.log(
-                f"world/tries/{number}",
-                rr.Points3D([where], colors=[color], radii=0.01, labels=[f"{number} {each.joint} {told}"]),
-            )
+            point = rr.Points3D([where], colors=[color], radii=0.01, labels=[f"{number} {each.joint} {told}"])
+            recording.log(f"world/tries/{number}", point)  # a name of its own: it stays visible
 
 
 def _log_pose(recording: Any, name: str, pose: NDArray[Any]) -> None:

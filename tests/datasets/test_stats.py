@@ -16,9 +16,9 @@ from sound_demos import collect_sound
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.contents import contents
 from lerobot_adamanip.datasets.merge import merge
 from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.groups import Group
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -36,7 +36,7 @@ def rows(root: Path) -> list[dict[str, object]]:
 
 
 def test_counts_are_those_of_the_rows(demos: Path) -> None:
-    found, told = contents(demos), rows(demos)
+    found, told = read_stats(demos), rows(demos)
     lengths = Counter(row["episode_index"] for row in told)
     failing = {row["episode_index"] for row in told if row[schema.FAILED]}
     overall = found.overall
@@ -55,7 +55,7 @@ def test_counts_are_those_of_the_rows(demos: Path) -> None:
 
 
 def test_groups_part_the_episodes(demos: Path) -> None:
-    groups = contents(demos).groups
+    groups = read_stats(demos).groups
     table = episode_table(demos).to_pylist()
     locked = [json.loads(row["hidden_state"])["locked"] for row in table if row["object_id"] == "door_001"]
     assert groups[Group("category", "door")].episodes == groups[Group("category", "safe")].episodes == 5
@@ -66,22 +66,22 @@ def test_groups_part_the_episodes(demos: Path) -> None:
 
 
 def test_attempts_are_counted_where_they_are_told(demos: Path, tmp_path: Path) -> None:
-    attempts = contents(demos).attempts
+    attempts = read_stats(demos).attempts
     lines = [json.loads(line) for line in (demos / "meta" / "attempts.jsonl").read_text().splitlines()]
     assert attempts is not None
     assert (attempts.kept.count, attempts.kept.episodes) == (10, len(lines))
     assert sum(tried for _, tried in attempts.hidden.values()) == len(lines)
     merge([demos, another(demos, tmp_path / "other")], tmp_path / "both")
-    both = contents(tmp_path / "both")
+    both = read_stats(tmp_path / "both")
     assert both.attempts is None
     assert both.overall.episodes == 20
     assert both.recovery is not None
 
 
 def test_what_follows_a_failed_try_is_counted_as_evaluations_count_it(demos: Path) -> None:
-    found = contents(demos).recovery
+    found = read_stats(demos).recovery
     assert found is not None
-    assert found.repeated.episodes == contents(demos).overall.failed_tries  # the fake always tries once more
+    assert found.repeated.episodes == read_stats(demos).overall.failed_tries  # the fake always tries once more
     assert found.repeated.count == found.repeated.episodes  # the same way, with the lock open
 
 
@@ -93,7 +93,7 @@ def test_a_dataset_without_columns_of_ours_is_counted_from_its_rows(demos: Path,
     table = pq.read_table(path)
     lerobots = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
     pq.write_table(table.drop_columns([n for n in table.column_names if "/" not in n and n not in lerobots]), path)
-    found, whole = contents(plain), contents(demos)
+    found, whole = read_stats(plain), read_stats(demos)
     assert found.overall == whole.overall
     assert (found.lengths, found.failures) == (whole.lengths, whole.failures)
     assert (list(found.groups), found.objects, found.recovery) == ([Group("all", "all")], 0, None)
@@ -119,8 +119,8 @@ def test_the_command_prints_a_table_and_draws(demos: Path, tmp_path: Path, capsy
 
 def test_no_dataset_and_half_of_one_are_one_clear_error(demos: Path, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no dataset"):
-        contents(tmp_path / "nothing")
+        read_stats(tmp_path / "nothing")
     half = Path(shutil.copytree(demos, tmp_path / "half"))
     (half / "meta" / "attempts.jsonl").write_text('{"odd": 1}\n')
     with pytest.raises(DatasetError, match="cannot be"):
-        contents(half)
+        read_stats(half)

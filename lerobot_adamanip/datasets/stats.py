@@ -1,13 +1,13 @@
-"""What is in a dataset: episodes, key frames, tries and recoveries, by category, split of objects and hidden value."""
+"""Count a dataset's episodes, key frames, tries and recoveries, by category, split of objects and hidden value."""
 
 from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -20,6 +20,7 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
+from lerobot_adamanip.evaluation.plots import MAX_BARS, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.evaluation.tries import Recovery, recovery
@@ -27,21 +28,25 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 from lerobot_adamanip.util.json_fields import integer, parse, read
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 RECORDED = Group("source", "recorded on a robot")
-"""Episodes of a mix that tell no object of ours."""
+"""Group of a mix's episodes without an object of ours."""
+_COUNTS = ("tries", "failed_tries", "success")
 
 
 @dataclass(frozen=True)
-class GroupContents:
-    """Episodes that have something in common.
+class GroupStats:
+    """Counts of a group of episodes.
 
     Attributes:
         episodes: how many.
-        labelled: of those, how many tell their tries; a robot's episodes do not.
+        labelled: of those, how many have labels of tries; a robot's episodes have none.
         key_frames: in all; an episode's last row, the final observation, is none.
         tries: at a joint.
         failed_tries: of those.
-        recovered: of the episodes in which a try failed, those that ended in success.
+        recovered: of the episodes with a failed try, those that ended in success.
         success: of the episodes.
     """
 
@@ -56,12 +61,12 @@ class GroupContents:
 
 @dataclass(frozen=True)
 class Attempts:
-    """What was tried for the dataset.
+    """Attempts that were made for a dataset.
 
     Attributes:
         kept: attempts that are episodes of it, of all.
         given_up: episodes that were asked for, and no attempt at them succeeded.
-        hidden: what was hidden -> (kept, attempted).
+        hidden: hidden value -> (kept, attempted).
     """
 
     kept: Rate
@@ -70,20 +75,20 @@ class Attempts:
 
 
 @dataclass(frozen=True)
-class Contents:
-    """What is in a dataset.
+class DatasetStats:
+    """Counts of a dataset.
 
     Attributes:
-        root: of it.
+        root: its folder.
         objects: how many different ones.
-        rows: in all, final observations counted.
+        rows: in all, final observations included.
         bytes: of all files.
         late: episodes that start late.
         lengths: key frames of an episode -> episodes.
-        failures: failed tries of an episode -> episodes, of those that tell their tries.
+        failures: failed tries of an episode -> episodes, of those with labels.
         groups: all episodes first, then by category, split of objects, and hidden value.
-        recovery: what follows a try that failed; None where no episode tells its tries in order.
-        attempts: that were made for it; None if it does not say, as merged datasets and parts of others do not.
+        recovery: what follows a failed try; None where no episode has its tries in order.
+        attempts: that were made for it; None where they are unknown, as for merged datasets and parts of others.
     """
 
     root: str
@@ -93,12 +98,12 @@ class Contents:
     late: int
     lengths: Mapping[int, int]
     failures: Mapping[int, int]
-    groups: Mapping[Group, GroupContents]
+    groups: Mapping[Group, GroupStats]
     recovery: Recovery | None
     attempts: Attempts | None
 
     @property
-    def overall(self) -> GroupContents:
+    def overall(self) -> GroupStats:
         """All episodes."""
         return next(iter(self.groups.values()))
 
@@ -117,18 +122,17 @@ class Contents:
         return {**plain, "key_frames": self.length_summary(), "groups": groups}
 
 
-def contents(root: str | Path) -> Contents:
-    """Counts what is in a dataset; rows are not read where its episodes have the counts as columns.
+def read_stats(root: str | Path) -> DatasetStats:
+    """Counts a dataset; reads its rows only where its episodes lack the counts.
 
     Raises:
-        DatasetError: it is not there, or half written, or tells of an episode what cannot be.
+        DatasetError: it is missing or half written, or the columns of its episodes are invalid.
     """
     folder = Path(root).absolute()
     info = load_check(folder)
-    rows = episode_table(folder).to_pylist()
     try:
-        facts = _with_counts(rows, folder, info["features"])
-        records = [_record(row) for row in facts]
+        rows = _with_counts(episode_table(folder).to_pylist(), folder, info["features"])
+        records = [_record(row) for row in rows]
         attempts = _attempts(folder)
     except (OSError, ValueError, KeyError, TypeError, AdaManipError) as error:
         raise DatasetError(
@@ -138,49 +142,67 @@ def contents(root: str | Path) -> Contents:
             hint=f"adamanip check {root}",
         ) from error
     told = [record for record in records if record.try_sequence]
-    return Contents(
+    return DatasetStats(
         root=str(folder),
         objects=len({record.object_id for record in records if record.object_id}),
         rows=sum(int(row["length"]) for row in rows),
         bytes=files.tree_bytes(folder),
         late=sum(bool(row.get("late")) for row in rows),
-        lengths=_tally(int(row["length"]) - 1 for row in rows),
-        failures=_tally(int(row["failed_tries"]) for row in facts if _is_labelled(row)),
-        groups=_groups(facts, records),
+        lengths=dict(sorted(Counter(int(row["length"]) - 1 for row in rows).items())),
+        failures=dict(sorted(Counter(int(row["failed_tries"]) for row in rows if _is_labelled(row)).items())),
+        groups=_groups(rows, records),
         recovery=recovery(told) if told else None,
         attempts=attempts,
     )
 
 
-def _tally(values: Iterable[int]) -> dict[int, int]:
-    return dict(sorted(Counter(values).items()))
+def plot_stats(found: DatasetStats, path: Path) -> None:
+    """Draws episodes by length, by failed tries, and by group."""
+    from matplotlib.ticker import MaxNLocator
+
+    groups = {group.label: each.episodes for group, each in list(found.groups.items())[1 : MAX_BARS + 1]}
+    width = 0.45 * max(6, len(groups))
+    figure = new_figure(7.5 + width, 4.2)
+    lengths, failures, bars = figure.subplots(1, 3, width_ratios=(3.6, 2.4, width + 1.5))
+    _draw(lengths, found.lengths, "key frames of an episode")
+    _draw(failures, found.failures, "failed tries of an episode")
+    lengths.set_ylabel("episodes")
+    bars.bar(range(len(groups)), list(groups.values()), 0.8)
+    bars.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    bars.set_xticks(range(len(groups)), list(groups), rotation=35, ha="right", fontsize=8)
+    save_figure(figure, f"{Path(found.root).name}: {found.overall.episodes} episodes of {found.objects} objects", path)
 
 
-def _groups(rows: Sequence[Mapping[str, Any]], records: Sequence[EpisodeRecord]) -> dict[Group, GroupContents]:
-    """Counts all episodes, then by group those that tell their object, and then a robot's, which do not."""
+def _draw(axes: Axes, counts: Mapping[int, int], label: str) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.bar(list(counts), list(counts.values()), 0.9)
+    axes.set_xlabel(label)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+
+
+def _groups(rows: Sequence[Mapping[str, Any]], records: Sequence[EpisodeRecord]) -> dict[Group, GroupStats]:
+    """Counts all episodes, then by group those with an object, then a robot's."""
     known = [record for record in records if record.object_id]
     boundaries = hidden_boundaries(known)
     # All seeds of demonstrations are of one split of scenes.
     shown = [group for group in worth_showing(group_records(known, boundaries)) if group.by not in ("all", "scenes")]
     found: dict[Group, list[Mapping[str, Any]]] = {ALL: list(rows), **{group: [] for group in shown}}
     for row, record in zip(rows, records, strict=True):
-        own = groups_of(record, boundaries) if record.object_id else [RECORDED] if known else []
-        for group in own:
-            if group == RECORDED:
-                found.setdefault(RECORDED, []).append(row)
-            elif group in shown:
-                found[group].append(row)
+        for group in groups_of(record, boundaries) if record.object_id else [RECORDED] if known else []:
+            if group == RECORDED or group in shown:
+                found.setdefault(group, []).append(row)
     return {group: _count(mine) for group, mine in found.items()}
 
 
 def _is_labelled(row: Mapping[str, Any]) -> bool:
-    """Whether an episode tells its tries: nobody has labelled those that a robot recorded."""
     return row.get("recorded") is None
 
 
-def _count(rows: Sequence[Mapping[str, Any]]) -> GroupContents:
+def _count(rows: Sequence[Mapping[str, Any]]) -> GroupStats:
     failing = [row for row in rows if row["failed_tries"] > 0]
-    return GroupContents(
+    return GroupStats(
         episodes=len(rows),
         labelled=sum(map(_is_labelled, rows)),
         key_frames=sum(int(row["length"]) - 1 for row in rows),
@@ -192,12 +214,16 @@ def _count(rows: Sequence[Mapping[str, Any]]) -> GroupContents:
 
 
 def _record(row: Mapping[str, Any]) -> EpisodeRecord:
-    """Returns what an episode was, as its columns tell, with its tries in order where its record has them."""
-    identifier = str(row.get("object_id") or "")
+    """Returns an episode's record from its columns, with its tries in order where they are stored."""
+    identifier, seed = str(row.get("object_id") or ""), int(row.get("seed") or 0)
+    try:
+        tries = EpisodeRecord.from_json(parse(row.get("episode_record") or "null")).try_sequence
+    except ValueError:
+        tries = ()
     return EpisodeRecord(
-        seed=int(row.get("seed") or 0),
-        given_seed=int(row.get("seed") or 0),
-        split=split_of(int(row.get("seed") or 0)),
+        seed=seed,
+        given_seed=seed,
+        split=split_of(seed),
         object_id=identifier,
         object_split=object_split(identifier) if identifier else None,
         hidden_state=parse(row.get("hidden_state") or "{}"),
@@ -209,46 +235,33 @@ def _record(row: Mapping[str, Any]) -> EpisodeRecord:
         key_moved=False,
         first_part=None,
         first_try_failed=False,
-        try_sequence=_sequence(row),
+        try_sequence=tries,
         provenance=Provenance(str(row.get("fingerprint") or ""), "", "paper"),
     )
 
 
-def _sequence(row: Mapping[str, Any]) -> tuple[tuple[int, int, bool], ...]:
-    try:
-        return EpisodeRecord.from_json(parse(row.get("episode_record") or "null")).try_sequence
-    except ValueError:
-        return ()
-
-
 def _with_counts(
     rows: Sequence[Mapping[str, Any]], folder: Path, features: Mapping[str, Any]
-) -> list[Mapping[str, Any]]:
+) -> Sequence[Mapping[str, Any]]:
     """Returns the columns of episodes; ``tries``, ``failed_tries``, ``success`` that are unknown come from the rows."""
-    names = ("tries", "failed_tries", "success")
-    if all(row.get(name) is not None for row in rows for name in names):
-        return list(rows)
-    counted = _counted(folder, features)
-    known = ({name: value for name, value in row.items() if value is not None or name not in names} for row in rows)
-    return [{**counted[row["episode_index"]], **row} for row in known]
-
-
-def _counted(folder: Path, features: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """Returns what the rows of each episode count, for datasets whose episodes do not have it as columns."""
+    if all(row.get(name) is not None for row in rows for name in _COUNTS):
+        return rows
     wanted = [key for key in (schema.TRIED, schema.FAILED, schema.SUCCESS) if key in features]
     table = pq.read_table(sorted((folder / "data").glob("*/*.parquet")), columns=["episode_index", *wanted])
     if schema.TRIED in wanted:
         at = table.schema.get_field_index(schema.TRIED)
         table = table.set_column(at, schema.TRIED, pc.greater_equal(table[schema.TRIED], 0))
     summed = table.group_by("episode_index").aggregate([(key, "sum") for key in wanted]).to_pylist()
-    return {
-        int(row["episode_index"]): {
-            "tries": int(row.get(f"{schema.TRIED}_sum", 0)),
-            "failed_tries": int(row.get(f"{schema.FAILED}_sum", 0)),
-            "success": bool(row.get(f"{schema.SUCCESS}_sum", 0)),
+    counted = {
+        each["episode_index"]: {
+            "tries": int(each.get(f"{schema.TRIED}_sum", 0)),
+            "failed_tries": int(each.get(f"{schema.FAILED}_sum", 0)),
+            "success": bool(each.get(f"{schema.SUCCESS}_sum", 0)),
         }
-        for row in summed
+        for each in summed
     }
+    known = ({name: value for name, value in row.items() if value is not None or name not in _COUNTS} for row in rows)
+    return [{**counted[row["episode_index"]], **row} for row in known]
 
 
 def _attempts(folder: Path) -> Attempts | None:
