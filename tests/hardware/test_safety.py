@@ -72,7 +72,7 @@ def test_rotation_is_limited_as_well(anchored: SafetyFilter) -> None:
 def test_a_wall_of_the_box_is_slid_along(anchored: SafetyFilter) -> None:
     """Pressing at the floor does not stop the motion beside it."""
     here = START
-    for _ in range(200):
+    for _ in range(40):
         out = anchored.stream(ahead(0.0, 0.2, -1.0), here, DT)
         here = pose_from_vector(out)[0]
     lower, _ = LIMITS.reduced_box(here[:3, :3])
@@ -230,9 +230,9 @@ def test_the_laws_hold_along_a_random_session() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(7200)
-def test_the_laws_hold_for_a_million_targets() -> None:
-    """Two hundred sessions of five thousand, from fresh seeds."""
-    for seed in range(200):
+@pytest.mark.timeout(1800)
+def test_the_laws_hold_for_two_hundred_thousand_targets() -> None:
+    """Forty sessions of five thousand, from fresh seeds."""
+    for seed in range(40):
         found = fuzz(5000, seed=1000 + seed)
         assert {name for name in found if name.startswith("broken")} == set(), seed
