@@ -1,9 +1,10 @@
-"""Writes docs/categories.md from the constants of the code: ``python scripts/make_category_table.py [--check]``."""
+"""Write docs/categories.md and docs/mechanism_rules.md: ``python scripts/make_category_table.py [--check]``."""
 
 from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 
 from check_common import ROOT, document_command
 
@@ -13,24 +14,13 @@ from lerobot_adamanip.experts import EXPERTS
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES, RULES, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, Joint
 
-PAGE = ROOT / "docs" / "categories.md"
-INTRODUCTION = """# Categories
+CATEGORIES_PAGE, RULES_PAGE = ROOT / "docs" / "categories.md", ROOT / "docs" / "mechanism_rules.md"
+GENERATED = "Generated from the code by `python scripts/make_category_table.py`; a test compares the two."
+INTRODUCTION = f"""# Categories
 
-Generated from the code by `python scripts/make_category_table.py`; a test compares the two. Counts of objects are the
-paper's (its Table 1); thresholds are those of its released code, at evaluation. What else differs from either stands in
-[differences](differences.md).
-
-A mechanism has three presets, `--env.mechanism_rules=` (in `adamanip collect`: `--mechanism-rules`):
-
-| preset | |
-|---|---|
+{GENERATED} Object counts are those of the paper's Table 1;
+success thresholds are those of its released code. Rules and the paper's wording: [mechanism rules](mechanism_rules.md).
 """
-
-
-def _introduction() -> str:
-    default = {DEFAULT_MECHANISM_RULES: " (default)"}
-    rows = [f"| `{name}`{default.get(name, '')} | {words} |\n" for name, words in MECHANISM_RULES.items()]
-    return INTRODUCTION + "".join(rows)
 
 
 def _number(value: float, kind: str) -> str:
@@ -58,24 +48,37 @@ def _success(objects: list[ArticulatedObject]) -> str:
 
 
 def _mechanisms() -> list[str]:
-    lines = ["## Mechanisms\n", f"Under `{DEFAULT_MECHANISM_RULES}`:\n"]
-    lines.append("| category | objects | joints | hidden state | drawn per episode | thresholds | success |")
-    lines.append("|---|---|---|---|---|---|---|")
+    tables = [
+        "## What opens each object?\n",
+        "| category | seen objects | joints | hidden state | success |",
+        "|---|---|---|---|---|",
+    ]
+    draws = ["\n## What is drawn for an episode?\n", "| category | draw | threshold |", "|---|---|---|"]
     for name, category in CATEGORIES.items():
         objects = [make_object(object_id(name, number)) for number in range(category.seen)]
         mechanism = make_mechanism(objects[0])
         joints = "<br>".join(_joint([obj.joint(joint) for obj in objects]) for joint in mechanism.joints)
         rules = mechanism.rules()
-        cells = (f"[`{name}`](#{name})", str(category.seen), joints, rules["hidden"], rules["draws"])
-        lines.append(f"| {' | '.join(cells)} | {rules['thresholds']} | {_success(objects)} |")
-    return lines
+        tables.append(f"| [`{name}`](#{name}) | {category.seen} | {joints} | {rules['hidden']} | {_success(objects)} |")
+        draws.append(f"| `{name}` | {rules['draws']} | {rules['thresholds']} |")
+    return [*tables, *draws]
 
 
-def _presets() -> list[str]:
-    """Where presets differ, and the sentences of the paper that `paper` follows."""
+def _rules() -> str:
+    """Returns the page of rule sets: where they differ, and the sentences of the paper that `paper` follows."""
     names = tuple(MECHANISM_RULES)
-    lines = ["\n## Where the presets differ\n", f"| category | what | {' | '.join(f'`{name}`' for name in names)} |"]
-    lines.append("|---|---|" + "---|" * len(names))
+    lines = [f"# Mechanism rules\n\n{GENERATED}\n"]
+    lines += [
+        "Choose with `--env.mechanism_rules`, in `adamanip collect` with `--mechanism-rules`.\n",
+        "| rules | source |",
+        "|---|---|",
+    ]
+    lines += [
+        f"| `{name}`{' (default)' if name == DEFAULT_MECHANISM_RULES else ''} | {words} |"
+        for name, words in MECHANISM_RULES.items()
+    ]
+    lines.append("\n## Where do they differ?\n")
+    lines += [f"| category | what | {' | '.join(f'`{name}`' for name in names)} |", "|---|---|" + "---|" * len(names)]
     for category in CATEGORIES:
         obj = make_object(object_id(category, 0))
         rules = [make_mechanism(obj, name).rules() for name in names]
@@ -83,25 +86,28 @@ def _presets() -> list[str]:
             said = [each[key] for each in rules]
             if len(set(said)) > 1:
                 lines.append(f"| `{category}` | {key} | {' | '.join(said)} |")
-    lines += ["\n## What the paper says\n", "| category | quotation | so `paper` is |", "|---|---|---|"]
-    return lines + [f"| `{name}` | {rules.paper} | {rules.reading} |" for name, rules in RULES.items()]
+    lines += ["\n## What does the paper say?\n", "| category | quotation | so `paper` is |", "|---|---|---|"]
+    lines += [f"| `{name}` | {rules.paper} | {rules.reading} |" for name, rules in RULES.items()]
+    return "\n".join(lines) + "\n"
 
 
 def _experts() -> list[str]:
-    lines = ["\n## Experts\n", "| category | `--env.type` | task | adaptive expert |", "|---|---|---|---|"]
+    lines = [
+        "\n## What does the adaptive expert do?\n",
+        "| category | `--env.type` | task | adaptive expert |",
+        "|---|---|---|---|",
+    ]
     for name, category in CATEGORIES.items():
         cells = (f'<a id="{name}"></a>`{name}`', f"`adamanip_{name}`", category.instruction, EXPERTS[name].sequence)
         lines.append(f"| {' | '.join(cells)} |")
     lines.append(
-        "\nWhere the preset fixes the direction, the adaptive expert knows it, as a policy does after the first "
-        "demonstration, and turns that way first. The static expert sees the hidden state and goes straight there: the "
-        "true direction just far enough, the right motion, the key only if locked. Both go on past success to their "
-        "own end: doors to 42°, lids to 40 mm.\n"
+        "\nIf the rules fix the direction, the adaptive expert knows it and turns that way first. The static expert "
+        "sees the hidden state: it turns just far enough and uses the key only if needed. Both go on past "
+        "success: doors to 42°, lids to 40 mm.\n\n## When does the adaptive expert try to open?\n"
     )
     lines.append(
-        "Of what is turned and then opened, nobody sees how far is far enough. `--expert-strategy` (of `adamanip "
-        "collect`) says when the adaptive expert tries to open it: as the paper has it, as upstream's code does, or "
-        "where the part has come to a stop, which wastes the fewest tries:\n"
+        "How far a part must turn is hidden. `--expert-strategy` of `adamanip collect` says when the expert tries to "
+        "open: as in the paper, as in its code, or at the felt stop, which wastes the fewest tries.\n"
     )
     lines += ["| category | `paper` | `upstream` | `to_stop` |", "|---|---|---|---|"]
     for name, expert in EXPERTS.items():
@@ -112,15 +118,10 @@ def _experts() -> list[str]:
     return lines
 
 
-def page() -> str:
-    """Returns the whole page."""
-    return "\n".join([_introduction(), *_mechanisms(), *_presets(), *_experts()]) + "\n"
-
-
-def main() -> int:
-    """Writes the page, or says that it is not what it would be."""
-    return document_command(__doc__, lambda: {PAGE: page()})
+def documents() -> dict[Path, str]:
+    """Returns page -> text."""
+    return {CATEGORIES_PAGE: "\n".join([INTRODUCTION, *_mechanisms(), *_experts()]) + "\n", RULES_PAGE: _rules()}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(document_command(__doc__, documents))

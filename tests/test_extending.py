@@ -1,4 +1,4 @@
-"""docs/extending.md is true: its files and edits, applied to a copy of the sources, make a category and a policy."""
+"""docs/extending.md and extending_policy.md are true: their files and edits, applied to a copy of the sources, make a category and a policy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from toy_demos import REPO_ID, record_toy, toy_world
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "extending.md"
+PAGE, POLICY_PAGE = ROOT / "docs" / "extending.md", ROOT / "docs" / "extending_policy.md"
 MOST_PLACES = 7
 
 
@@ -29,7 +29,8 @@ class Change(NamedTuple):
 
 def changes() -> list[Change]:
     pattern = r"^<!-- (new|edit): ([\w./]+)(?:, (?:after: (.+?)|at the end))? -->\n```python\n(.*?)^```$"
-    found = re.findall(pattern, PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    text = PAGE.read_text(encoding="utf-8") + POLICY_PAGE.read_text(encoding="utf-8")
+    found = re.findall(pattern, text, re.MULTILINE | re.DOTALL)
     return [Change(*each) for each in found]
 
 

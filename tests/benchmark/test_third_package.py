@@ -1,4 +1,4 @@
-"""A method of another package is in the table by its entry point alone. The package is that of docs/extending.md."""
+"""A method of another package is in the table by its entry point alone. The package is that of docs/extending_policy.md."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.util.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "extending_policy.md").read_text(encoding="utf-8")
 
 
 def block(mark: str) -> str:
