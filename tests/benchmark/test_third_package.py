@@ -1,4 +1,4 @@
-"""A method of another package is in the table by its entry point alone. The package is that of docs/extending_policy.md."""
+"""A method of another package enters the table by its entry point alone, as docs/extending_policy.md says."""
 
 from __future__ import annotations
 
