@@ -1,12 +1,10 @@
 """Compares clouds made of a depth picture with the simulator's own, scene by scene.
 
-The simulator's camera takes depth in whole millimetres, as a depth camera delivers it; from that picture and the
-camera's calibration a cloud is made as on a robot. Each of its points should lie on what the simulator sees, and each
-point of the simulator's cloud on what the depth shows: distances to the nearest neighbour among all points, both ways.
+Distances are to the nearest neighbour among all points, both ways: from the cloud of depth in whole millimetres to what
+the simulator sees, and from the simulator's cloud to what the depth shows.
 
 Returns 1 if half of the points are farther than 1 mm, or one in a hundred farther than 5 mm, or if making a cloud takes
-more than 10 ms (median). For example: ``python scripts/check_depth_cloud.py --json``. With
-``--source render`` the renderer takes the pictures, which needs a Vulkan device.
+more than 10 ms (median). With ``--source render`` the renderer takes the pictures, which needs a Vulkan device.
 """
 
 from __future__ import annotations
@@ -17,8 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from check_common import Progress, count, header
@@ -27,8 +24,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.observation import workspace_cloud
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
-from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, simulated_calibration
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud, points_in_base
 from lerobot_adamanip.util.errors import UnreachableError
 
@@ -38,27 +34,22 @@ MEDIAN, P99, CLOUD_MS = 1.0, 5.0, 10.0
 REPEATS = 5
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """One scene.
+class Comparison(NamedTuple):
+    """One scene: distances to the nearest neighbour [mm], and the time of a cloud [ms].
 
     Attributes:
-        category: of its object.
-        seed: of it.
-        seen: distance of each point of the cloud from depth to the simulator's nearest [mm].
-        kept: of each point of the simulator's cloud to the nearest of those from depth [mm].
-        milliseconds: that one cloud from depth takes.
+        seen: of each point of the cloud from depth to the simulator's.
+        kept: of each point of the simulator's cloud to those from depth.
+        milliseconds: of one cloud from depth.
     """
 
-    category: str
-    seed: int
     seen: NDArray[np.float64]
     kept: NDArray[np.float64]
     milliseconds: float
 
 
-def compare(task: Any, seed: int, num_points: int, calibration: CameraCalibration | None = None) -> Comparison:
-    """Compares both clouds of the scene that a task, made with a cloud source, shows at this moment."""
+def compare(task: Any, num_points: int, calibration: CameraCalibration | None = None) -> Comparison:
+    """Compares both clouds of the scene that a task shows at this moment."""
     from scipy.spatial import cKDTree
 
     views = task.views
@@ -72,7 +63,7 @@ def compare(task: Any, seed: int, num_points: int, calibration: CameraCalibratio
     own = workspace_cloud(dense, views.workspace, num_points)
     seen, _ = cKDTree(dense).query(cloud)
     kept, _ = cKDTree(points_in_base(depth, known)).query(own)
-    return Comparison(task.category, seed, 1e3 * seen, 1e3 * kept, took)
+    return Comparison(1e3 * seen, 1e3 * kept, took)
 
 
 def camera_of(task: Any) -> dict[str, Any]:
@@ -101,7 +92,7 @@ def cast_depth(task: Any) -> NDArray[np.uint16]:
     return depth.reshape(views.depth_size, views.depth_size)
 
 
-def scenes(categories: tuple[str, ...], wanted: int, source: str) -> Iterator[tuple[Any, int]]:
+def scenes(categories: tuple[str, ...], wanted: int, source: str) -> Iterator[Any]:
     """Puts up so many scenes, as many of each category as of the others; those that cannot be placed are left out."""
     from lerobot_env_adamanip.keyframe_env import make_task
 
@@ -116,7 +107,7 @@ def scenes(categories: tuple[str, ...], wanted: int, source: str) -> Iterator[tu
                 except UnreachableError:
                     continue
                 share -= 1
-                yield task, seed
+                yield task
         finally:
             task.close()
 
@@ -139,22 +130,15 @@ def main() -> int:
     parser.add_argument("--scenes", type=count, default=50)
     parser.add_argument("--source", choices=("raycast", "render"), default="raycast")
     parser.add_argument("--num-points", type=count, default=DEFAULT_NUM_POINTS)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     warnings.filterwarnings("ignore")
     categories = tuple(CATEGORIES) if options.category == "all" else (options.category,)
     progress, found = Progress(0, options.scenes), []
-    for task, seed in scenes(categories, options.scenes, options.source):
-        found.append(compare(task, seed, options.num_points))
+    for task in scenes(categories, options.scenes, options.source):
+        found.append(compare(task, options.num_points))
         progress.tell(1)
     told = summary(found)
-    if options.json:
-        sys.stdout.write(json.dumps({**header(), "source": options.source, **told}) + "\n")
-    else:
-        for name, what in (("seen", "from depth to the simulator's"), ("kept", "from the simulator's to depth's")):
-            numbers = told[name]
-            sys.stdout.write(f"{what}: median {numbers['median_mm']:.2f} mm, p99 {numbers['p99_mm']:.2f} mm\n")
-        sys.stdout.write(f"{told['scenes']} scenes; a cloud takes {told['cloud_ms']:.1f} ms\n")
+    sys.stdout.write(json.dumps({**header(), "source": options.source, **told}) + "\n")
     return 0 if told["passed"] else 1
 
 

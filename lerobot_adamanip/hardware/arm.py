@@ -1,7 +1,7 @@
-"""The arm as its own process sees it: what it tells, what it is told, and what a backend has to do.
+"""Targets, readings and backends of an arm.
 
-A backend lives in the arm's process, is called by one thread, and knows nothing of LeRobot, recorders or cameras. The
-real arm, the twin and a fake are backends; what drives them (`lerobot_adamanip.hardware.arm_process`) is the same code.
+A backend runs in the arm's process, is called by one thread, and knows nothing of LeRobot, recorders or cameras. The
+real arm, the twin and the tests' fake are backends of `lerobot_adamanip.hardware.arm_process`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class ArmMode(enum.IntEnum):
-    """What the arm is doing, as its controller says."""
+    """State of the arm's controller."""
 
     IDLE = 0
     MOVING = 1
@@ -31,7 +31,7 @@ class ArmMode(enum.IntEnum):
 
 
 class Execution(enum.StrEnum):
-    """How a target is executed: as one whole motion, or as the newest of a stream."""
+    """A target is one whole motion, or the newest of a stream."""
 
     KEYFRAME = "keyframe"
     STREAM = "stream"
@@ -39,12 +39,12 @@ class Execution(enum.StrEnum):
 
 @dataclass(frozen=True)
 class ArmTarget:
-    """Where the tool should go, after the safety filter.
+    """A target of the tool, after the safety filter.
 
     Attributes:
         pose: (10,) float32 action of the contract: position [m], rotation 6D, gripper [0 closed, 1 open], base frame.
         execution: KEYFRAME moves there until reached, stalled or out of time; STREAM replaces the target before it.
-        stamp: when it was asked for, `time.perf_counter()` [s].
+        stamp: when it was sent, `time.perf_counter()` [s].
     """
 
     pose: NDArray[np.float32]
@@ -54,19 +54,19 @@ class ArmTarget:
 
 @dataclass(frozen=True)
 class ArmReading:
-    """What the arm tells at one moment.
+    """State of the arm at one moment.
 
     Attributes:
         stamp: when it was measured, `time.perf_counter()` [s]: comparable between processes of one machine.
-        robot_time: the arm's own clock [s]; stands still when the connection does.
+        robot_time: the arm's own clock [s]; it stops with the connection.
         tcp_in_base: (4, 4) measured pose of the tool centre point, robot base frame [m].
         gripper: opening, 0 closed ... 1 open.
         qpos: (7,) joint positions [rad].
         qvel: (7,) joint velocities [rad/s].
         effort: (7,) external joint torque [N m], signed as the contract's: what the arm exerts.
-        mode: what the controller is doing.
+        mode: of the controller.
         errors: names of the flags that are set.
-        outcome: how the latest key frame ended; None while one is under way, and before the first.
+        outcome: of the latest key frame; None while one is under way, and before the first.
     """
 
     stamp: float
@@ -82,7 +82,7 @@ class ArmReading:
 
 
 class ArmBackend(Protocol):
-    """What moves an arm. No call but `connect` and `close` takes longer than a tick of the arm's process."""
+    """Driver of an arm. Only `connect` and `close` may take longer than a tick of the arm's process."""
 
     @property
     def period(self) -> float:
@@ -95,19 +95,19 @@ class ArmBackend(Protocol):
         """Returns the latest state. Raises `RobotError` where the connection is lost."""
 
     def tick(self) -> None:
-        """Called every `period`: advances what does not advance by itself."""
+        """Called every `period`: advances a simulated arm, checks a real one."""
 
     def stream(self, target: ArmTarget) -> None:
         """Replaces the target of a motion; returns at once."""
 
     def begin_keyframe(self, target: ArmTarget) -> None:
-        """Begins a whole motion; `read().outcome` tells its end."""
+        """Begins a whole motion, which `read().outcome` ends."""
 
     def stop(self) -> None:
         """Decelerates within the limits; the arm holds where it comes to rest."""
 
     def recover(self) -> None:
-        """Clears what a reflex left, without moving. Raises `RobotError` if it cannot."""
+        """Clears a reflex without moving. Raises `RobotError` if it cannot."""
 
     def close(self) -> None:
         """Stops and disconnects; idempotent, at most 2 s, never raises."""

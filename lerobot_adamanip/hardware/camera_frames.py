@@ -1,8 +1,10 @@
-"""Pictures with depth, and when they were taken: what every camera here delivers."""
+"""Frames of depth cameras, and their calibration."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +15,11 @@ class Frame:
     """One exposure.
 
     Attributes:
-        stamp: when it was exposed, as well as that is known, `time.perf_counter()` [s]. Never later than ``arrival``.
+        stamp: when it was exposed, `time.perf_counter()` [s]; never later than ``arrival``.
         arrival: when it reached this process [s, same clock].
         color: (H, W, 3) uint8 RGB; None where not asked for.
         depth: (H, W) uint16 millimetres, 0 where nothing was seen; None where not asked for.
-        number: counts up by one for each exposure of a camera; a gap is a dropped one.
+        number: counts the exposures of a camera; a gap is a dropped one.
     """
 
     stamp: float
@@ -29,7 +31,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """How an imager projects, OpenCV's model.
+    """Projection of an imager, OpenCV's model.
 
     Attributes:
         matrix: (3, 3) [px].
@@ -45,11 +47,11 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """Where a camera is, and how it sees: what turns its depth into a cloud.
+    """Pose and projection of a camera, which turn its depth into a cloud.
 
     Attributes:
         camera: serial number or name.
-        depth: of the imager that depth is told in; colour is registered to it or not used.
+        depth: of the imager of depth; colour is registered to it or not used.
         depth_in_base: (4, 4) pose of that imager, robot base frame, OpenCV axes [m]; None for a camera on the hand.
         depth_in_tcp: likewise in the tool's frame, for a camera on the hand; None otherwise.
         color: of the colour imager, if it was calibrated.
@@ -62,3 +64,21 @@ class CameraCalibration:
     depth_in_tcp: NDArray[np.float64] | None = None
     color: Intrinsics | None = None
     depth_in_color: NDArray[np.float64] | None = None
+
+
+def simulated_calibration(camera: Mapping[str, Any], name: str = "simulated") -> CameraCalibration:
+    """Returns the calibration of a simulated camera, colour and depth being one picture.
+
+    Its principal point counts from the picture's corner, OpenCV's from the middle of the first pixel: without the half
+    pixel, the cloud is 1.5 mm beside the scene.
+
+    Args:
+        camera: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the base frame, OpenCV axes [m], ``width`` and
+            ``height`` [px].
+        name: of the camera.
+    """
+    matrix = np.array(camera["intrinsics"], np.float64)
+    matrix[:2, 2] -= 0.5
+    imager = Intrinsics(matrix, np.zeros(0), int(camera["width"]), int(camera["height"]))
+    pose = np.array(camera["extrinsics"], np.float64)
+    return CameraCalibration(name, imager, pose, color=imager, depth_in_color=np.eye(4))

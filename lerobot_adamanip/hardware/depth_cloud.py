@@ -1,7 +1,6 @@
-"""From a depth picture to the cloud of the contract: the same points in the same order as the simulator's camera.
+"""Cloud of the contract from a depth picture: the same points in the same order as the simulator's camera.
 
-One pixel, one point. Pictures of more rows than the simulator's are thinned to about as many, so that real clouds are
-sampled from as many points as simulated ones.
+One pixel, one point. Larger pictures are thinned, so that real and simulated clouds are sampled from as many points.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.util.errors import ConfigurationError
 
 NOTHING_SEEN = 15.0
-"""Depth up to this is none [mm]: LeRobot's default depth video turns 0 into 10."""
+"""Largest depth that means nothing was seen [mm]: LeRobot's default depth video turns 0 into 10."""
 JUMP = 20.0
-"""Neighbours that differ by more than this are not of one surface [mm]."""
+"""Largest difference of neighbours on one surface [mm]."""
 
 Depth = NDArray[np.uint16] | NDArray[np.float32]
 
@@ -35,13 +34,13 @@ def depth_cloud(
 
     Args:
         depth: (H, W) [mm], 0 where nothing was seen.
-        calibration: of the imager that took it.
+        calibration: of its imager.
         num_points: of the cloud.
-        workspace: of which points are wanted.
-        tcp_in_base: (4, 4) where the tool was when it was taken, for a camera on the hand.
+        workspace: points outside are dropped.
+        tcp_in_base: (4, 4) the tool's pose at that moment, for a camera on the hand.
 
     Raises:
-        ConfigurationError: the picture has another size than was calibrated, or the tool's pose is not given.
+        ConfigurationError: the picture has another size than was calibrated, or the tool's pose is missing.
     """
     stride = max(1, round(depth.shape[0] / depth_size(num_points)))
     return workspace_cloud(points_in_base(depth, calibration, stride, tcp_in_base), workspace, num_points)
@@ -74,7 +73,7 @@ def points_in_base(
 
 
 def _first(stride: int) -> int:
-    """The first row and column of those that are kept: the middle of the first ``stride``."""
+    """Returns the first row and column that are kept."""
     return (stride - 1) // 2
 
 
@@ -84,7 +83,7 @@ def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | Non
         return calibration.depth_in_base
     if calibration.depth_in_tcp is None or tcp_in_base is None:
         raise ConfigurationError(
-            f"Nobody knows where camera {calibration.camera} is.",
+            f"The pose of camera {calibration.camera} is unknown.",
             got="a camera on the hand, and no pose of the tool" if calibration.depth_in_tcp is not None else "no pose",
             allowed="its pose in the robot's base, or on the tool with the tool's pose",
             hint="adamanip calibrate",
@@ -93,11 +92,10 @@ def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | Non
 
 
 def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
-    """(h, w): which of every ``stride``-th pixel saw something that is no fleck between two surfaces.
+    """Returns which of every ``stride``-th pixel (h, w) are on a surface.
 
-    A flying pixel lies between the surfaces of an edge: nearer than one neighbour and farther than the one opposite,
-    by more than `JUMP` each. One that differs from all its neighbours is a fleck. What is nearer than both sides is a
-    thin thing, a handle seen from afar, and stays.
+    Dropped are flying pixels, nearer than one neighbour and farther than the opposite one by more than `JUMP`, and
+    pixels that differ from all neighbours. Thin things, nearer than both sides, stay.
     """
     start, (height, width) = _first(stride), depth.shape
     padded = np.zeros((height + 2, width + 2), np.float32)
@@ -121,7 +119,7 @@ def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
 
 @functools.lru_cache(maxsize=8)
 def _rays(matrix: bytes, distortion: bytes, shape: tuple[int, int], stride: int) -> NDArray[np.float32]:
-    """(h * w, 3) through the middles of pixels, in scan order, of depth one; lenses are undone once a camera."""
+    """Returns rays (h * w, 3) of depth one through the pixels' middles, undistorted, in scan order."""
     camera, lens = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     rows, columns = (axis.ravel() for axis in np.mgrid[tuple(slice(_first(stride), size, stride) for size in shape)])
     pixels = np.stack([columns, rows], axis=1).astype(np.float64)

@@ -1,7 +1,7 @@
-"""Names of what the robot tells LeRobot, and what a dense recording of it therefore holds.
+"""Names of the robot's features, and of the files of a dense recording.
 
-LeRobot's recorder puts all scalars of a robot into one ``observation.state``, in this order. Roll-outs keep only those
-that end in ``.pos`` or ``.vel``, which are the contract's state: nothing else may end so.
+LeRobot's recorder puts all scalars into one ``observation.state``, in this order. Roll-outs keep only those that end in
+``.pos`` or ``.vel``, the contract's state: nothing else may end so.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 from lerobot_adamanip.contract.schema import ACTION, EFFORT_NAMES, OUTCOME, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
 
 SENT_NAMES = tuple(f"sent.{name.removesuffix('.pos')}" for name in POSE_NAMES)
-"""The last target that the arm accepted: LeRobot stores the teleoperator's action, which may have been clipped."""
+"""The last accepted target: LeRobot stores the teleoperator's action, which may have been clipped."""
 OUTCOME_NAME = "arm.outcome"
 """`keyframes.Outcome` of the latest key frame; -1 for none, and while the arm is streamed to."""
 STAMP_NAME = "arm.stamp"
@@ -21,18 +21,18 @@ LABEL_NAME = "label.success"
 """1 once the operator has pressed the key for success, or the twin's task is done; 0 before."""
 SCALAR_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME, LABEL_NAME)
 UNLABELLED = -1
-"""Phase and trial of demonstrations by people, which nobody has labelled."""
+"""Phase and trial of demonstrations by people."""
 FRONT_CAMERA = "front"
 """Key of the camera whose depth becomes the cloud."""
 DEPTH_SUFFIX = "_depth"
 """A camera's depth is a second image under its key and this: uint16, millimetres, 0 where nothing was seen."""
 
 CALIBRATIONS = "meta/calibrations.json"
-"""Of a recording: where its cameras stood, `lerobot_adamanip.hardware.calibration.file`."""
+"""Calibration file of a recording."""
 SAFETY = "meta/safety.json"
-"""Of a recording: the limits of its robot's safety filter, `lerobot_adamanip.hardware.safety_limits`."""
+"""`SafetyLimits` of a recording."""
 KEY_FRAMES = "meta/key_frames.jsonl"
-"""Of a simulated recording: one line for each episode, where its key frames ended and what they were."""
+"""Key frames of a simulated recording, a line for each episode."""
 
 
 def names_of(feature: Mapping[str, Any] | None) -> list[str]:

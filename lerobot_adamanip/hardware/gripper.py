@@ -1,7 +1,7 @@
-"""A gripper that knows two commands, open and close, in threads of its own: neither takes a tick of the arm's.
+"""Thread that opens and closes a gripper, so that the arm's loop never waits for it.
 
-Franka's hand takes 0.5-0.9 s for a command and does not take a second one before: streaming openings to it stops the
-arm's loop. So a command is given only when what is wanted crosses the middle, and only the newest is.
+Franka's hand takes 0.5-0.9 s for a command and accepts no second one before. So a command is given only when the wanted
+opening crosses the middle, and only the newest.
 """
 
 from __future__ import annotations
@@ -15,24 +15,21 @@ from typing import Protocol
 from lerobot_adamanip.util.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
-"""Opening that is wanted [0 closed, 1 open]: between the two nothing changes."""
+"""Wanted openings [0 closed, 1 open]; between the two nothing changes."""
 WIDE = 0.95
-"""Fingers that are open this far at first need not be opened."""
+"""Opening of fingers that need not be opened at first."""
 READ_PERIOD = 0.05
-"""Between two looks at the fingers [s]."""
+"""[s]"""
 
 
 class Hand(Protocol):
-    """What opens and closes; calls may take a second. `FrankyHand` is the real one.
-
-    `opening` is called while another thread is in `open` or `close`; libfranka's gripper allows that.
-    """
+    """A gripper whose calls may take a second. `opening` is called while another thread is in `open` or `close`."""
 
     def open(self) -> None:
         """Opens as far as it goes."""
 
     def close(self) -> None:
-        """Closes on what is between the fingers, and holds it."""
+        """Closes on an object, and holds it."""
 
     def opening(self) -> float:
         """Returns the present opening, 0 closed ... 1 open."""
@@ -42,11 +39,7 @@ class Hand(Protocol):
 
 
 class GripperThread:
-    """Carries out what is wanted, and remembers how far the fingers are open.
-
-    Args:
-        connect: makes the hand, in the thread that will command it.
-    """
+    """Executes the wanted opening and reads the present one; ``connect`` makes the hand in the commanding thread."""
 
     def __init__(self, connect: Callable[[], Hand]) -> None:
         self._connect = connect
@@ -68,7 +61,7 @@ class GripperThread:
         self.check()
 
     def want(self, opening: float) -> None:
-        """Takes note of the wanted opening, 0 closed ... 1 open; returns at once."""
+        """Sets the wanted opening, 0 closed ... 1 open; returns at once."""
         if CLOSE_BELOW <= opening <= OPEN_ABOVE:
             return
         if self._wanted is None and opening > OPEN_ABOVE and self._opening > WIDE:
@@ -79,12 +72,12 @@ class GripperThread:
 
     @property
     def opening(self) -> float:
-        """As it was seen last, 0 closed ... 1 open."""
+        """Last reading, 0 closed ... 1 open."""
         return self._opening
 
     @property
     def busy(self) -> bool:
-        """Whether what is wanted is not yet carried out."""
+        """Whether a command is outstanding."""
         return self._wanted is not None and self._wanted != self._done and not self._error
 
     def check(self) -> None:
@@ -93,11 +86,11 @@ class GripperThread:
             raise RobotError(f"The gripper failed: {self._error}")
 
     def forgive(self) -> None:
-        """Forgets a failure, and what was wanted: the next wish is carried out."""
+        """Clears a failure and the wanted opening."""
         self._error, self._wanted, self._done = "", None, None
 
     def close(self, time_limit: float = 0.5) -> None:
-        """Ends the thread, waiting at most ``time_limit`` [s]; a command under way is stopped."""
+        """Stops a command under way and ends the threads, waiting at most ``time_limit`` [s]."""
         self._stopping.set()
         self._wake.set()
         if self.busy and self._hand is not None:
@@ -139,7 +132,7 @@ class GripperThread:
             self._opening = hand.opening()
 
     def _look(self) -> None:
-        """Reads the opening all the time, during commands as well."""
+        """Reads the opening, during commands as well."""
         while not self._stopping.wait(READ_PERIOD):
             if self._hand is None or self._error:
                 continue

@@ -1,4 +1,4 @@
-"""What a Franka may do, by model: the manufacturer's tables, kept here because libraries in between mix them up.
+"""Limits of a Franka by model: the manufacturer's tables, since libraries in between mix them up.
 
 Sources: Franka Robotics' "Robot and interface specifications" and libfranka's ``rate_limiting.h`` of the releases for
 each model. `franky-control` 2.0.0 has the two the wrong way round (it picks Panda's for libfranka >= 0.10).
@@ -15,24 +15,19 @@ Seven = tuple[float, float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Bounds:
-    """Largest velocity, acceleration and jerk of something: [m] or [rad], per s, s^2 and s^3."""
+    """Largest velocity, acceleration and jerk: [m] or [rad], per s, s^2 and s^3."""
 
     velocity: float
     acceleration: float
     jerk: float
 
-    def scaled(self, factor: float) -> Bounds:
-        """Returns all three times ``factor``."""
-        return Bounds(self.velocity * factor, self.acceleration * factor, self.jerk * factor)
-
 
 @dataclass(frozen=True)
 class FrankaLimits:
-    """Of one model.
+    """Limits of one model.
 
     Attributes:
-        translation: of the tool [m].
-        rotation: of the tool [rad].
+        translation, rotation: of the tool [m, rad].
         elbow: of the third joint, as the elbow is commanded [rad].
         joint_velocity, joint_acceleration, joint_jerk: of each joint [rad/s, rad/s^2, rad/s^3].
         joint_lower, joint_upper: ends of each joint [rad].
@@ -46,10 +41,6 @@ class FrankaLimits:
     joint_jerk: Seven
     joint_lower: Seven
     joint_upper: Seven
-
-    def joint_bounds(self, joint: int) -> Bounds:
-        """Returns those of joint ``joint``, 0 ... 6."""
-        return Bounds(self.joint_velocity[joint], self.joint_acceleration[joint], self.joint_jerk[joint])
 
 
 PANDA = FrankaLimits(
@@ -78,8 +69,3 @@ MODELS = {"panda": PANDA, "fr3": FR3}
 def limits_of(model: str) -> FrankaLimits:
     """Returns the limits of ``panda`` or ``fr3``. Raises `ConfigurationError` for any other."""
     return MODELS[require_choice("model of arm", model, MODELS)]
-
-
-def planned_velocity(model: str, dynamics: float) -> float:
-    """Returns the speed at which the tool crosses free space [m/s], given the share ``dynamics`` of the limits."""
-    return limits_of(model).translation.velocity * dynamics

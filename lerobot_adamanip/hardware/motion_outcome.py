@@ -1,7 +1,6 @@
-"""How a key frame ended, told from what a compliant arm feels: reached, stalled, or out of time. Pure.
+"""Outcome of a key frame on a compliant arm: reached, stalled, or out of time.
 
-An arm that is a spring (stiffness K) and is held back by a force F lags F / K behind its target. So the lag at which a
-motion is given up follows from the force that is meant, and is another one for every stiffness.
+An arm of stiffness K that is held back by a force F lags F / K behind its target: the lag of a stall follows from both.
 """
 
 from __future__ import annotations
@@ -15,14 +14,12 @@ from lerobot_adamanip.contract.rotations import Array, rotation_vector_from_matr
 
 @dataclass(frozen=True)
 class StallRule:
-    """When a motion is blocked.
+    """Condition of a stall.
 
     Attributes:
-        force: that the tool may pull with [N]: what two fingers hold, and the simulated arm gives up at.
-        torque: likewise about any axis [N m].
-        stiffness: of the arm's controller [N/m].
-        rotational_stiffness: likewise [N m/rad].
-        ticks: for how many ticks in a row.
+        force, torque: of the strongest pull [N, N m], as the simulated arm's.
+        stiffness, rotational_stiffness: of the arm's controller [N/m, N m/rad].
+        ticks: in a row.
     """
 
     force: float = 30.0
@@ -33,7 +30,7 @@ class StallRule:
 
     @property
     def position_lag(self) -> float:
-        """Of a blocked tool behind its target [m]."""
+        """Lag of a blocked tool behind its target [m]."""
         return self.force / self.stiffness
 
     @property
@@ -43,27 +40,27 @@ class StallRule:
 
 
 def pose_error(tcp_in_base: Array, goal_in_base: Array) -> tuple[float, float]:
-    """Returns how far two (4, 4) poses are apart [m, rad]."""
+    """Returns the distance of two (4, 4) poses [m, rad]."""
     turn = rotation_vector_from_matrix(tcp_in_base[:3, :3].T @ goal_in_base[:3, :3])
     return math.dist(tcp_in_base[:3, 3], goal_in_base[:3, 3]), math.sqrt(float(turn @ turn))
 
 
 class OutcomeWatch:
-    """Looks at one key frame, tick by tick, until it has ended.
+    """Judges one key frame, tick by tick.
 
     Args:
         goal_in_base: (4, 4) goal of the tool.
-        rule: when it is blocked.
-        began: the arm's own clock [s].
+        rule: of a stall.
+        began: by the arm's own clock [s].
         time_limit: for the motion [s].
     """
 
     SETTLE = 0.5
-    """An arm whose target has arrived gets this long to follow [s]."""
+    """Time for the arm to follow a target that has arrived [s]."""
     RESTS = 0.01
-    """Fastest joint of an arm that has come to rest [rad/s]."""
+    """Fastest joint of an arm at rest [rad/s]."""
     SNUG = (0.002, 0.01)
-    """Error within which nobody waits for more [m, rad]."""
+    """Error at which settling ends early [m, rad]."""
 
     def __init__(self, goal_in_base: Array, rule: StallRule, began: float, time_limit: float) -> None:
         self._goal, self._rule = goal_in_base, rule
@@ -73,11 +70,11 @@ class OutcomeWatch:
     def look(
         self, tcp_in_base: Array, desired_in_base: Array, *, running: bool, speed: float, now: float
     ) -> Outcome | None:
-        """Returns how the motion ended; None while it is under way.
+        """Returns the outcome; None while the motion is under way.
 
         Args:
             tcp_in_base: (4, 4) measured.
-            desired_in_base: (4, 4) where the arm's controller wants the tool at this moment.
+            desired_in_base: (4, 4) the controller's present target.
             running: whether that still changes.
             speed: of the fastest joint [rad/s].
             now: the arm's own clock [s].

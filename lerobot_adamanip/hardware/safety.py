@@ -1,7 +1,7 @@
-"""What a target has to be like before it is sent to an arm. Not a safety function: see docs/robot.md.
+"""The filter of targets before they are sent to an arm. Not a safety function: see docs/robot.md.
 
-Pure: time passed and the measured pose are given. Teleoperator and robot apply the same filter; it works in float32 and
-changes nothing that it has let through once, bit for bit, so that applying it twice is applying it once.
+Teleoperator and robot apply the same filter. It is pure and idempotent: a target that it has returned passes unchanged,
+bit for bit.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from lerobot_adamanip.hardware.target_geometry import (
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_REFUSED = 10
-"""Malformed targets in a row that end in an error: a device that sends nothing else is broken."""
+"""Malformed targets in a row that are an error."""
 TURN_SHARES = (1.0, 0.5, 0.25, 0.0)
-"""Of a turn, tried one after the other where the hand's corners would leave the box."""
+"""Shares of a turn, tried in order where the hand's corners would leave the box."""
 SHORTER = (1.0, 0.999, 0.9)
-"""Shares of a step, tried one after the other: float32 may round a step to one that is too long."""
+"""Shares of a step, tried in order: float32 may round a step to one that is too long."""
 ROUNDING = 2e-7
-"""By which bounds are approached [m or rad]: three units in the last place of a float32 near 1."""
+"""Margin to the bounds [m or rad]: three units in the last place of a float32 near 1."""
 
 
 class SafetyFilter:
-    """Makes targets safe to send, one after the other.
+    """Limits targets, one after the other.
 
-    A streamed target leaves the last one by no more than ``speed * dt`` and the measured pose by no more than ``lead``,
-    and stays in the box, with the hand's corners. Where these exclude each other, the box comes first, then the lead:
-    if the arm was pushed away from the last target by more than the lead, the target follows it (`origin`), and steps
-    are counted from there. A key frame is a whole motion, planned within the arm's own limits: neither step nor lead
-    bind it. It is brought into the box, and where a hand that turns would leave the box on the way, the tool first
-    moves away from the box's side, turns there, and comes back.
+    A streamed target is at most ``speed * dt`` from the last one and ``lead`` from the measured pose, and in the box
+    with the hand's corners. The box comes first, then the lead: if the arm was pushed away by more than the lead, the
+    target follows it (`origin`), and steps count from there.
 
-    A malformed target (wrong shape, not finite, no rotation) is refused: the last one stays. Its rotation is
-    orthonormalised, its gripper clipped.
+    A key frame is a whole motion, planned within the arm's own limits, and only moved into the box. Where the hand
+    would leave the box while it turns, the tool first moves away from the side, turns there, and comes back.
+
+    A malformed target (wrong shape, not finite, no rotation) is refused: the last one stays. Rotations are
+    orthonormalised, the gripper is clipped.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
@@ -61,11 +61,11 @@ class SafetyFilter:
 
     @property
     def last(self) -> Target | None:
-        """(10,) the target that was let through last; the anchor before the first; None before that."""
+        """(10,) the last returned target; the anchor before the first; None before that."""
         return None if self._last is None else self._last.copy()
 
     def anchor(self, tcp_in_base: Array, gripper: float, *, margin: float = 0.02) -> Target:
-        """Begins anew at the measured pose, which becomes the last target: after connect, recovery and clutch.
+        """Starts at the measured pose, which becomes the last target: after connect, recovery and clutch.
 
         Raises:
             RobotError: the hand is outside the box by more than ``margin`` [m].
@@ -88,7 +88,7 @@ class SafetyFilter:
         Args:
             target: (10,) wanted.
             tcp_in_base: (4, 4) measured.
-            dt: since the last target [s]; what is negative or not finite counts as none.
+            dt: since the last target [s]; a negative or NaN one counts as 0.
 
         Raises:
             RobotError: `anchor` was not called, or `MAX_REFUSED` malformed targets came in a row.
@@ -106,7 +106,7 @@ class SafetyFilter:
         return [*self._detour(start, placed(goal)), goal]
 
     def _detour(self, start: Placed, goal: Placed) -> list[Target]:
-        """Returns where to go between two poses, so that the hand turns where there is room; with the start's grip."""
+        """Returns the stops between two poses, so that the hand turns where there is room; with the start's grip."""
         lower, upper = self.limits.turning_box(start.rotation, goal.rotation)
         leaving, arriving = _into(start, lower, upper), _into(goal, lower, upper)
         arriving = moved_to(arriving, arriving.position, float(start.target[GRIPPER_DIM]))
@@ -133,18 +133,15 @@ class SafetyFilter:
     # Geometry --------------------------------------------------------------------------------------------------------
 
     def origin(self, tcp_in_base: Array) -> Target:
-        """Returns what steps are counted from: the last target, or where an arm that was pushed away from it drags it.
-
-        Raises `RobotError` before `anchor`.
-        """
+        """Returns the target that steps count from: the last, or nearer to an arm that was pushed away from it."""
         return self._origin(self._measured(tcp_in_base)).target
 
     def measured(self, tcp_in_base: Array) -> Target:
-        """Returns what leads are counted from: the measured pose, brought into the box."""
+        """Returns the measured pose, moved into the box: leads count from it."""
         return self._measured(tcp_in_base).target
 
     def limited(self, wanted: Target, tcp_in_base: Array, dt: float) -> Target:
-        """Returns a well-formed target within box, step and lead; does not become the last one. See `stream`."""
+        """Returns a well-formed target within box, step and lead, without storing it. See `stream`."""
         measured = self._measured(tcp_in_base)
         origin, goal = self._origin(measured), placed(wanted)
         dt = min(dt, self.limits.max_dt) if dt > 0 else 0.0
@@ -175,12 +172,11 @@ class SafetyFilter:
         return dragged if self._lead(dragged, measured) <= 1.0 and self._inside(dragged) else measured
 
     def _lead(self, pose: Placed, measured: Placed) -> float:
-        """How far a target leads the measured pose, as a share of what it may; 1 is the bound."""
+        """Returns the lead over the measured pose as a share of its bound."""
         ahead = distance(pose, measured) / self.limits.lead
         return max(ahead, angle(pose, measured) / self.limits.angular_lead)
 
     def _measured(self, tcp_in_base: Array) -> Placed:
-        """The measured pose, in the box: an arm that was pushed out of it is led back."""
         return self._into_box(placed_at(tcp_in_base, 1.0))
 
     def _inside(self, pose: Placed) -> bool:
@@ -188,12 +184,10 @@ class SafetyFilter:
         return bool((pose.position >= lower).all() and (pose.position <= upper).all())
 
     def _into_box(self, pose: Placed) -> Placed:
-        """A pose with its position moved to where the hand's corners are in the box."""
-        lower, upper = self.limits.reduced_box(pose.rotation)
-        return _into(pose, lower, upper)
+        return _into(pose, *self.limits.reduced_box(pose.rotation))
 
     def _turned(self, origin: Placed, goal: Placed, measured: Placed, turn: float) -> Placed:
-        """The origin, turned by at most ``turn`` [rad] towards what is wanted, and within the lead."""
+        """Returns the origin, turned by at most ``turn`` [rad] towards the goal, within the lead."""
         if turn <= 0.0:
             return origin
         ahead, size = turn_vector(measured, goal)
@@ -203,7 +197,7 @@ class SafetyFilter:
         return turned_by(origin, way * min(1.0, turn / size)) if size > 0.0 else origin
 
     def _moved(self, turned: Placed, goal: Placed, origin: Placed, measured: Placed, step: float) -> Placed:
-        """The turned origin, moved towards what is wanted: along the box's sides, within lead and step."""
+        """Returns the turned origin, moved towards the goal: along the box's sides, within lead and step."""
         position = np.clip(goal.position, *self.limits.reduced_box(turned.rotation))
         if (ahead := math.dist(position, measured.position)) > self.limits.lead:
             lead = self.limits.lead - ROUNDING
@@ -214,7 +208,7 @@ class SafetyFilter:
 
 
 def accepted(target: NDArray[np.generic], limits: SafetyLimits) -> Target | None:
-    """Returns a target as a filter lets it through once step and lead allow it, (10,); None for a malformed one."""
+    """Returns a target (10,) moved into the box; None for a malformed one."""
     wanted = canonical(target)
     if wanted is None:
         return None

@@ -1,4 +1,4 @@
-"""Where the tool may be sent, and how fast: a box that holds the whole hand, in one pose and all the way of a turn."""
+"""Box, speed and lead of the safety filter. The box holds the whole hand, in one pose and all the way of a turn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from lerobot_adamanip.contract.rotations import Array, angle_between, straight_path, transform
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 
 Corner = tuple[float, float, float]
@@ -24,21 +24,21 @@ HAND_CORNERS = np.array(
 """(12, 3) corners of Franka's hand in the tool's frame [m]: z the approach, y the direction in which fingers close.
 The body ends 103 mm above the tool centre point, where the flange is; open fingers reach 9 mm beyond it."""
 MAX_REACH_M = float(np.linalg.norm(HAND_CORNERS, axis=-1).max())
-"""Distance of the farthest corner from the tool centre point."""
+"""Distance of the farthest corner from the tool centre point [m]."""
 TURN_STEP_RAD = 0.05
 """Largest turn between two samples of a path; a corner bulges 0.05 mm between them, which is allowed for."""
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Where the tool may be sent, and how fast.
+    """Limits of targets.
 
     Attributes:
         box_lower, box_upper: of the tool and of the hand's corners [m, base frame]; its bottom is the floor.
         speed, angular_speed: of a streamed target [m/s, rad/s].
-        lead, angular_lead: of a streamed target over the measured pose [m, rad]: an arm that is held back, or whose
-            path is blocked, is not run away from, and pulls with no more than stiffness times this.
-        max_dt: time between two targets counts no more than this [s].
+        lead, angular_lead: of a streamed target over the measured pose [m, rad]; a blocked arm pulls with no more than
+            stiffness times this.
+        max_dt: longest time between two targets that counts [s].
     """
 
     box_lower: Corner
@@ -76,8 +76,7 @@ class SafetyLimits:
     def turning_box(self, start: Array, goal: Array) -> tuple[Array, Array]:
         """Returns the box of the tool's position in which a hand may turn from one (3, 3) rotation to the other.
 
-        The corners stay inside all the way, wherever in this box the tool is meanwhile: how position and rotation are
-        timed against each other does not matter.
+        The corners stay inside all the way, wherever in this box the tool is meanwhile.
         """
         turn = angle_between(start, goal)
         steps = max(1, math.ceil(turn / TURN_STEP_RAD))
@@ -87,20 +86,20 @@ class SafetyLimits:
         return lower + bulge, upper - bulge
 
     def _box_without(self, corners: Array) -> tuple[Array, Array]:
-        """Returns the box shrunk by what lies around the tool: (K, 3) [m], base frame's axes."""
+        """Returns the box shrunk by corners (K, 3) around the tool [m, base frame's axes]."""
         lower = np.asarray(self.box_lower) - np.minimum(corners.min(axis=0), 0.0)
         return lower, np.asarray(self.box_upper) - np.maximum(corners.max(axis=0), 0.0)
 
     def contains(self, tcp_in_base: Array, margin: float = 0.0) -> bool:
-        """Whether tool and corners are inside; a positive ``margin`` [m] forgives as much."""
+        """Returns whether tool and corners are inside, up to ``margin`` [m]."""
         lower, upper = self.reduced_box(tcp_in_base[:3, :3])
         position = tcp_in_base[:3, 3]
         return bool((position >= lower - margin).all() and (position <= upper + margin).all())
 
 
-_POSITIVE = checked_json.number(1e-6, 1e3)
-_CORNER = checked_json.listing(checked_json.number(-100.0, 100.0), 3, 3)
-_LIMITS = checked_json.table(
+_POSITIVE = json_fields.number(1e-6, 1e3)
+_CORNER = json_fields.listing(json_fields.number(-100.0, 100.0), 3, 3)
+_LIMITS = json_fields.table(
     {
         "box_lower": _CORNER,
         "box_upper": _CORNER,
@@ -111,4 +110,4 @@ _LIMITS = checked_json.table(
 
 def limits_from_json(content: bytes) -> SafetyLimits:
     """Inverse of `SafetyLimits.to_json`. Raises ValueError that names the field, `ConfigurationError` for the box."""
-    return SafetyLimits(**_LIMITS("the safety limits", checked_json.parse(content)))
+    return SafetyLimits(**_LIMITS("the safety limits", json_fields.parse(content)))

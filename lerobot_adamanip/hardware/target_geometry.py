@@ -1,7 +1,4 @@
-"""Targets as the safety filter sees them: float32 for what is sent, doubles for what is computed. Fast, one at a time.
-
-`contract.rotations` is for many poses and for rows that are nearly parallel; here rows are nearly orthonormal.
-"""
+"""Targets of the safety filter: float32 for what is sent, doubles for what is computed. Fast, one at a time."""
 
 from __future__ import annotations
 
@@ -23,9 +20,9 @@ from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_D
 Target = NDArray[np.float32]
 
 ROUGH = 0.2
-"""Rows of a rotation that are off by more than this are none: a policy's are off by a hundredth, noise by ones."""
+"""Largest error of a rotation's rows that is corrected: a policy's is a hundredth, noise's is ones."""
 EXACT = 2e-6
-"""Rows that are orthonormal within this stay as they are: float32 gets no nearer."""
+"""Error of a rotation's rows that is left: float32 gets no nearer."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ def _rotation(rows: list[float]) -> Array:
 def canonical(target: NDArray[np.generic]) -> Target | None:
     """Returns a target as float32 with an orthonormal rotation and a gripper in [0, 1]; None if it is malformed.
 
-    One that is so already stays as it is, bit for bit.
+    A canonical target stays the same, bit for bit.
     """
     try:
         with np.errstate(over="ignore"):
@@ -78,7 +75,8 @@ def canonical(target: NDArray[np.generic]) -> Target | None:
         return None
     if wanted.shape != (ACTION_DIM,) or not np.isfinite(wanted).all():
         return None
-    error = rotation_error(wanted)
+    a, b, c, d, e, f = (float(value) for value in wanted[ROTATION_DIMS])
+    error = max(abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1), abs(a * d + b * e + c * f))
     if error > ROUGH:
         return None
     if error > EXACT:
@@ -87,14 +85,8 @@ def canonical(target: NDArray[np.generic]) -> Target | None:
     return wanted
 
 
-def rotation_error(target: Target) -> float:
-    """Returns by how much the rows of a finite target's rotation are not orthonormal."""
-    a, b, c, d, e, f = (float(value) for value in target[ROTATION_DIMS])
-    return max(abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1), abs(a * d + b * e + c * f))
-
-
 def distance(first: Placed, second: Placed) -> float:
-    """Returns how far two targets are apart [m]."""
+    """Returns the distance of two targets [m]."""
     return math.dist(first.position.tolist(), second.position.tolist())
 
 
@@ -124,7 +116,7 @@ def moved_to(start: Placed, position: Array, gripper: float) -> Placed:
 
 
 def between(start: Placed, goal: Placed, share: float) -> Placed:
-    """Returns what lies at ``share`` of the way, with the gripper of ``goal``."""
+    """Returns the target at ``share`` of the way, with the gripper of ``goal``."""
     position = start.position + share * (goal.position - start.position)
     same = (start.target[ROTATION_DIMS] == goal.target[ROTATION_DIMS]).all()
     turned = start if same else turned_by(start, share * turn_vector(start, goal)[0])

@@ -18,9 +18,8 @@ from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotat
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.calibration.board import Board
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
-from lerobot_adamanip.hardware.calibration.hand_eye import FEWEST_VIEWS, Mounting, View, rotation_spread, solve
+from lerobot_adamanip.hardware.calibration.hand_eye import FEWEST_VIEWS, Mounting, View, solve
 from lerobot_adamanip.hardware.calibration.live import begin, camera_of, take_views
-from lerobot_adamanip.hardware.calibration.projection import project
 from lerobot_adamanip.hardware.calibration.views import ViewFolder
 from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
 from lerobot_adamanip.hardware.cameras.base import FrameReader
@@ -35,21 +34,23 @@ def fixed() -> tuple[Truth, list[View]]:
 
 def test_corners_are_found_where_they_are() -> None:
     """Without the half pixel that OpenCV adds."""
+    import cv2
+
     for board in truth(3, 4).board_in_camera:
         points, pixels = BOARD.detect(rendered(board))
         assert len(points) == (BOARD.columns - 1) * (BOARD.rows - 1)
-        expected = project(points @ board[:3, :3].T + board[:3, 3], INTRINSICS)
+        in_camera, none = points @ board[:3, :3].T + board[:3, 3], np.zeros(3)
+        expected = cv2.projectPoints(in_camera, none, none, INTRINSICS.matrix, INTRINSICS.distortion)[0][:, 0]
         assert np.abs((pixels - expected).mean(axis=0)).max() < 0.03
         assert np.sqrt(np.mean(np.square(pixels - expected))) < 0.1
     assert len(BOARD.detect(np.full((480, 640), 127, np.uint8))[0]) == 0
 
 
 @pytest.mark.parametrize("mounting", list(Mounting))
-@pytest.mark.parametrize("seed", [0, 1])
-def test_twenty_poses_find_the_camera_to_a_millimetre_and_a_tenth_of_a_degree(mounting: Mounting, seed: int) -> None:
+def test_twenty_poses_find_the_camera_to_a_millimetre_and_a_tenth_of_a_degree(mounting: Mounting) -> None:
     """0.2 px on each corner, 0.1 mm on each pose of the tool."""
-    known = truth(seed, 20, mounting)
-    solved = solve(views_of(known, seed), INTRINSICS, mounting)
+    known = truth(0, 20, mounting)
+    solved = solve(views_of(known, 0), INTRINSICS, mounting)
     assert np.linalg.norm(solved.camera[:3, 3] - known.camera[:3, 3]) <= 1e-3
     assert np.rad2deg(angle_between(solved.camera[:3, :3], known.camera[:3, :3])) <= 0.1
     assert 0.1 < solved.rms < 0.4
@@ -89,31 +90,6 @@ def test_the_wrong_mounting_and_a_wrong_square_do_not_fit(fixed: tuple[Truth, li
     larger = [replace(view, points=1.1 * view.points) for view in fixed[1]]
     with pytest.raises(ConfigurationError, match=r"measure the printed squares|contradict"):
         solve(larger, INTRINSICS, Mounting.FIXED)
-
-
-def test_turning_about_one_axis_is_no_spread_about_two() -> None:
-    rng = np.random.default_rng(0)
-    base = matrix_from_rotation_vector(rng.normal(size=3))
-    about_one = [
-        transform((0, 0, 0), base @ matrix_from_rotation_vector(np.array([0, a, 0]))) for a in (-1.0, 0.0, 0.7)
-    ]
-    spread = rotation_spread(np.stack(about_one))
-    assert spread[0] == pytest.approx(1.7, abs=1e-6)
-    assert spread[1] == pytest.approx(0, abs=1e-6)
-    turns = np.array([[0.3, 0, 0], [-0.3, 0, 0], [0, 0.4, 0], [0, -0.4, 0.0]])
-    spread = rotation_spread(np.stack([transform((0, 0, 0), base @ matrix_from_rotation_vector(t)) for t in turns]))
-    assert spread == pytest.approx([0.8, 0.6, 0], abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    "lens", [(), (0.1, -0.2, 0.003, -0.002, 0.05), (0.5, -2.6, 0.001, -0.0005, 1.5, 0.4, -2.4, 1.4)]
-)
-def test_projection_is_opencvs(lens: tuple[float, ...]) -> None:
-    import cv2
-
-    points = np.random.default_rng(0).uniform((-0.3, -0.2, 0.5), (0.3, 0.2, 1.0), (50, 3))
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), INTRINSICS.matrix, np.array(lens))
-    assert project(points, replace(INTRINSICS, distortion=np.array(lens))) == pytest.approx(expected[:, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize("changes", [{"columns": 2}, {"marker": 0.04}, {"marker": 0.001}, {"square": 2.0}])
@@ -190,10 +166,6 @@ def test_a_board_of_even_rows_is_seen_in_its_own_pattern_and_the_other_is_named(
     assert ("leave out" in other.why_unseen(picture)) is not legacy
     assert "--legacy-pattern" in other.why_unseen(picture)
     assert drawn.why_unseen(np.zeros_like(picture)) == "the board is not seen"
-
-
-def test_with_an_odd_number_of_rows_the_pattern_is_one() -> None:
-    assert (replace(BOARD, legacy=True).image(1000) == BOARD.image(1000)).all()
 
 
 def test_a_folder_of_an_older_board_is_told_how_to_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

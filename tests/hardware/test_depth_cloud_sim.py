@@ -9,7 +9,7 @@ import check_depth_cloud
 import numpy as np
 import pytest
 
-from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
+from lerobot_adamanip.hardware.camera_frames import simulated_calibration
 from lerobot_env_adamanip.keyframe_env import make_task
 
 pytestmark = pytest.mark.sim
@@ -24,7 +24,7 @@ def task() -> Any:
 
 
 def test_clouds_from_depth_are_the_simulators(task: Any) -> None:
-    told = check_depth_cloud.summary([check_depth_cloud.compare(task, 501, 1024)])
+    told = check_depth_cloud.summary([check_depth_cloud.compare(task, 1024)])
     assert told["seen"]["median_mm"] <= check_depth_cloud.MEDIAN
     assert told["kept"]["median_mm"] <= check_depth_cloud.MEDIAN
     assert told["seen"]["p99_mm"] <= check_depth_cloud.P99
@@ -37,7 +37,7 @@ def test_a_camera_that_is_two_millimetres_beside_is_noticed(task: Any) -> None:
     moved = known.depth_in_base.copy()
     moved[:3, 3] += 2e-3
     beside = replace(known, depth_in_base=moved)
-    assert not check_depth_cloud.summary([check_depth_cloud.compare(task, 501, 1024, beside)])["passed"]
+    assert not check_depth_cloud.summary([check_depth_cloud.compare(task, 1024, beside)])["passed"]
 
 
 def test_half_a_pixel_is_counted_as_opencv_does(task: Any) -> None:

@@ -100,22 +100,15 @@ def goals(start: np.ndarray, count: int) -> list[np.ndarray]:
     return [moved(start, tuple(rng.uniform(-spread, spread)), rng.uniform(-0.3, 0.3)) for _ in range(count)]
 
 
-def reach(robot: AdamanipFranka, count: int) -> None:
+def test_twenty_goals_are_reached(make: Callable[..., AdamanipFranka]) -> None:
+    robot = make(execution="keyframe")
     robot.connect()
-    for goal in goals(pose(robot), count):
+    for goal in goals(pose(robot), 20):
         sent = act(robot, goal)
         assert outcome(robot) is Outcome.REACHED
         off, turned = pose_error(pose_from_vector(pose(robot))[0], pose_from_vector(sent)[0])
         assert off < 0.003
         assert turned < 0.02
-
-
-def test_goals_are_reached(make: Callable[..., AdamanipFranka]) -> None:
-    reach(make(execution="keyframe"), 2)
-
-
-def test_twenty_goals_are_reached(make: Callable[..., AdamanipFranka]) -> None:
-    reach(make(execution="keyframe"), 20)
 
 
 def speeds(milliseconds: np.ndarray, poses: np.ndarray) -> np.ndarray:

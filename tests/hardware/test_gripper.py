@@ -107,7 +107,9 @@ def test_the_opening_is_seen_while_a_command_is_under_way(gripper: GripperThread
     assert gripper.opening == 0.2
 
 
-@pytest.mark.parametrize(("opening", "wanted", "told"), [(1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"])])
+@pytest.mark.parametrize(
+    ("opening", "wanted", "told"), [(1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"]), (0.5, 0.5, [])]
+)
 def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open(
     opening: float, wanted: float, told: list[str]
 ) -> None:
@@ -119,16 +121,6 @@ def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open(
     until(lambda: not gripper.busy)
     assert hand.told == told
     gripper.close()
-
-
-def test_what_is_between_open_and_closed_at_first_is_left_alone() -> None:
-    hand = SlowHand(0.5)
-    gripper = GripperThread(lambda: hand)
-    gripper.start()
-    gripper.want(0.5)
-    assert not gripper.busy
-    gripper.close()
-    assert hand.told == []
 
 
 def test_a_hand_that_fails_is_told_and_can_be_forgiven(gripper: GripperThread, hand: SlowHand) -> None:

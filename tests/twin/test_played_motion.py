@@ -67,15 +67,6 @@ def test_a_wall_that_pushes_back_is_a_stall_and_the_end_of_reach_is_not() -> Non
     assert Arm(wall=0.6, felt=0.1).play(goal).outcome is Outcome.UNREACHABLE
 
 
-def test_a_stall_is_judged_soon_and_told_with_where_the_hand_is() -> None:
-    arm = Arm(wall=0.6)
-    motion = arm.play(transform((0.8, 0.0, 0.7)))
-    felt = motion.feedback(arm.reading())
-    assert felt.outcome is Outcome.STALLED
-    assert felt.tcp_in_base[0, 3] == pytest.approx(0.6)
-    assert arm.ticks * DT < 4.0
-
-
 def test_closing_waits_for_the_fingers_whatever_they_close_on() -> None:
     arm = Arm(blocked_fingers=0.3)
     motion = arm.play(arm.tcp.copy(), gripper=0.0)

@@ -99,16 +99,6 @@ def test_a_blocked_pull_stalls_at_a_bounded_lag_and_is_given_up_by_going_back() 
     assert gantry.qpos[0] == pytest.approx(0.52, abs=1e-3)
 
 
-def test_what_gives_way_lets_the_arm_go_on() -> None:
-    gantry = Watched(wall=0.55)
-    driver = gantry.streaming()
-    driver.follow_target(goal(0.7))
-    ticks(driver, 100)
-    gantry.wall = np.inf
-    ticks(driver, 100)
-    assert gantry.qpos[0] == pytest.approx(0.7, abs=1e-3)
-
-
 def test_out_of_reach_it_says_so_and_stays_where_it_can() -> None:
     gantry = Watched(reach=0.72)
     driver = gantry.streaming()

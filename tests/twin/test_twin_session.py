@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import twin_learning
+from check_twin_session import accepted_targets, lines_of, mixed_training
 
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.features import LABEL_NAME, SCALAR_NAMES, SENT_NAMES, STAMP_NAME
@@ -29,10 +29,6 @@ def lerobot(name: str, *arguments: str) -> None:
     command = [str(Path(sys.executable).with_name(f"lerobot-{name}")), *arguments, "--play_sounds=false"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=os.environ)
     assert done.returncode == 0, done.stderr[-4000:]
-
-
-def log_lines(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 def record(root: Path, *options: str) -> Path:
@@ -67,7 +63,7 @@ def rows(root: Path) -> Any:
 
 @pytest.mark.nightly
 def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> None:
-    log = log_lines(recorded.with_name("recorded.episodes.jsonl"))
+    log = lines_of(recorded.with_name("recorded.episodes.jsonl"))
     assert [line["episode"] for line in log] == [0, 1]
     assert [line["given_seed"] for line in log] == [SEED, SEED + 1]  # a session that goes on counts on
     assert [line["hidden_state"]["locked"] for line in log] == [False, True]
@@ -116,8 +112,8 @@ def test_a_replay_opens_the_same_door_as_far(recorded: Path, tmp_path: Path) -> 
         f"--dataset.root={recorded}",
         "--dataset.episode=1",
     )
-    (replayed,) = log_lines(log)
-    before = log_lines(recorded.with_name("recorded.episodes.jsonl"))[1]
+    (replayed,) = lines_of(log)
+    before = lines_of(recorded.with_name("recorded.episodes.jsonl"))[1]
     assert replayed["success"] is True
     assert replayed["joints"] == before["joints"]  # to the last bit: equal steps give equal data, see docs/twin.md
 
@@ -134,11 +130,11 @@ def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(re
 
     small = ("--image-size=64", "--objects=0:1", "--episodes-per-object=1")
     run("adamanip", "collect", str(tmp_path / "simulated"), "--category=microwave", *small)
-    losses = twin_learning.mixed_training(run, recorded, tmp_path / "simulated", tmp_path, steps=20)
+    losses = mixed_training(run, recorded, tmp_path / "simulated", tmp_path, steps=20)
     assert len(losses) == 20
     assert all(np.isfinite(losses))
     run("adamanip", "keyframes", str(recorded), "--out", str(tmp_path / "converted"))
-    assert twin_learning.accepted_targets(recorded, tmp_path / "converted")
+    assert accepted_targets(recorded, tmp_path / "converted")
     state = rows(tmp_path / "converted")["observation.state"]
     assert len(state) < len(rows(recorded)) / 10
 

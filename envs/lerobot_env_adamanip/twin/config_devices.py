@@ -52,13 +52,13 @@ class AdamanipScriptedConfig(TcpTeleopConfig):
     """Between two motions [s], as a person looks before going on."""
 
     trials: int = 1
-    """Failed tries before the expert changes its mind."""
+    """Failed tries before the expert changes its hypothesis."""
 
     seed: int = 0
-    """Of what the expert leaves to chance; an episode's own seed comes on top."""
+    """Seed of the expert's random choices, together with the episode's."""
 
     stay: float = 0.5
-    """Once the expert has ended, the episode that is being recorded goes on for so long [s] and is ended then."""
+    """Time from the expert's end to the end of the recorded episode [s]."""
 
 
 @RobotConfig.register_subclass("adamanip_franka_sim")
@@ -66,7 +66,7 @@ class AdamanipScriptedConfig(TcpTeleopConfig):
 class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     """The simulated arm before one of this project's objects, behind the names of the real one. See docs/twin.md.
 
-    What is an arm's alone (address, dynamics, stiffness ...) is of no effect here.
+    Options of a real arm alone (address, dynamics, stiffness ...) have no effect.
     """
 
     category: str = "microwave"

@@ -1,4 +1,4 @@
-"""The robot `adamanip_franka_sim`: the class of the real one, with a simulator as the arm's process."""
+"""The robot `adamanip_franka_sim`: the real one's class, with a simulator as the arm's process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFr
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import RESET
-from lerobot_adamanip.hardware.calibration.simulated import simulated_calibration
+from lerobot_adamanip.hardware.camera_frames import simulated_calibration
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.util import files
@@ -22,17 +22,11 @@ from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TWIN, T
 from lerobot_env_adamanip.twin.twin_camera import AdamanipTwin
 
 START_TIME, RESET_TIME = 600.0, 300.0
-"""The simulator may take this long to start, and a scene to be put up [s]."""
+"""Longest start of the simulator, and reset of a scene [s]."""
 
 
 class AdamanipFrankaSim(AdamanipFranka):
-    """The twin. Implements `lerobot_adamanip.lerobot_patches.episode_signals.EpisodicRobot`.
-
-    Episode k has the seed of its number.
-
-    Args:
-        config: see `AdamanipFrankaSimConfig`.
-    """
+    """The twin, an `EpisodicRobot`. Episode k has seed ``config.seed + k``."""
 
     config_class = AdamanipFrankaSimConfig
     name = "adamanip_franka_sim"
@@ -47,7 +41,7 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     @property
     def is_calibrated(self) -> bool:
-        """The twin tells where its camera is."""
+        """True: the twin's process knows its camera."""
         return True
 
     def calibrate(self) -> None:
@@ -81,10 +75,10 @@ class AdamanipFrankaSim(AdamanipFranka):
                 self._session.calibrations[key] = calibration
 
     def _read_calibrations(self) -> None:
-        """The twin's own are told by its process; a file could only contradict them."""
+        """Reads no file: the twin's process knows its camera."""
 
     def disconnect(self) -> None:
-        """As of every robot; an episode outside a recording is logged before, if a log is asked for."""
+        """As of every robot; first logs an episode outside a recording to ``episode_log``."""
         if self.is_connected and self._moved and self.config.episode_log is not None:
             self._log(Path(self.config.episode_log), None)
             self._moved = False
@@ -93,7 +87,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     # Observation and action ------------------------------------------------------------------------------------------
 
     def get_observation(self) -> dict[str, Any]:
-        """As of every robot; where the operator wants the scene anew, it is put up before."""
+        """As of every robot; first resets the scene if the operator wants it."""
         if self._session.details.pop(RESET_WANTED, False):
             self.put_up(self._seed)
             self._session.episodes += 1
@@ -106,7 +100,7 @@ class AdamanipFrankaSim(AdamanipFranka):
         return super()._scalars(reading)
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """As of every robot; an episode of key frames that is over executes nothing more, see ``max_key_frames``."""
+        """As of every robot; after the end of an episode of key frames nothing is executed, see ``max_key_frames``."""
         if self._over:
             sent = self._session.sent
             assert sent is not None
@@ -129,11 +123,11 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     @property
     def resets_itself(self) -> bool:
-        """No person has to reset the scene."""
+        """True: no person has to reset the scene."""
         return True
 
     def put_up(self, seed: int) -> None:
-        """Puts up the scene of a seed, with the arm at its start. Raises `RobotError`."""
+        """Resets to the scene of a seed. Raises `RobotError`."""
         assert self._client is not None
         told = self._client.request(RESET, {"seed": seed}, time_limit=RESET_TIME)
         details = self._session.details
@@ -145,16 +139,13 @@ class AdamanipFrankaSim(AdamanipFranka):
         self._key_frames, self._over = 0, False
 
     def begin_episode(self, index: int) -> None:
-        """Puts up the scene of episode ``index``, unless it stands there untouched."""
+        """Resets to the scene of episode ``index``, unless it stands there untouched."""
         seed = self.config.seed + index
         if self._moved or seed != self._seed:
             self.put_up(seed)
 
     def end_episode(self, index: int, root: Path) -> None:
-        """Logs the episode beside its dataset, or where ``episode_log`` says.
-
-        A number that occurs again was recorded again: the last line counts.
-        """
+        """Logs the episode to ``episode_log`` or beside its dataset; the last line of a number counts."""
         if self.is_connected:
             log = self.config.episode_log
             self._log(Path(log) if log is not None else root.with_name(f"{root.name}.episodes.jsonl"), index)

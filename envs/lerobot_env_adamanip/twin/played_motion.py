@@ -1,4 +1,4 @@
-"""One key frame as a person would drive it: streamed at human speed, and judged by what the arm tells."""
+"""A key frame streamed at human speed, and judged by the arm's readings."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from lerobot_adamanip.hardware.target_geometry import Target
 Array = NDArray[np.float64]
 
 STILL_POSITION, STILL_ROTATION, STILL_GRIPPER = 0.001, 0.004, 0.01
-"""An arm that moves less than this within `STILL_TIME` rests [m, rad, share of the opening]."""
+"""Largest motion of an arm at rest within `STILL_TIME` [m, rad, share of the opening]."""
 STILL_TIME = 0.4
 """[s]"""
 LAG_POSITION, LAG_ROTATION = 0.5, 0.5
-"""Share of a key frame's stall by which an arm at rest has to lag behind what it was sent, to be held back."""
+"""Lag of a blocked arm at rest, as a share of a key frame's stall."""
 STRAINED = 2.0
-"""An arm that is held back feels this much in some joint; one that cannot reach farther feels nothing [N m]."""
+"""Torque that some joint of a blocked arm exceeds [N m]; an arm at the end of its reach exerts none."""
 PATIENCE = 8.0
-"""A motion ends this long after it should have [s]."""
+"""Delay after which a motion times out [s]."""
 
 
 class Stage(enum.Enum):
-    """Where in a key frame."""
+    """Parts of a key frame."""
 
     MOVE = enum.auto()
     GRIP = enum.auto()
@@ -47,6 +47,9 @@ class PlayedMotion:
         gripper: opening wanted at the goal.
         speed, angular_speed: peak [m/s, rad/s].
         pause: at the end [s].
+
+    Attributes:
+        outcome: None until the end.
     """
 
     start: Array
@@ -58,17 +61,15 @@ class PlayedMotion:
     pause: float
 
     def __post_init__(self) -> None:
-        """Plans the way."""
         way, turn = pose_error(self.start, self.goal)
         self._duration = 1.875 * max(way / self.speed, turn / self.angular_speed)
         # As `KeyframeDriver`: a hand that is sent away closes or opens on its way; one that stays does nothing else.
         self._elapsed, self._stage, self._stage_left = 0.0, Stage.MOVE, 0.0
         self._seen: list[tuple[float, ArmReading]] = []
         self.outcome: Outcome | None = None
-        """How it ended; None while it goes on."""
 
     def step(self, reading: ArmReading, sent: Target, dt: float) -> Target:
-        """Returns what is wanted next (10,); ``sent`` is what was sent last. Sets `outcome` at the end."""
+        """Returns the next target (10,), given the last sent one. Sets `outcome` at the end."""
         self._elapsed += dt
         self._seen = [each for each in self._seen if self._elapsed - each[0] <= STILL_TIME + 1e-9]
         self._seen.append((self._elapsed, reading))
@@ -85,7 +86,7 @@ class PlayedMotion:
         return self._wanted(sent)
 
     def feedback(self, reading: ArmReading) -> Feedback:
-        """Returns what an expert is told at the end."""
+        """Returns the expert's feedback at the end."""
         return Feedback(reading.tcp_in_base, reading.gripper, self.outcome)
 
     def _wanted(self, sent: Target) -> Target:

@@ -1,4 +1,4 @@
-"""A teleoperator that needs no person: plays the adaptive expert by the twin's annotations and what the arm tells."""
+"""A teleoperator without a person: plays the adaptive expert by the twin's annotations and the arm's readings."""
 
 from __future__ import annotations
 
@@ -21,12 +21,7 @@ from lerobot_env_adamanip.twin.played_motion import PlayedMotion
 
 
 class AdamanipScripted(TcpTeleop):
-    """Streams the key frames of an expert to the robot, each judged by readings alone: nothing hidden reaches it.
-
-    Args:
-        config: see `AdamanipScriptedConfig`.
-        clock: returns seconds.
-    """
+    """Streams an expert's key frames to the robot, each judged by readings alone: nothing hidden reaches it."""
 
     config_class = AdamanipScriptedConfig
     name = "adamanip_scripted"
@@ -38,12 +33,7 @@ class AdamanipScripted(TcpTeleop):
         self._motion: PlayedMotion | None = None
         self._idle = 0.0
         self.key_frames = 0
-        """That were played in this episode."""
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether the expert has nothing more to do in this episode."""
-        return self._frames is not None and self._motion is None
+        """Key frames played in this episode."""
 
     def _open(self) -> None:
         """There is no device."""
@@ -84,9 +74,9 @@ class AdamanipScripted(TcpTeleop):
             )
         except KeyError as missing:
             raise RobotError(
-                "The scripted teleoperator knows nothing of the scene.",
-                got=f"a robot that does not tell {missing}",
-                allowed="the twin, which tells its annotated parts",
+                "The scripted teleoperator has no annotations of the scene.",
+                got=f"a robot without {missing}",
+                allowed="the twin",
                 hint="--robot.type=adamanip_franka_sim",
             ) from None
 

@@ -1,4 +1,4 @@
-"""The twin's camera: looks when somebody wants to see, into memory shared with the twin's process."""
+"""The twin's camera: asks the twin's process for pictures while somebody reads them."""
 
 from __future__ import annotations
 
@@ -16,21 +16,18 @@ from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES
 
 CAMERA_HZ = 10
-"""Default where time passes by itself."""
+"""Default rate where time passes by itself."""
 WANTED_FOR = 1.0
-"""A camera that nobody has asked for so long looks no more [s]."""
+"""After so long without a reader the camera takes no more pictures [s]."""
 LOOK_TIME = 120.0
-"""A picture may take this long [s]: the first one compiles shaders."""
+"""Longest time for a picture [s]: the first one compiles shaders."""
 
 
 class AdamanipTwin(ThreadedCamera):
     """The front camera of the twin.
 
-    Where time passes by itself, its thread asks the twin for pictures at ``fps`` while somebody reads them. In lockstep
-    there is no thread's work: a picture is taken where it is read, once per step, so that equal steps give equal data.
-
-    Args:
-        config: see `AdamanipTwinConfig`.
+    Where time passes by itself, its thread takes pictures at ``fps``. In lockstep a picture is taken where it is read,
+    once per step, so that equal steps give equal data.
     """
 
     config_class = AdamanipTwinConfig
@@ -38,18 +35,14 @@ class AdamanipTwin(ThreadedCamera):
     warmup_seconds = LOOK_TIME
 
     def __init__(self, config: AdamanipTwinConfig) -> None:
-        super().__init__(config, "twin", use_rgb=config.use_rgb, use_depth=config.use_depth)
+        super().__init__(config, "twin")
         self._client: ArmClient | None = None
         self._size, self._lockstep = 0, False
         self._wanted = self._due = 0.0
         self._seen_at: float | None = None
 
     def attach(self, client: ArmClient, *, size: int, lockstep: bool) -> None:
-        """Says whose twin it looks at, before `connect`: the robot that is connected does.
-
-        Raises:
-            ConfigurationError: another size is configured than the twin's.
-        """
+        """Called by the robot before `connect`. Raises `ConfigurationError` for another size than the twin's."""
         if any(given not in (None, size) for given in (self.config.width, self.config.height)):
             raise ConfigurationError(
                 "The twin's camera has another size than the twin.",
@@ -62,13 +55,13 @@ class AdamanipTwin(ThreadedCamera):
         self.fps = self.config.fps or CAMERA_HZ
 
     def wake(self) -> None:
-        """Somebody wants a frame."""
+        """Notes that a frame is wanted."""
         self._wanted = time.perf_counter()
         if self._lockstep and self.is_connected:
             self._look_anew(force=False)
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
-        """As of every camera; in lockstep, of this step, however long ago that was."""
+        """As of every camera; in lockstep, the frame of this step."""
         return super().latest_frame(float("inf") if self._lockstep and self.is_connected else max_age)
 
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
@@ -85,7 +78,7 @@ class AdamanipTwin(ThreadedCamera):
         return super().async_read(timeout_ms)
 
     def _look_anew(self, *, force: bool) -> None:
-        """Takes a picture of this step, if there is none yet."""
+        """Takes a picture of this step, unless there is one."""
         assert self._client is not None
         reading = self._client.status().reading
         now = None if reading is None else reading.robot_time
@@ -127,7 +120,7 @@ class AdamanipTwin(ThreadedCamera):
         return Frame(self._stamp(frame.stamp), arrival, color, depth, frame.number)
 
     def _stamp(self, taken: float) -> float:
-        """In lockstep a picture shows the state that was told last, and is as old as that."""
+        """Returns the time of a picture; in lockstep that of the last reading, which it shows."""
         reading = self._client.status().reading if self._lockstep and self._client is not None else None
         return taken if reading is None else reading.stamp
 

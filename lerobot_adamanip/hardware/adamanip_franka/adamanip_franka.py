@@ -1,4 +1,4 @@
-"""The robot `adamanip_franka`: the contract's action and state, on an arm that lives in a process of its own."""
+"""The robot `adamanip_franka`: the contract's action and state, on an arm in a process of its own."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.loop_warnings import SlowLoopFilter
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules, action_vector
-from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
+from lerobot_adamanip.hardware.adamanip_franka.observed import SkewWatch, camera_features, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
-from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, ROBOTS, SUCCESS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
@@ -33,17 +32,13 @@ from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
 MAX_LEADS = 2.0
-"""The arm's process bounds what leads the arm at this multiple of the filter's lead: its reading is a newer one."""
+"""Multiple of the filter's lead that the arm's process allows: its reading is a newer one."""
 
 _logger = logging.getLogger(__name__)
 
 
 class AdamanipFranka(Robot):
-    """A Franka with its hand, as LeRobot sees it. Subclasses change which process is started (`_make_client`).
-
-    Args:
-        config: see `AdamanipFrankaConfig`.
-    """
+    """A Franka with its hand. Subclasses override which process is started (`_make_client`)."""
 
     config_class = AdamanipFrankaConfig
     name = "adamanip_franka"
@@ -80,22 +75,22 @@ class AdamanipFranka(Robot):
 
     @property
     def session(self) -> RobotSession:
-        """What this robot tells teleoperators and policies of this process."""
+        """State that teleoperators and policies of this process read."""
         return self._session
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether every camera with depth has its place in the calibration file."""
+        """Whether the calibration file has every camera with depth."""
         deep = {key for key, camera in self.cameras.items() if getattr(camera, "use_depth", False)}
         return not deep or (self.calibration_file.is_file() and deep <= set(read_calibrations(self.calibration_file)))
 
     def calibrate(self) -> None:
-        """Nothing of the arm is calibrated; reads the cameras' file again. Raises `RobotError` where it is missing."""
+        """Reads the cameras' file again; raises `RobotError` where it is incomplete."""
         if not self.is_calibrated:
             raise RobotError(
                 "The cameras of this robot are not calibrated.",
                 got=f"no complete {self.calibration_file}",
-                allowed="a place for every camera with depth",
+                allowed="a calibration of every camera with depth",
                 hint="adamanip calibrate",
             )
         self._read_calibrations()
@@ -111,7 +106,7 @@ class AdamanipFranka(Robot):
         return self._client is not None and self._client.is_connected
 
     def connect(self, calibrate: bool = True) -> None:
-        """Starts the arm's process, then the cameras. The arm stays where it is.
+        """Starts the arm's process, then the cameras. The arm does not move.
 
         Raises:
             RobotError: it is connected already, the arm or a camera does not answer, or the hand is outside the box.
@@ -168,7 +163,7 @@ class AdamanipFranka(Robot):
         return ArmClient(FRANKY, options, server=self._server_options())
 
     def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:
-        """What the arm's process watches."""
+        """Returns the watchdogs of the arm's process."""
         config, limits = self.config, self._safety_limits()
         return ServerOptions(
             config.state_age,
@@ -190,7 +185,7 @@ class AdamanipFranka(Robot):
         ROBOTS.close(self._registry_id)
         for key, camera in self.cameras.items():
             if self._skews[key].skewed:
-                _logger.warning("camera %s: %s", key, self._skews[key].told())
+                _logger.warning("camera %s: %s", key, self._skews[key])
             if camera.is_connected:
                 camera.disconnect()
 
@@ -211,7 +206,7 @@ class AdamanipFranka(Robot):
     # Observation ------------------------------------------------------------------------------------------------------
 
     def get_observation(self) -> dict[str, Any]:
-        """Returns state and pictures of this moment; after a key frame, pictures exposed since the arm rests.
+        """Returns state and pictures; after a key frame, pictures exposed since the arm is at rest.
 
         Raises:
             RobotError: the arm has a fault (see ``auto_recover``), its process or a camera does not answer.
@@ -234,7 +229,7 @@ class AdamanipFranka(Robot):
     # Action -----------------------------------------------------------------------------------------------------------
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Sends an action as far as the safety filter lets it, and returns what was sent.
+        """Sends an action through the safety filter, and returns what was sent.
 
         Raises:
             RobotError: the arm has a fault, ten malformed actions came in a row, a key frame does not end.
@@ -251,6 +246,6 @@ class AdamanipFranka(Robot):
 
 
 def corner(values: Sequence[float]) -> Corner:
-    """Returns three coordinates [m], which a parser may have given as a list."""
+    """Returns three coordinates [m] that a parser may have read as a list."""
     x, y, z = map(float, values)
     return x, y, z

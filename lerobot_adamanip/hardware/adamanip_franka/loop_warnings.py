@@ -1,15 +1,15 @@
-"""LeRobot's warning of a slow loop, which means nothing where time passes by steps."""
+"""Filter of LeRobot's warning of a slow loop, which means nothing where time passes by steps."""
 
 from __future__ import annotations
 
 import logging
 
 SLOW_LOOP = ("Record loop is running slower", "Control loop is running slower")
-"""Begin of the warning in LeRobot 0.6.1 and in later ones, which comes with each tick."""
+"""Start of the warning in LeRobot 0.6.1, and in later ones."""
 
 
 class SlowLoopFilter(logging.Filter):
-    """Drops the warning from what the present handlers of the root logger write, from `install` to `remove`."""
+    """Drops the warning in the root logger's handlers, from `install` to `remove`."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Returns whether a record is written."""

@@ -1,4 +1,4 @@
-"""From an action to a motion: filtered, sent as a key frame or into a stream, recovered from a reflex where allowed."""
+"""Executes actions: filtered, as a key frame or in a stream, with recovery from reflexes where allowed."""
 
 from __future__ import annotations
 
@@ -21,22 +21,16 @@ from lerobot_adamanip.hardware.target_geometry import Target, angle, canonical, 
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 FAR_STEPS = 1.5
-"""Under execution=auto an action that is farther than a stream gets in this many ticks is a key frame."""
+"""Under execution=auto, ticks of a stream that a key frame is farther than."""
 CALM = 5.0
-"""A stream that has gone on for this long since a fault [s] ends its count."""
+"""Time without a fault that resets the count of faults in a row [s]."""
 
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class MotionRules:
-    """How actions are executed: see `AdamanipFrankaConfig`.
-
-    Attributes:
-        execution: stream, keyframe or auto.
-        auto_recover: reflexes in a row that are recovered from.
-        motion_time: of a key frame at most [s].
-    """
+    """Options of the same names of `AdamanipFrankaConfig`."""
 
     execution: str
     auto_recover: int
@@ -54,13 +48,13 @@ def action_vector(action: Mapping[str, Any]) -> Target:
 
 
 class MotionDriver:
-    """Sends actions of one connected arm, and keeps its session up to date.
+    """Executes actions on one connected arm, and updates its session.
 
     Args:
         arm: connected.
-        session: gets every reading, and what was sent.
+        session: gets every reading and sent target.
         safety: of this arm alone.
-        rules: how actions are executed.
+        rules: of execution.
 
     Attributes:
         rested_at: when the latest key frame ended, `time.perf_counter()` [s]; None while the arm is streamed to.
@@ -75,7 +69,7 @@ class MotionDriver:
         self._faults, self._fault_at = 0, 0.0
 
     def anchor(self) -> None:
-        """Begins at the measured pose: it counts as what was sent last, and is the next target of a stream.
+        """Makes the measured pose the last sent target.
 
         Raises:
             RobotError: the arm has a fault, or the hand is outside the box.
@@ -89,7 +83,7 @@ class MotionDriver:
     # Faults -----------------------------------------------------------------------------------------------------------
 
     def read_or_raise(self) -> ArmReading:
-        """Returns the reading of an arm that can be moved, recovered if that is allowed. Raises `RobotError`."""
+        """Returns the reading of a healthy arm, after a recovery if that is allowed. Raises `RobotError`."""
         status = self._arm.status()
         if status.fault is not None and not status.lost and self._rules.auto_recover:
             status = self._recovered(status)
@@ -119,14 +113,7 @@ class MotionDriver:
     # Motions ----------------------------------------------------------------------------------------------------------
 
     def send(self, wanted: Target, reading: ArmReading) -> Target:
-        """Sends a target as far as the filter lets it; a key frame is waited for.
-
-        Args:
-            wanted: (10,) target.
-            reading: of this moment, from `read_or_raise`.
-
-        Returns:
-            (10,) float32, what was sent: the session's ``sent``.
+        """Sends a target (10,) through the filter, waits for the end of a key frame, and returns what was sent.
 
         Raises:
             RobotError: the arm has a fault, ten malformed targets came in a row, a key frame does not end.
@@ -138,7 +125,6 @@ class MotionDriver:
         return sent
 
     def _execution(self, wanted: Target) -> Execution:
-        """Under auto, a target is a key frame if it is farther than a stream gets in `FAR_STEPS` ticks of this loop."""
         if self._rules.execution != "auto":
             return Execution(self._rules.execution)
         last, goal = self._filter.last, canonical(wanted)
@@ -151,7 +137,7 @@ class MotionDriver:
         return Execution.KEYFRAME if far else Execution.STREAM
 
     def _send_keyframe(self, wanted: Target, reading: ArmReading) -> Target:
-        """One motion to its end; the same goal again is no motion: a paused roll-out resends its last action."""
+        """Executes one motion to its end; the same goal again is none: a paused roll-out resends its last action."""
         last = self._filter.last
         if self._goal == wanted.tobytes() and last is not None:
             return last

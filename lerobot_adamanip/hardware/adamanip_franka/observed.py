@@ -1,7 +1,8 @@
-"""What the robot tells LeRobot of one moment: scalars by name, and a camera's pictures."""
+"""Observation of the robot: scalars by name, and the cameras' pictures."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,30 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.cameras.base import FrameReader
-from lerobot_adamanip.hardware.cameras.skew import SkewWatch
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
 
 NO_OUTCOME = -1.0
+MAX_SKEW = 0.05
+"""Largest distance in time of a picture and a state of one moment [s]: 5 mm at the arm's 0.1 m/s."""
+
+
+@dataclass
+class SkewWatch:
+    """Counts the rows of one camera whose picture is not of the state's moment."""
+
+    rows: int = 0
+    skewed: int = 0
+    worst: float = 0.0
+
+    def count(self, frame_stamp: float, state_stamp: float) -> None:
+        """Counts a row by the stamps of its frame and its state [s, same clock]."""
+        skew = abs(frame_stamp - state_stamp)
+        self.rows, self.skewed = self.rows + 1, self.skewed + (skew > MAX_SKEW)
+        self.worst = max(self.worst, skew)
+
+    def __str__(self) -> str:
+        share = f"{self.skewed} of {self.rows} rows"
+        return f"{share} skewed by more than {1e3 * MAX_SKEW:.0f} ms, at worst {1e3 * self.worst:.0f} ms"
 
 
 def camera_features(cameras: dict[str, Camera]) -> dict[str, tuple[int, int, int]]:
@@ -34,8 +55,8 @@ def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, su
     Args:
         reading: of the arm.
         sent: (10,) last accepted target.
-        connected: when the robot did, `time.perf_counter()` [s].
-        success: whether the operator, or the twin, says that the task is done.
+        connected: when the robot was connected, `time.perf_counter()` [s].
+        success: of the task, by the operator or the twin.
     """
     pose = pose_vector(reading.tcp_in_base, reading.gripper)
     outcome = NO_OUTCOME if reading.outcome is None else float(reading.outcome)
@@ -47,15 +68,15 @@ def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, su
 def pictures(
     key: str, camera: Camera, reading: ArmReading, skew: SkewWatch | None, *, max_age: float, after: float | None
 ) -> dict[str, NDArray[Any]]:
-    """Returns a camera's pictures by name: of one exposure where the camera can tell, of the latest where not.
+    """Returns a camera's pictures by name, of one exposure if it is a `FrameReader`.
 
     Args:
         key: of the camera.
         camera: connected.
-        reading: of the same observation; counted against it.
+        reading: of the same observation.
         skew: counts; None where pictures and states are of one moment by construction.
         max_age: of a frame [s].
-        after: the arm has rested since then (`time.perf_counter()`, [s]): the frame is exposed after it. None takes
+        after: the arm is at rest since then, and the frame exposed after it (`time.perf_counter()`, [s]); None takes
             the latest.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The recorder's end of the arm's process: starts it, sends targets, sees the newest state, ends it."""
+"""Client of the arm's process: starts it, sends targets, reads the newest state, ends it."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class ArmClient:
     # States ----------------------------------------------------------------------------------------------------------
 
     def status(self) -> ArmStatus:
-        """Returns the newest status, whatever it says.
+        """Returns the newest status, faulty or not.
 
         Raises:
             RobotError: the process has ended, or has published nothing for `ServerOptions.state_age` seconds.
@@ -165,7 +165,7 @@ class ArmClient:
         return status
 
     def healthy(self) -> ArmStatus:
-        """Returns the newest status of an arm that can be moved. Raises `RobotError`, as `status` and for a fault."""
+        """Returns the newest status of a healthy arm. Raises `RobotError`, as `status` and for a fault."""
         status = self.status()
         if status.fault is not None:
             hint = "disconnect and connect anew" if status.lost else "see to the arm, then recover it"
@@ -180,14 +180,10 @@ class ArmClient:
     # Targets ---------------------------------------------------------------------------------------------------------
 
     def send(self, pose: NDArray[np.float32], execution: Execution) -> int:
-        """Sends a target and returns its number; does not wait until it is taken, except in lockstep.
-
-        Args:
-            pose: (10,) float32 action that went through the safety filter.
-            execution: KEYFRAME is followed by `wait`.
+        """Sends a filtered target (10,) and returns its number, for `wait`. In lockstep, waits for its step.
 
         Raises:
-            RobotError: the arm cannot be moved: see `healthy`.
+            RobotError: see `healthy`.
         """
         self.healthy()
         number = self._box(COMMAND).write(ArmTarget(pose, execution, time.perf_counter()))
@@ -196,10 +192,10 @@ class ArmClient:
         return number
 
     def wait(self, number: int, time_limit: float) -> ArmStatus:
-        """Waits until the key frame of this number has ended, and returns the status that tells how.
+        """Waits for the end of the key frame of this number, and returns its status.
 
         Raises:
-            RobotError: the arm cannot be moved any more, or ``time_limit`` [s] is over; it is told to stop then.
+            RobotError: see `healthy`; or ``time_limit`` [s] is over, and the arm is asked to stop.
         """
         until = time.perf_counter() + time_limit
         while time.perf_counter() < until:
@@ -224,7 +220,7 @@ class ArmClient:
             return self._receive(self._asked, time_limit, ask)
 
     def tell(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
-        """As `request`, without waiting for an answer. Nothing happens if the process has ended."""
+        """Sends a request without waiting for an answer; nothing happens if the process has ended."""
         with self._lock, contextlib.suppress(RobotError):
             self._write(Request(0, ask, dict(values or {})))
 
@@ -237,7 +233,7 @@ class ArmClient:
             raise RobotError(self._last_words(f"cannot be asked for {request.ask!r} ({error})")) from None
 
     def _receive(self, number: int, time_limit: float, ask: str) -> dict[str, Any]:
-        """Returns the values of the reply of this number; replies to requests that were given up are dropped."""
+        """Returns the values of the reply of this number; older replies are dropped."""
         until = time.perf_counter() + time_limit
         while self._connection is not None:
             if not self._connection.poll(max(0.0, until - time.perf_counter())):

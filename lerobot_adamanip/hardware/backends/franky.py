@@ -1,6 +1,6 @@
-"""The real arm, by `franky-control` 2: compliant in its firmware, within limits of our own table.
+"""Backend of the real arm, by `franky-control` 2: compliant in its firmware, within limits of our own table.
 
-The control loop (1 kHz) is a thread of franky's, in C++; this backend gives it motions and looks at its states.
+The control loop (1 kHz) is franky's thread, in C++; this backend gives it motions and reads its states.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, StallRule, po
 from lerobot_adamanip.util.errors import RobotError
 
 GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
-"""After a recovery: dynamics relative to the usual, for this long [s of the arm's clock]."""
+"""Share of the dynamics after a recovery, for this long [s of the arm's clock]."""
 LEANS = 0.01
-"""An arm that lags its target by more than this at rest leans on something [m]; the next key frame gives that up."""
+"""Lag of an arm that leans on something [m]; the next key frame first releases it."""
 STAYS = 5e-4
-"""A goal that is nearer than this is no motion [m, rad]."""
+"""Distance of a goal that is no motion [m, rad]."""
 SAME = 5e-5
-"""A streamed target that is nearer to the one before than this is the same [m, rad]."""
+"""Distance of equal streamed targets [m, rad]."""
 RECOVERY_TIME = 0.5
-"""At most waited for a state without errors [s]."""
+"""Longest wait for a state without errors [s]."""
 STOP_TIME = 1.0
-"""At most waited for a stop when closing [s]."""
+"""Longest wait for a stop when closing [s]."""
 KEYFRAME_TIME_LIMIT = 30.0
-"""A key frame ends by then, whatever its length [s of the arm's clock]."""
+"""Longest key frame [s of the arm's clock]."""
 
 
 class FrankyBackend:
-    """An `ArmBackend` on one `franky.Robot`. After a lost connection it is of no use: make a new one."""
+    """An `ArmBackend` on one `franky.Robot`. It cannot be used after a lost connection."""
 
     period = 0.02
 
@@ -75,10 +75,7 @@ class FrankyBackend:
     # Life ------------------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Connects, compares the tool frame, sets limits, impedance and thresholds; the arm stays where it is.
-
-        Raises `RobotError`.
-        """
+        """Connects, checks the tool frame, sets limits, impedance and thresholds. Raises `RobotError`."""
         self._franky = import_franky()
         self._robot = connect_robot(self._franky, self._options)
         try:
@@ -117,7 +114,7 @@ class FrankyBackend:
         return reading_of(self._state, opening, self._options.effort_sign, self._outcome)
 
     def tick(self) -> None:
-        """Looks how the key frame goes. Raises `RobotError` for a motion that broke off, or a gripper that failed."""
+        """Judges the key frame. Raises `RobotError` for a motion that broke off, or a gripper that failed."""
         if self._hand is not None:
             self._hand.check()
         # Raises what ended a motion. Its answer is not used: in franky 2.0.0 it is the opposite of the documented one.
@@ -154,9 +151,8 @@ class FrankyBackend:
         goal, self._goal_opening = pose_from_vector(target.pose)
         streamed = self._streamed
         self._forget()
-        # franky plans a new motion from a state some milliseconds old, so that an arm which brakes is told, with each
-        # of them, to go on a little faster: planned anew 30 times a second it passes the target by half of its braking
-        # distance. A target that rests is left to the motion that leads to it.
+        # franky plans a motion from a state some milliseconds old: planned anew 30 times a second, a braking arm passes
+        # its target by half of the braking distance. A target that rests keeps its motion.
         rests = streamed is not None and max(pose_error(streamed, goal)) < SAME
         if not (rests and self._ask(lambda: self._robot.is_in_control)):
             self._move(
@@ -184,7 +180,7 @@ class FrankyBackend:
         self._move(self._franky.CartesianWaypointMotion(points, relative_dynamics_factor=self._pace))
 
     def _time_limit(self, here: Array, goal: Array) -> float:
-        """Of a motion [s]: twice what its length takes and some for starting and stopping."""
+        """Returns twice the time that the length takes [s], and some for starting and stopping."""
         limits, share = self._options.limits, self._options.dynamics * self._pace
         way, turn = pose_error(here, goal)
         needed = way / (limits.translation.velocity * share) + turn / (limits.rotation.velocity * share)
@@ -232,7 +228,7 @@ class FrankyBackend:
         self._ask(lambda: self._robot.move(motion, asynchronous=True))
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Calls franky and puts what it raises into our words; a lost connection is remembered."""
+        """Calls franky and translates its errors; a lost connection stays lost."""
         if self._lost:
             raise RobotError(self._lost)
         try:
@@ -246,7 +242,6 @@ class FrankyBackend:
             raise RobotError(f"The arm refused a motion: {type(error).__name__}: {error}") from None
 
     def _flags(self) -> str:
-        """The flags that are set, as far as the arm still tells them."""
         with contextlib.suppress(Exception):
             state = self._robot.state
             return ", ".join(flags_of(state.current_errors) or flags_of(state.last_motion_errors))

@@ -1,4 +1,4 @@
-"""What stands between `franky` and the words used here: errors, states, limits, the hand. Imports it on first use."""
+"""Translation from and to `franky`: errors, states, limits, the hand. Imports it on first use."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TOOL_IN_FLANGE = transform((0.0, 0.0, 0.1034), rotation_about((0.0, 0.0, 1.0), -
 TOOL_MARGIN_M, TOOL_MARGIN_RAD = 0.001, 0.01
 """Error up to which the arm's tool frame is that of the Franka Hand."""
 RANGE_MARGIN = 0.02
-"""Outside of a joint's range by more than this: another model of arm [rad]."""
+"""Largest excess of a joint's range before another model of arm is suspected [rad]."""
 
 
 def import_franky() -> Any:
@@ -63,12 +63,9 @@ def connect_robot(franky: Any, options: FrankyOptions) -> Any:
 
 
 def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
-    """Writes our table's limits, times ``dynamics``, and returns what is read back: name -> values.
+    """Writes our limits, times ``dynamics``, and returns what is read back: name -> values.
 
-    `franky` allows no more than the limits that it believes in; where those are lower, they stay.
-
-    Raises:
-        RobotError: what is read back is not what was written.
+    Lower limits of `franky` stay. Raises `RobotError` if what is read back is not what was written.
     """
     read: dict[str, list[float]] = {}
     for name, wanted in wanted_limits(options):
@@ -96,7 +93,7 @@ def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
 
 
 def check_joints(qpos: Any, options: FrankyOptions) -> None:
-    """Raises `RobotError` for joints that the model does not have: the arm is another one."""
+    """Raises `RobotError` for joints outside the model's range: the arm is another one."""
     lower, upper = np.array(options.limits.joint_lower), np.array(options.limits.joint_upper)
     outside = (np.asarray(qpos) < lower - RANGE_MARGIN) | (np.asarray(qpos) > upper + RANGE_MARGIN)
     if outside.any():
@@ -109,7 +106,7 @@ def check_joints(qpos: Any, options: FrankyOptions) -> None:
 
 
 def check_tool_frame(state: Any) -> None:
-    """Raises `RobotError` for a tool frame that is not the Franka Hand's: poses and the box would be off."""
+    """Raises `RobotError` for another tool frame than the Franka Hand's."""
     tool = np.array(state.F_T_EE.matrix, dtype=np.float64)
     off, turned = pose_error(tool, TOOL_IN_FLANGE)
     if off > TOOL_MARGIN_M or turned > TOOL_MARGIN_RAD:
@@ -123,7 +120,7 @@ def check_tool_frame(state: Any) -> None:
 
 
 def reading_of(state: Any, gripper: float, effort_sign: float, outcome: Outcome | None) -> ArmReading:
-    """Returns a `franky.RobotState` in our words."""
+    """Returns the reading of a `franky.RobotState`."""
     return ArmReading(
         stamp=time.perf_counter(),
         robot_time=float(state.time.to_msec()) / 1000.0,
@@ -144,13 +141,7 @@ def flags_of(errors: Any) -> tuple[str, ...]:
 
 
 class FrankyHand:
-    """A `lerobot_adamanip.hardware.gripper.Hand` on `franky.Gripper`.
-
-    Args:
-        address: of the arm.
-        speed: of the fingers [m/s].
-        force: of a grasp [N].
-    """
+    """A `Hand` on `franky.Gripper`, with the speed of the fingers [m/s] and the force of a grasp [N]."""
 
     def __init__(self, address: str, speed: float, force: float) -> None:
         self._hand = import_franky().Gripper(address)
@@ -164,11 +155,11 @@ class FrankyHand:
         self._command(lambda: self._hand.move(self._max_width, self._speed))
 
     def close(self) -> None:
-        """Closes on anything of any width, and holds it."""
+        """Closes on an object of any width, and holds it."""
         self._command(lambda: self._hand.grasp(0.0, self._speed, self._force, epsilon_outer=1.0))
 
     def _command(self, call: Callable[[], bool]) -> None:
-        """A grasp of nothing, and a move that something stops, are answers, not failures: the width tells."""
+        """Calls; an empty grasp and a blocked move are no failures: the width shows them."""
         try:
             call()
         except import_franky().CommandException:

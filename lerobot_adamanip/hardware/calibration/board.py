@@ -1,7 +1,4 @@
-"""The board that is held before a camera: ChArUco, a chessboard with a marker in each white square.
-
-Of OpenCV 4.10 and later; what was called `CharucoBoard_create` and `interpolateCornersCharuco` before is gone.
-"""
+"""The ChArUco board that is held before a camera: a chessboard with a marker in each white square."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 DICTIONARY = "DICT_5X5_100"
 FEWEST_CORNERS = 8
-"""A picture that shows fewer tells the board's pose badly."""
+"""Inner corners that a picture has to show."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +24,7 @@ class Board:
         columns, rows: squares along x and y.
         square: side of a square [m].
         marker: side of a marker [m], less than a square's.
-        legacy: whether it has the pattern of OpenCV before 4.6, which differs where the number of rows is even: its
-            first square is white.
+        legacy: the pattern of OpenCV before 4.6, whose first square is white where the number of rows is even.
     """
 
     columns: int = 7
@@ -38,7 +34,6 @@ class Board:
     legacy: bool = False
 
     def __post_init__(self) -> None:
-        """Refuses what is no board."""
         if not (3 <= self.columns <= 14 and 3 <= self.rows <= 14 and 0.2 * self.square < self.marker < self.square < 1):
             raise ConfigurationError(
                 "No ChArUco board.",
@@ -46,11 +41,6 @@ class Board:
                 allowed="3 ... 14 squares along a side, less than 1 m, markers smaller than squares",
                 hint="--columns 7 --rows 5 --square 0.04 --marker 0.03",
             )
-
-    @property
-    def _clear_of_markers(self) -> float:
-        """How far from a corner the next marker is, in squares."""
-        return (self.square - self.marker) / (2 * self.square)
 
     def image(self, pixels_per_metre: float) -> NDArray[np.uint8]:
         """Returns the board as a picture, white margin of half a square around it."""
@@ -65,27 +55,28 @@ class Board:
         """
         import cv2
 
-        corners, ids, _, _ = _aruco(self)[1].detectBoard(gray)
+        drawn, detector = _aruco(self)
+        corners, ids, _, _ = detector.detectBoard(gray)
         if ids is None or len(ids) < FEWEST_CORNERS:
             return np.zeros((0, 3)), np.zeros((0, 2))
-        # Up to 4.13 OpenCV tells corners half a pixel too far right and down (its issue 25539), later ones do not: from
-        # either the same corner is found again, in a window that the markers' edges stay out of.
-        window = int(np.clip(self._clear_of_markers * _spacing(np.asarray(corners).reshape(-1, 2)), 2, 8))
+        # OpenCV up to 4.13 finds corners half a pixel too far right and down (its issue 25539), later ones do not: both
+        # lead to the same corner when it is refined, in a window that the markers' edges stay out of.
+        clear_of_markers = (self.square - self.marker) / (2 * self.square)
+        window = int(np.clip(clear_of_markers * _spacing(np.asarray(corners).reshape(-1, 2)), 2, 8))
         ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
         corners = cv2.cornerSubPix(gray, np.array(corners, np.float32), (window, window), (-1, -1), ends)
-        row, column = np.divmod(np.asarray(ids).ravel(), self.columns - 1)
-        points = np.stack([(column + 1) * self.square, (row + 1) * self.square, np.zeros(len(row))], axis=1)
+        points = np.asarray(drawn.getChessboardCorners(), np.float64)[np.ravel(ids)]
         return points, np.asarray(corners, np.float64).reshape(-1, 2)
 
     def why_unseen(self, gray: NDArray[np.uint8]) -> str:
-        """Returns why `detect` finds nothing in a picture, as far as can be told: the pattern may be the other one."""
+        """Returns why `detect` finds nothing in a picture: the pattern may be the other one."""
         if self.rows % 2 == 0 and len(replace(self, legacy=not self.legacy).detect(gray)[0]):
             return f"it has OpenCV's {'present' if self.legacy else 'older'} pattern: {pattern_hint(not self.legacy)}"
         return "the board is not seen"
 
 
 def pattern_hint(legacy: bool) -> str:
-    """Returns how a board of this pattern is told to `adamanip calibrate`."""
+    """Returns the option of `adamanip calibrate` for a board of this pattern."""
     return "--legacy-pattern" if legacy else "leave out --legacy-pattern"
 
 

@@ -1,42 +1,41 @@
-"""The calibration file: where the cameras of a set-up are and how they see. JSON, checked strictly, versioned.
-
-Beside each camera stands how it was found and how well, for people to read; nothing depends on it.
-"""
+"""The calibration file: where the cameras of a set-up are and how they see. JSON, checked strictly, versioned."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.calibration.intrinsics_json import (
-    check_intrinsics,
-    intrinsics_from_json,
-    intrinsics_to_json,
-)
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
 
 VERSION = 1
-SUFFIX = ".cameras.json"
-"""Of the file beside a robot's id. LeRobot reads ``<id>.json`` of that folder as motors, and fails on any other."""
 RIGID_WITHIN = 1e-6
-"""How far from a rotation a matrix may be that was written by a program."""
-_NUMBER = checked_json.number(-1e6, 1e6)
-_ROW = checked_json.listing(_NUMBER, 4, 4)
-_KEY = checked_json.text(r"[A-Za-z0-9_-]{1,64}", "a camera's key")
-_FACT = checked_json.either(_NUMBER, checked_json.text(r"[^\x00-\x1f]{0,200}", "a line of text"))
+"""Largest error of a rotation matrix that a program wrote."""
+_NUMBER = json_fields.number(-1e6, 1e6)
+_POSE = json_fields.listing(json_fields.listing(_NUMBER, 4, 4), 4, 4)
+_INTRINSICS = json_fields.table(
+    {
+        "matrix": json_fields.listing(json_fields.listing(_NUMBER, 3, 3), 3, 3),
+        "distortion": json_fields.listing(_NUMBER, 0, 8),
+        "width": json_fields.integer(1, 20_000),
+        "height": json_fields.integer(1, 20_000),
+    }
+)
+_KEY = json_fields.text(r"[A-Za-z0-9_-]{1,64}", "a camera's key")
+_FACT = json_fields.either(_NUMBER, json_fields.text(r"[^\x00-\x1f]{0,200}", "a line of text"))
+check_name = json_fields.text(r"[^\x00-\x1f]{1,200}", "a serial number or name")
 
 
 def check_pose(name: str, value: object) -> NDArray[np.float64]:
-    """Checks for a rigid transform (4, 4)."""
-    pose = np.array(checked_json.listing(_ROW, 4, 4)(name, value), np.float64)
+    """Returns a rigid transform (4, 4); raises ValueError for anything else."""
+    pose = np.array(_POSE(name, value), np.float64)
     rotation = pose[:3, :3]
     rigid = np.abs(rotation @ rotation.T - np.eye(3)).max() < RIGID_WITHIN and np.linalg.det(rotation) > 0
     if not rigid or not np.array_equal(pose[3], (0, 0, 0, 1)):
@@ -44,25 +43,46 @@ def check_pose(name: str, value: object) -> NDArray[np.float64]:
     return pose
 
 
-_CAMERA = checked_json.table(
+def check_intrinsics(name: str, value: object) -> Intrinsics:
+    """Returns the intrinsics of a pinhole camera with 0, 5 or 8 coefficients; raises ValueError for anything else."""
+    found = _INTRINSICS(name, value)
+    (fx, skew, _), (low, fy, _), last = found["matrix"]
+    if fx <= 0 or fy <= 0 or skew != 0 or low != 0 or last != (0, 0, 1):
+        raise ValueError(f"{name}.matrix is no pinhole's: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+    if len(found["distortion"]) not in (0, 5, 8):
+        raise ValueError(f"{name}.distortion has {len(found['distortion'])} coefficients, not 0, 5 or 8")
+    matrix, distortion = np.array(found["matrix"], np.float64), np.array(found["distortion"], np.float64)
+    return Intrinsics(matrix, distortion, found["width"], found["height"])
+
+
+_CAMERA = json_fields.table(
     {
-        "camera": checked_json.text(r"[^\x00-\x1f]{1,200}", "a serial number or name"),
+        "camera": check_name,
         "depth": check_intrinsics,
-        "depth_in_base": checked_json.optional(check_pose),
-        "depth_in_tcp": checked_json.optional(check_pose),
-        "color": checked_json.optional(check_intrinsics),
-        "depth_in_color": checked_json.optional(check_pose),
-        "found": checked_json.mapping(_KEY, _FACT, 64),
+        "depth_in_base": json_fields.optional(check_pose),
+        "depth_in_tcp": json_fields.optional(check_pose),
+        "color": json_fields.optional(check_intrinsics),
+        "depth_in_color": json_fields.optional(check_pose),
+        "found": json_fields.mapping(_KEY, _FACT, 64),
     }
 )
-_CHECK = checked_json.table(
-    {"version": checked_json.integer(VERSION, VERSION), "cameras": checked_json.mapping(_KEY, _CAMERA, 16)}
+_CHECK = json_fields.table(
+    {"version": json_fields.integer(VERSION, VERSION), "cameras": json_fields.mapping(_KEY, _CAMERA, 16)}
 )
+
+
+def to_json(content: object, indent: int | None = None) -> bytes:
+    """Returns JSON; arrays become lists, dataclasses their fields."""
+    text = json.dumps(content, indent=indent, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else vars(v))
+    return text.encode()
 
 
 def read_calibrations(path: Path) -> dict[str, CameraCalibration]:
-    """Returns camera key -> calibration of a file; raises `ConfigurationError` where it is missing or none."""
-    return {key: _calibration(told) for key, told in _read(path).items()}
+    """Returns camera key -> calibration; raises `ConfigurationError` for a missing or wrong file."""
+    cameras = _checked(path, lambda: json_fields.read(path))
+    for told in cameras.values():
+        del told["found"]
+    return {key: CameraCalibration(**told) for key, told in cameras.items()}
 
 
 def save_calibration(
@@ -74,28 +94,20 @@ def save_calibration(
         path: of the file; made if it is not there.
         key: of the camera in the robot's configuration, ``front`` for instance.
         calibration: of it.
-        found: how it was found and how well: names and numbers or words.
+        found: how it was found and how well, for people: names and numbers or words.
 
     Raises:
-        ConfigurationError: what is there is no calibration file (it is not touched), or the calibration is none.
+        ConfigurationError: the existing file is no calibration file (it is not touched), or the calibration is none.
     """
-    cameras = (
-        {name: _to_json(_calibration(told), told["found"]) for name, told in _read(path).items()}
-        if path.exists()
-        else {}
-    )
-    content = {"version": VERSION, "cameras": {**cameras, key: _to_json(calibration, found or {})}}
-    text = json.dumps(content, indent=2)
-    _checked(path, lambda: checked_json.parse(text))
+    cameras = _checked(path, lambda: json_fields.read(path)) if path.exists() else {}
+    cameras[key] = {**vars(calibration), "found": dict(found or {})}
+    content = to_json({"version": VERSION, "cameras": cameras}, indent=2)
+    _checked(path, lambda: json_fields.parse(content))
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, text.encode())
+    write_atomically(path, content)
 
 
-def _read(path: Path) -> dict[str, Any]:
-    return _checked(path, lambda: checked_json.read(path))
-
-
-def _checked(path: Path, parse: Any) -> dict[str, Any]:
+def _checked(path: Path, parse: Callable[[], Any]) -> dict[str, Any]:
     try:
         cameras: dict[str, Any] = _CHECK("the file", parse())["cameras"]
         for key, told in cameras.items():
@@ -109,29 +121,3 @@ def _checked(path: Path, parse: Any) -> dict[str, Any]:
             hint="adamanip calibrate",
         ) from error
     return cameras
-
-
-def _calibration(told: Mapping[str, Any]) -> CameraCalibration:
-    return CameraCalibration(
-        camera=told["camera"],
-        depth=intrinsics_from_json(told["depth"]),
-        depth_in_base=told["depth_in_base"],
-        depth_in_tcp=told["depth_in_tcp"],
-        color=None if told["color"] is None else intrinsics_from_json(told["color"]),
-        depth_in_color=told["depth_in_color"],
-    )
-
-
-def _to_json(calibration: CameraCalibration, found: Mapping[str, float | str]) -> dict[str, Any]:
-    def pose(value: NDArray[np.float64] | None) -> Any:
-        return None if value is None else value.tolist()
-
-    return {
-        "camera": calibration.camera,
-        "depth": intrinsics_to_json(calibration.depth),
-        "depth_in_base": pose(calibration.depth_in_base),
-        "depth_in_tcp": pose(calibration.depth_in_tcp),
-        "color": None if calibration.color is None else intrinsics_to_json(calibration.color),
-        "depth_in_color": pose(calibration.depth_in_color),
-        "found": dict(found),
-    }

@@ -1,9 +1,8 @@
-"""Where a camera is, from pictures of a board at known poses of the tool.
+"""Hand-eye calibration from pictures of a board at known poses of the tool.
 
-The camera stands beside the robot and the board is held by the hand, or the camera is on the hand and the board lies
-somewhere: the same equation, ``board_in_camera = inv(camera) @ moved @ board``, where ``moved`` is the tool's pose in
-the base for a camera that stands, and its inverse for one on the hand. Park & Martin (1994) solve it from the board's
-poses alone; then both poses are refined on all corners together, which is several times more exact.
+One equation for a fixed camera with the board in the hand, and a camera on the hand with a fixed board:
+``board_in_camera = inv(camera) @ moved @ board``, where ``moved`` is the tool's pose in the base, or its inverse.
+Park & Martin (1994) solve it from the board's poses; then both poses are refined on all corners, which is more exact.
 """
 
 from __future__ import annotations
@@ -21,22 +20,21 @@ from lerobot_adamanip.contract.rotations import (
     rotation_vector_from_matrix,
     transform,
 )
-from lerobot_adamanip.hardware.calibration.projection import project
 from lerobot_adamanip.hardware.camera_frames import Intrinsics
 from lerobot_adamanip.util.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 FEWEST_VIEWS = 12
 LEAST_SPREAD = np.deg2rad(30)
-"""The tool has to be turned by this much about two axes: less leaves the camera's place open."""
+"""Least turn of the tool about two axes."""
 WORST_RMS = 1.0
-"""Of a calibration that is accepted [px]."""
+"""Largest error of an accepted calibration [px]."""
 _DRAWS, _DRAWN = 60, 6
-"""Starts from subsets: one or two wrong poses spoil a solution from all."""
+"""Solutions from small subsets: one or two wrong poses spoil a solution from all."""
 
 
 class Mounting(enum.StrEnum):
-    """Where the camera is."""
+    """Where the camera is: beside the robot, or on its hand."""
 
     FIXED = "fixed"
     WRIST = "wrist"
@@ -86,8 +84,7 @@ class HandEye:
         board: (4, 4) the board's pose, in the tool's frame if the camera is fixed, else in the base's [m].
         rms: over all corners [px].
         residuals: of each view.
-        position_spread: farthest that the camera moves if one view is left out [m].
-        angle_spread: likewise [rad].
+        position_spread, angle_spread: farthest that the camera moves if one view is left out [m, rad].
     """
 
     mounting: Mounting
@@ -100,16 +97,11 @@ class HandEye:
 
 
 def solve(views: Sequence[View], intrinsics: Intrinsics, mounting: Mounting) -> HandEye:
-    """Finds the camera.
-
-    Args:
-        views: of one board, from poses that differ.
-        intrinsics: of the imager that took the pictures.
-        mounting: where it is.
+    """Returns the camera's pose from views of one board.
 
     Raises:
-        ConfigurationError: views are too few or too much alike, single ones contradict the others (they are named), or
-            none fit.
+        ConfigurationError: views are too few or too much alike, some contradict the others (they are named), or none
+            fit.
     """
     moved = _moved(views, mounting)
     _require_variety(views, moved)
@@ -150,7 +142,7 @@ class _Problem:
         chosen = slice(None) if kept is None else kept
         board_in_camera = np.linalg.inv(camera) @ self.moved @ board
         points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
-        return np.asarray(project(points[:, :3], self.intrinsics) - self.pixels[chosen])
+        return _project(points[:, :3], self.intrinsics) - self.pixels[chosen]
 
     def rms_of_views(self, camera: Array, board: Array) -> Array:
         """(V,) [px]."""
@@ -171,8 +163,17 @@ class _Problem:
         return poses(done.x)
 
 
+def _project(points_in_camera: Array, intrinsics: Intrinsics) -> Array:
+    """Points (K, 3) [m] -> pixels (K, 2); points behind the camera land far outside of any picture."""
+    import cv2
+
+    points, none = np.ascontiguousarray(points_in_camera), np.zeros(3)
+    pixels = cv2.projectPoints(points, none, none, intrinsics.matrix, intrinsics.distortion)[0][:, 0]
+    return np.asarray(np.where(points_in_camera[:, 2:] > 1e-3, pixels, 1e6), np.float64)
+
+
 def _moved(views: Sequence[View], mounting: Mounting) -> Array:
-    """(V, 4, 4): what the robot did, see above."""
+    """(V, 4, 4), see the equation above."""
     poses = np.stack([view.tcp_in_base for view in views]) if views else np.zeros((0, 4, 4))
     return poses if mounting is Mounting.FIXED or not len(poses) else np.asarray(np.linalg.inv(poses), np.float64)
 

@@ -1,4 +1,4 @@
-"""Takes pictures of the board with a robot and its camera: the person moves the arm, this notes where it is."""
+"""Takes pictures of the board with a robot and its camera while a person moves the arm."""
 
 from __future__ import annotations
 
@@ -19,25 +19,21 @@ from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 MOVED, TURNED = 0.0005, 0.002
-"""An arm that moved by more [m, rad] while the picture was taken was not at rest."""
-WITHIN = 2.0
-"""A camera delivers a frame within this [s]."""
+"""Largest motion of an arm at rest while a picture is taken [m, rad]."""
+FRAME_TIMEOUT = 2.0
+"""[s]"""
 
 
 def robot_from_file(path: Path) -> Any:
-    """Returns the robot of LeRobot that a JSON file describes, as ``--robot.*`` does; not connected.
-
-    Raises:
-        ConfigurationError: the file describes none.
-    """
+    """Returns the robot that a JSON file of ``--robot.*`` options describes; raises `ConfigurationError`."""
     import draccus
     from lerobot.robots import make_robot_from_config
     from lerobot.robots.config import RobotConfig
 
-    from lerobot_adamanip.util import json_fields as checked_json
+    from lerobot_adamanip.util import json_fields
 
     try:
-        return make_robot_from_config(draccus.decode(RobotConfig, checked_json.read(path)))
+        return make_robot_from_config(draccus.decode(RobotConfig, json_fields.read(path)))
     except Exception as error:  # draccus and LeRobot raise many kinds
         raise ConfigurationError(
             "The file describes no robot.",
@@ -48,7 +44,7 @@ def robot_from_file(path: Path) -> Any:
 
 
 def camera_of(robot: Any, key: str) -> FrameReader:
-    """Returns a robot's camera; raises `ConfigurationError` if it has none such, or one that tells no stamps."""
+    """Returns a robot's camera; raises `ConfigurationError` if it has none such, or one without stamps."""
     cameras: Mapping[str, object] = getattr(robot, "cameras", {})
     camera = cameras.get(key)
     if not isinstance(camera, FrameReader):
@@ -62,11 +58,11 @@ def camera_of(robot: Any, key: str) -> FrameReader:
 
 
 def begin(folder: Path, camera: FrameReader, mounting: Mounting, board: Board) -> ViewFolder:
-    """Returns a folder of pictures to add to: the one that is there, or a new one with what the camera tells of itself.
+    """Returns a folder of pictures to add to: the existing one, or a new one with the camera's own intrinsics.
 
     Raises:
-        ConfigurationError: what is there is of another camera, mounting or board.
-        RobotError: the camera does not tell its intrinsics.
+        ConfigurationError: the existing pictures are of another camera, mounting or board.
+        RobotError: the camera does not know its intrinsics.
     """
     depth = camera.depth_in_color()
     new = ViewFolder(
@@ -96,21 +92,14 @@ def take_views(
 ) -> ViewFolder:
     """Takes a picture whenever ``ask`` returns True, until it returns False; returns the folder with them.
 
-    Only what can be used is kept: the board is seen, and the arm was at rest.
-
-    Args:
-        robot: connected; LeRobot's.
-        camera: connected; of it.
-        folder: to add to.
-        ask: waits for the person at a pose.
-        tell: is told what became of it.
+    A picture is kept if it shows the board and the arm was at rest; ``tell`` gets a line about each.
     """
     import cv2
 
     while ask():
         before = tcp_in_base(robot.get_observation())
         try:
-            frame = camera.frame_after(time.perf_counter(), WITHIN)
+            frame = camera.frame_after(time.perf_counter(), FRAME_TIMEOUT)
         except RobotError as error:
             tell(str(error))
             continue
@@ -133,5 +122,5 @@ def take_views(
 
 
 def tcp_in_base(observation: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Returns the tool's pose (4, 4) [m] of an observation of our robots."""
+    """Returns the tool's pose (4, 4) [m] of an observation."""
     return pose_from_vector([observation[name] for name in POSE_NAMES])[0]

@@ -1,64 +1,56 @@
-"""Pictures of the board with the tool's poses, in a folder: ``views.json``, ``view_000.png`` and so on."""
+"""A folder of pictures of the board with the tool's poses: ``views.json``, ``view_000.png`` and so on."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.calibration.board import DICTIONARY, Board, pattern_hint
-from lerobot_adamanip.hardware.calibration.file import check_pose
+from lerobot_adamanip.hardware.calibration.file import check_intrinsics, check_name, check_pose, to_json
 from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, View
-from lerobot_adamanip.hardware.calibration.intrinsics_json import (
-    check_intrinsics,
-    intrinsics_from_json,
-    intrinsics_to_json,
-)
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
 
 FILE, VERSION = "views.json", 1
-_SIDE = checked_json.number(1e-3, 1)
-_CHECK = checked_json.table(
+_SIDE = json_fields.number(1e-3, 1)
+_CHECK = json_fields.table(
     {
-        "version": checked_json.integer(VERSION, VERSION),
-        "camera": checked_json.text(r"[^\x00-\x1f]{1,200}", "a serial number or name"),
-        "mounting": checked_json.choice(tuple(Mounting)),
-        "board": checked_json.table(
+        "version": json_fields.integer(VERSION, VERSION),
+        "camera": check_name,
+        "mounting": json_fields.choice(tuple(Mounting)),
+        "board": json_fields.table(
             {
-                "columns": checked_json.integer(3, 14),
-                "rows": checked_json.integer(3, 14),
+                "columns": json_fields.integer(3, 14),
+                "rows": json_fields.integer(3, 14),
                 "square": _SIDE,
                 "marker": _SIDE,
-                "legacy": checked_json.flag,
+                "legacy": json_fields.flag,
             }
         ),
         "color": check_intrinsics,
-        "depth": checked_json.optional(check_intrinsics),
-        "depth_in_color": checked_json.optional(check_pose),
-        "tcp_in_base": checked_json.listing(check_pose, 0, 1000),
+        "depth": json_fields.optional(check_intrinsics),
+        "depth_in_color": json_fields.optional(check_pose),
+        "tcp_in_base": json_fields.listing(check_pose, 0, 1000),
     }
 )
 
 
 @dataclass(frozen=True)
 class ViewFolder:
-    """What a folder holds.
+    """Pictures of one board by one camera.
 
     Attributes:
-        folder: of it.
+        folder: that holds them.
         camera: serial number or name.
-        mounting: where the camera is.
-        board: that is seen.
-        color: of the imager that took the pictures.
-        depth: of the imager that depth is told in; None if that is the same.
+        mounting, board: see `Mounting`, `Board`.
+        color: intrinsics of the imager that took the pictures.
+        depth: of the imager of depth; None if that is the same.
         depth_in_color: (4, 4) pose of that imager in the other's frame [m]; None if they are one.
         tcp_in_base: of each picture, (4, 4) [m].
     """
@@ -76,7 +68,7 @@ class ViewFolder:
     def open(cls, folder: Path) -> ViewFolder:
         """Reads ``views.json``; raises `ConfigurationError` where it is missing or none."""
         try:
-            read = checked_json.read(folder / FILE)
+            read = json_fields.read(folder / FILE)
             if isinstance(read, dict) and isinstance(read.get("board"), dict):
                 read["board"].setdefault("legacy", False)  # folders of before 0.3
             told = _CHECK(FILE, read)
@@ -89,19 +81,11 @@ class ViewFolder:
                 allowed=f"a folder with {FILE} of version {VERSION} and its pictures",
                 hint="adamanip calibrate FOLDER --record robot.json",
             ) from error
-        return cls(
-            folder,
-            told["camera"],
-            Mounting(told["mounting"]),
-            Board(**told["board"]),
-            intrinsics_from_json(told["color"]),
-            None if told["depth"] is None else intrinsics_from_json(told["depth"]),
-            told["depth_in_color"],
-            told["tcp_in_base"],
-        )
+        del told["version"]
+        return cls(folder, **{**told, "mounting": Mounting(told["mounting"]), "board": Board(**told["board"])})
 
     def added(self, color: NDArray[np.uint8], tcp_in_base: NDArray[np.float64]) -> ViewFolder:
-        """Writes one more picture (H, W, 3) RGB with its pose; returns the folder with it. Older ones stay whole."""
+        """Writes one more picture (H, W, 3) RGB with its pose, and returns the folder with it."""
         import cv2
 
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -109,11 +93,12 @@ class ViewFolder:
         assert written
         write_atomically(self._picture(len(self.tcp_in_base)), data.tobytes())
         more = replace(self, tcp_in_base=(*self.tcp_in_base, tcp_in_base))
-        write_atomically(self.folder / FILE, json.dumps(more._to_json(), indent=1).encode())
+        content = {name: value for name, value in vars(more).items() if name != "folder"}
+        write_atomically(self.folder / FILE, to_json({"version": VERSION, **content}, indent=1))
         return more
 
     def views(self, tell: Callable[[str], None] = lambda line: None) -> list[View]:
-        """Finds the board in each picture; those without it are left out, which ``tell`` is told.
+        """Finds the board in each picture; ``tell`` gets a line about each picture without it.
 
         Raises:
             ConfigurationError: a picture is missing or of another size, or none shows the board.
@@ -154,7 +139,7 @@ class ViewFolder:
         )
 
     def calibration(self, solved: HandEye) -> CameraCalibration:
-        """Returns the calibration of the imager that depth is told in, given where that of the pictures is."""
+        """Returns the calibration of the imager of depth, given the pose of the imager of the pictures."""
         depth_pose = solved.camera if self.depth_in_color is None else solved.camera @ self.depth_in_color
         fixed = solved.mounting is Mounting.FIXED
         return CameraCalibration(
@@ -168,22 +153,3 @@ class ViewFolder:
 
     def _picture(self, index: int) -> Path:
         return self.folder / f"view_{index:03d}.png"
-
-    def _to_json(self) -> dict[str, Any]:
-        board = self.board
-        return {
-            "version": VERSION,
-            "camera": self.camera,
-            "mounting": str(self.mounting),
-            "board": {
-                "columns": board.columns,
-                "rows": board.rows,
-                "square": board.square,
-                "marker": board.marker,
-                "legacy": board.legacy,
-            },
-            "color": intrinsics_to_json(self.color),
-            "depth": None if self.depth is None else intrinsics_to_json(self.depth),
-            "depth_in_color": None if self.depth_in_color is None else self.depth_in_color.tolist(),
-            "tcp_in_base": [pose.tolist() for pose in self.tcp_in_base],
-        }

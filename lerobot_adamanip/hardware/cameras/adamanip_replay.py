@@ -1,4 +1,4 @@
-"""A camera that plays a recording in real time: for tests, and for trying a set-up without its camera."""
+"""A camera that plays a recording in real time, to try a set-up without its camera."""
 
 from __future__ import annotations
 
@@ -11,26 +11,22 @@ from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipRep
 from lerobot_adamanip.hardware.cameras.recording import Recording
 from lerobot_adamanip.util.errors import ConfigurationError
 
-LONGEST_WAIT = 0.2
-"""The thread looks this often whether it should end [s]."""
+MAX_WAIT = 0.2
+"""[s]"""
 
 
 class AdamanipReplay(ThreadedCamera):
-    """Delivers the frames of a recording as far apart as they were taken; those that come too late are dropped.
-
-    Args:
-        config: says which.
-    """
+    """Delivers the frames of a recording as far apart as they were taken; late ones are dropped."""
 
     config: AdamanipReplayConfig
 
     def __init__(self, config: AdamanipReplayConfig) -> None:
-        super().__init__(config, config.path.name, use_rgb=config.use_rgb, use_depth=config.use_depth)
+        super().__init__(config, config.path.name)
         self._recording: Recording | None = None
         self._start, self._next = 0.0, 0
 
     def depth_intrinsics(self) -> Intrinsics:
-        """Returns those that the recording holds."""
+        """Returns the recording's."""
         found = None if self._recording is None else self._recording.intrinsics
         return found if found is not None else super().depth_intrinsics()
 
@@ -54,16 +50,16 @@ class AdamanipReplay(ThreadedCamera):
         assert recording is not None
         count = len(recording.stamps)
         if self._next >= count and not self.config.loop:
-            stop.wait(LONGEST_WAIT)
+            stop.wait(MAX_WAIT)
             return None
         due = self._due(recording, self._next)
         if (left := due - time.perf_counter()) > 0:
-            stop.wait(min(left, LONGEST_WAIT))
+            stop.wait(min(left, MAX_WAIT))
             if time.perf_counter() < due:
                 return None
         number = self._next
         while time.perf_counter() > self._due(recording, number + 1):
-            number += 1  # whoever reads wants what is seen now
+            number += 1  # a late frame is dropped
         if number >= count and not self.config.loop:
             number = count - 1
         self._next = number + 1
@@ -71,7 +67,7 @@ class AdamanipReplay(ThreadedCamera):
         return Frame(self._due(recording, number), time.perf_counter(), color, depth, number)
 
     def _due(self, recording: Recording, number: int) -> float:
-        """When a frame is exposed [s]; recordings follow each other without a pause."""
+        """Returns when a frame is exposed [s]; rounds follow each other without a pause."""
         rounds, index = divmod(number, len(recording.stamps))
         return self._start + rounds * recording.duration + recording.stamps[index]
 

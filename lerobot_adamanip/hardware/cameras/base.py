@@ -1,10 +1,11 @@
-"""What all cameras here share: frames with stamps, waiting for one, and an error instead of a stale one."""
+"""Base of the cameras: frames with stamps, waiting for one, and an error instead of a stale one."""
 
 from __future__ import annotations
 
 import abc
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,25 +14,79 @@ from lerobot.cameras.configs import CameraConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
-from lerobot_adamanip.hardware.cameras.latest import LatestFrame
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_AGE = 0.5
-"""A camera whose latest frame is older than this is frozen [s]: no camera here is slower than 4 Hz."""
-STOPPED_WITHIN = 2.0
-"""A thread that reads frames has ended within this [s] of being asked to, or is left behind."""
+"""Largest age of a camera's latest frame [s]: no camera here is slower than 4 Hz."""
+STOP_TIMEOUT = 2.0
+"""Longest wait for a thread that reads frames to end [s]."""
+
+
+class LatestFrame:
+    """The newest frame, between the thread that delivers frames and those that want one. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self.clear()
+
+    def clear(self) -> None:
+        """Removes frame and failure."""
+        with self._changed:
+            self._frame: Frame | None = None
+            self._failure: Exception | None = None
+            self._taken = -1
+            self._changed.notify_all()
+
+    def put(self, frame: Frame) -> None:
+        """Replaces the frame."""
+        with self._changed:
+            self._frame = frame
+            self._changed.notify_all()
+
+    def fail(self, error: Exception) -> None:
+        """Ends the frames: waiting and later calls return None."""
+        with self._changed:
+            self._failure = error
+            self._changed.notify_all()
+
+    @property
+    def failure(self) -> Exception | None:
+        """Reason why no frame will come; None while one may."""
+        return self._failure
+
+    def latest(self) -> Frame | None:
+        """Returns the last frame, however old; None before the first."""
+        with self._changed:
+            return self._frame
+
+    def after(self, stamp: float, timeout: float) -> Frame | None:
+        """Returns a frame exposed after ``stamp`` [s]; None if none comes within ``timeout`` [s]."""
+        return self._wait(lambda frame: frame.stamp > stamp, timeout)
+
+    def next(self, timeout: float) -> Frame | None:
+        """Returns a frame that `next` has not returned yet, as `after` does: LeRobot's ``async_read``."""
+        frame = self._wait(lambda frame: frame.number != self._taken, timeout)
+        self._taken = self._taken if frame is None else frame.number
+        return frame
+
+    def _wait(self, wanted: Callable[[Frame], bool], timeout: float) -> Frame | None:
+        def ready() -> bool:
+            return self._frame is not None and wanted(self._frame)
+
+        with self._changed:
+            self._changed.wait_for(lambda: self._failure is not None or ready(), timeout)
+            return self._frame if ready() else None
 
 
 class FrameReader:
-    """Mixed into a LeRobot camera whose thread puts frames into ``frames``: all ways to read one.
+    """Mixin of a LeRobot camera whose thread puts frames into ``frames``: all ways to read one.
 
-    A frame that is too old is never given: `RobotError`, with the camera's name, is raised instead.
+    A frame that is too old is never returned: `RobotError` with the camera's name is raised instead.
 
     Attributes:
-        name: of the camera in errors; who has a better one than its serial number sets it.
+        name: of the camera in errors.
         frames: where the thread puts them.
-        use_rgb: whether frames have colour.
-        use_depth: whether frames have depth.
+        use_rgb, use_depth: whether frames have colour, depth.
     """
 
     name: str
@@ -40,22 +95,22 @@ class FrameReader:
     use_depth: bool
 
     def wake(self) -> None:
-        """Called whenever somebody wants a frame: a camera that takes one only when asked begins to."""
+        """Called before each reading, for a camera that takes frames on demand."""
 
     def depth_intrinsics(self) -> Intrinsics:
-        """Returns how the imager projects whose frame depth is told in; raises `RobotError` where that is not known."""
-        raise self._error("No intrinsics of its depth.", "a camera that does not tell", "a calibration file")
+        """Returns the projection of the imager of depth; raises `RobotError` where it is not known."""
+        raise self._error("No intrinsics of its depth.", "a camera without its own", "a calibration file")
 
     def color_intrinsics(self) -> Intrinsics:
-        """Likewise of the colour imager."""
-        raise self._error("No intrinsics of its colour.", "a camera that does not tell", "a calibration file")
+        """Returns the projection of the colour imager; raises `RobotError` where it is not known."""
+        raise self._error("No intrinsics of its colour.", "a camera without its own", "a calibration file")
 
     def depth_in_color(self) -> NDArray[np.float64] | None:
         """Returns the (4, 4) pose [m] of the depth imager in the colour imager's frame; None where it is not known."""
         return None
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
-        """Returns the frame that arrived last; never waits.
+        """Returns the last frame at once.
 
         Raises:
             RobotError: there is none yet, its exposure is more than ``max_age`` [s] ago, or the camera has failed.
@@ -71,7 +126,7 @@ class FrameReader:
         return frame
 
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
-        """Returns a frame exposed after ``stamp`` (`time.perf_counter()`, [s]): what is seen since the arm rests.
+        """Returns a frame exposed after ``stamp`` (`time.perf_counter()`, [s]), e.g. since the arm is at rest.
 
         Raises:
             RobotError: none came within ``timeout`` [s], or the camera has failed.
@@ -89,8 +144,7 @@ class FrameReader:
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
         """Returns the colour (H, W, 3) of a frame that was not read this way before; raises `RobotError`."""
-        self.wake()
-        return self._color(self._given(self.frames.next(timeout_ms / 1e3), timeout_ms / 1e3))
+        return self._color(self._next_frame(timeout_ms / 1e3))
 
     def read_depth(self, timeout_ms: float = 2e3 * MAX_AGE) -> NDArray[np.uint16]:
         """Returns the depth (H, W, 1) [mm] of a frame exposed from now on; raises `RobotError`."""
@@ -102,8 +156,11 @@ class FrameReader:
 
     def async_read_depth(self, timeout_ms: float = 200) -> NDArray[np.uint16]:
         """Returns the depth (H, W, 1) [mm] of a frame that was not read this way before; raises `RobotError`."""
+        return self._depth(self._next_frame(timeout_ms / 1e3))
+
+    def _next_frame(self, timeout: float) -> Frame:
         self.wake()
-        return self._depth(self._given(self.frames.next(timeout_ms / 1e3), timeout_ms / 1e3))
+        return self._given(self.frames.next(timeout), timeout)
 
     def _given(self, frame: Frame | None, timeout: float) -> Frame:
         if frame is not None:
@@ -128,28 +185,36 @@ class FrameReader:
         return error
 
     def _error(self, what: str, got: object, allowed: str) -> RobotError:
-        return RobotError(
-            f"Camera {self.name}: {what}",
-            got=got,
-            allowed=allowed,
-            hint="its cable and port, then connect again; `lerobot-find-cameras` lists what is connected",
-        )
+        hint = "its cable and port, then connect again; `lerobot-find-cameras` lists what is connected"
+        return RobotError(f"Camera {self.name}: {what}", got=got, allowed=allowed, hint=hint)
+
+    def _deliver(self, take: Callable[[threading.Event], Frame | None], stop: threading.Event) -> None:
+        """Loop of the thread: puts frames until ``stop`` is set; an exception becomes the failure."""
+        try:
+            while not stop.is_set():
+                frame = take(stop)
+                if frame is not None and not stop.is_set():
+                    self.frames.put(frame)
+        except Exception as error:  # of any SDK
+            if not stop.is_set():
+                self.frames.fail(error)
 
 
 class ThreadedCamera(FrameReader, Camera):
-    """A LeRobot camera of which one thread takes frames, from `connect` to `disconnect`.
+    """A LeRobot camera with one thread that takes frames, from `connect` to `disconnect`.
 
     Args:
         config: LeRobot's.
         name: of the camera in errors.
-        use_rgb: whether its frames have colour.
-        use_depth: whether its frames have depth.
     """
 
-    def __init__(self, config: CameraConfig, name: str, *, use_rgb: bool = True, use_depth: bool = True) -> None:
+    warmup_seconds = 5.0
+    """Longest wait for the first frame [s]."""
+
+    def __init__(self, config: CameraConfig, name: str) -> None:
         super().__init__(config)
-        self.config = config
-        self.name, self.use_rgb, self.use_depth = name, use_rgb, use_depth
+        self.config, self.name = config, name
+        self.use_rgb, self.use_depth = config.use_rgb, config.use_depth
         self.frames = LatestFrame()
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
@@ -160,7 +225,7 @@ class ThreadedCamera(FrameReader, Camera):
 
     @abc.abstractmethod
     def _take(self, stop: threading.Event) -> Frame | None:
-        """Waits for the next frame, some tenths of a second at most; None if there is none yet. May raise anything."""
+        """Waits some tenths of a second for the next frame; None if there is none yet. May raise anything."""
 
     @abc.abstractmethod
     def _close(self) -> None:
@@ -173,7 +238,7 @@ class ThreadedCamera(FrameReader, Camera):
 
     @property
     def is_connected(self) -> bool:
-        """Whether it is open; one that has failed stays so until `disconnect`."""
+        """Whether it is open; a failed camera stays so until `disconnect`."""
         return self._thread is not None
 
     def connect(self, warmup: bool = True) -> None:
@@ -183,7 +248,8 @@ class ThreadedCamera(FrameReader, Camera):
         self._open()
         self.frames.clear()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(self._stop,), name=f"camera {self.name}", daemon=True)
+        name = f"camera {self.name}"
+        self._thread = threading.Thread(target=self._deliver, args=(self._take, self._stop), name=name, daemon=True)
         self._thread.start()
         if warmup:
             try:
@@ -192,24 +258,11 @@ class ThreadedCamera(FrameReader, Camera):
                 self.disconnect()
                 raise
 
-    warmup_seconds = 5.0
-    """How long the first frame may take [s]."""
-
     def disconnect(self) -> None:
         """Stops the thread and closes the device; idempotent."""
         thread, self._thread = self._thread, None
         self._stop.set()
         if thread is not None and thread is not threading.current_thread():
-            thread.join(STOPPED_WITHIN)
+            thread.join(STOP_TIMEOUT)
         self._close()
         self.frames.clear()
-
-    def _run(self, stop: threading.Event) -> None:
-        try:
-            while not stop.is_set():
-                frame = self._take(stop)
-                if frame is not None and not stop.is_set():
-                    self.frames.put(frame)
-        except Exception as error:  # whoever reads next is told, whatever it was
-            if not stop.is_set():
-                self.frames.fail(error)

@@ -26,4 +26,4 @@ class AdamanipReplayConfig(CameraConfig):
     """Whether frames have depth; the recording has to have it."""
 
     loop: bool = True
-    """Begin again after the last frame. Without it the camera then freezes, as one whose cable was pulled."""
+    """Begin again after the last frame; otherwise the camera freezes then, as one whose cable was pulled."""

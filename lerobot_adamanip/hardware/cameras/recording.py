@@ -1,8 +1,7 @@
-"""Frames of a camera in a folder: one PNG for each picture, and ``recording.json`` with their stamps."""
+"""A folder with frames of a camera: a PNG for each picture, and ``recording.json`` with their stamps."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,45 +10,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.calibration.intrinsics_json import (
-    check_intrinsics,
-    intrinsics_from_json,
-    intrinsics_to_json,
-)
+from lerobot_adamanip.hardware.calibration.file import check_intrinsics, check_name, to_json
 from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.files import write_atomically
 
 FILE, VERSION = "recording.json", 1
 MAX_FRAMES = 200_000
-_CHECK = checked_json.table(
+_CHECK = json_fields.table(
     {
-        "version": checked_json.integer(VERSION, VERSION),
-        "camera": checked_json.text(r"[^\x00-\x1f]{1,200}", "a name"),
-        "fps": checked_json.integer(1, 1000),
-        "width": checked_json.integer(1, 20_000),
-        "height": checked_json.integer(1, 20_000),
-        "color": checked_json.flag,
-        "depth": checked_json.flag,
-        "stamps": checked_json.listing(checked_json.number(0, 1e7), 1, MAX_FRAMES),
-        "intrinsics": checked_json.optional(check_intrinsics),
+        "version": json_fields.integer(VERSION, VERSION),
+        "camera": check_name,
+        "fps": json_fields.integer(1, 1000),
+        "width": json_fields.integer(1, 20_000),
+        "height": json_fields.integer(1, 20_000),
+        "color": json_fields.flag,
+        "depth": json_fields.flag,
+        "stamps": json_fields.listing(json_fields.number(0, 1e7), 1, MAX_FRAMES),
+        "intrinsics": json_fields.optional(check_intrinsics),
     }
 )
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A folder of frames. Pictures are read when they are asked for.
+    """A folder of frames.
 
     Attributes:
-        folder: of it.
-        camera: that took it.
+        folder: that holds them.
+        camera: serial number or name.
         fps: nominal rate [Hz].
-        width, height: of its pictures [px].
-        color, depth: whether it has pictures of these.
-        stamps: of its frames, growing, from 0 [s].
-        intrinsics: of the imager that depth is told in, where known.
+        width, height: of the pictures [px].
+        color, depth: whether there are pictures of these.
+        stamps: of the frames, growing, from 0 [s].
+        intrinsics: of the imager of depth, where known.
     """
 
     folder: Path
@@ -64,14 +59,14 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """From the first frame to where one more would be [s]."""
+        """Time from the first frame to one after the last [s]."""
         return self.stamps[-1] + 1 / self.fps
 
     @classmethod
     def open(cls, folder: Path) -> Recording:
-        """Reads what a folder holds; raises `DatasetError` where it is no recording."""
+        """Reads ``recording.json``; raises `DatasetError` where it is missing or wrong."""
         try:
-            found = _CHECK(FILE, checked_json.read(folder / FILE))
+            found = _CHECK(FILE, json_fields.read(folder / FILE))
             if any(later <= earlier for earlier, later in zip(found["stamps"], found["stamps"][1:], strict=False)):
                 raise ValueError("stamps do not grow")
         except (OSError, ValueError) as error:
@@ -82,11 +77,10 @@ class Recording:
                 hint="the folder that write_recording wrote",
             ) from error
         del found["version"]
-        told = found.pop("intrinsics")
-        return cls(folder, **found, intrinsics=None if told is None else intrinsics_from_json(told))
+        return cls(folder, **found)
 
     def require(self, *, color: bool, depth: bool) -> None:
-        """Raises `DatasetError` if it lacks pictures that are wanted."""
+        """Raises `DatasetError` if wanted pictures are missing."""
         lacking = [name for name, wanted in (("color", color), ("depth", depth)) if wanted and not getattr(self, name)]
         if lacking:
             raise DatasetError(
@@ -99,7 +93,7 @@ class Recording:
     def pictures(
         self, index: int, *, color: bool = True, depth: bool = True
     ) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16] | None]:
-        """Returns colour (H, W, 3) RGB and depth (H, W) [mm] of a frame, None for what is not wanted or not there.
+        """Returns colour (H, W, 3) RGB and depth (H, W) [mm] of a frame, None for an unwanted one or none.
 
         Raises:
             DatasetError: a picture is missing, or of another size.
@@ -129,7 +123,7 @@ class Recording:
 def write_recording(
     folder: Path, frames: Iterable[Frame], *, camera: str, fps: int, intrinsics: Intrinsics | None = None
 ) -> Recording:
-    """Writes frames, all of one size and kind, into a new or empty folder; its file last, so that it is whole or none.
+    """Writes frames of one size and kind into a new or empty folder, ``recording.json`` last.
 
     Raises:
         DatasetError: there are no frames, or the folder is not empty.
@@ -156,9 +150,9 @@ def write_recording(
         "color": first.color is not None,
         "depth": first.depth is not None,
         "stamps": stamps,
-        "intrinsics": None if intrinsics is None else intrinsics_to_json(intrinsics),
+        "intrinsics": intrinsics,
     }
-    write_atomically(folder / FILE, json.dumps(described).encode())
+    write_atomically(folder / FILE, to_json(described))
     return Recording.open(folder)
 
 

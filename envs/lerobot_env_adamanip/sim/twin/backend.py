@@ -22,20 +22,17 @@ from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOpt
 TICK = 0.02
 """One control tick of the simulation [s]."""
 MOST_TICKS = 10
-"""Ticks that are made up for at once after a picture, or where the machine is slow; beyond that, time is lost."""
+"""Most late ticks that are made up for at once; beyond that, time is lost."""
 MOVING = 0.01
-"""Joints slower than this rest [rad/s]."""
+"""Fastest joint of an arm at rest [rad/s]."""
 
 
 class SapienBackend:
-    """Drives the arm of a `TwinScene`; implements `lerobot_adamanip.hardware.arm.ArmBackend`.
-
-    Key frames are `KeyframeDriver.execute`, as `lerobot-eval` runs them, in slices of a tick. Nothing here ends an
-    episode: whoever drives asks for `reset`.
+    """An `ArmBackend` on the arm of a `TwinScene`. Key frames are `KeyframeDriver.execute`, in slices of a tick.
 
     Args:
         options: see `TwinOptions`.
-        boxes: mailboxes of frames and success; those that are missing are not filled.
+        boxes: mailboxes of frames and success; missing ones are not filled.
     """
 
     period = TICK
@@ -67,7 +64,7 @@ class SapienBackend:
     # Time ------------------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Advances by a tick; by real time, by as many as have passed since the last one."""
+        """Advances by a tick, or in real time by the ticks since the last call."""
         now = time.perf_counter()
         due = 1 if self._options.lockstep else round((now - self._ticked) / TICK)
         for _ in range(max(1, min(due, MOST_TICKS))):
@@ -88,7 +85,7 @@ class SapienBackend:
         self._time += max(1, scene.ticks - before) * TICK
 
     def read(self) -> ArmReading:
-        """Returns the state at the end of the latest tick. The stamp is this machine's time, whatever the clock."""
+        """Returns the state at the end of the latest tick; the stamp is this machine's time."""
         scene = self._scene
         felt, joints = scene.felt(), scene.task_simulation.arm_state()
         moves = self._motion is not None or bool(np.abs(joints.qvel).max() > MOVING)
@@ -137,15 +134,10 @@ class SapienBackend:
             motion.abort()
             self._scene.driver.break_off()
 
-    # What a twin answers beside that ---------------------------------------------------------------------------------
+    # Requests --------------------------------------------------------------------------------------------------------
 
     def reset(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Puts up the scene of ``seed``; returns what a robot may know of it: see `describe`.
-
-        Raises:
-            ValueError: there is no such seed.
-            AdaManipError: what `KeyframeEnv.reset` raises.
-        """
+        """Resets to the scene of ``seed`` and returns `describe`; raises ValueError for a wrong seed."""
         seed = values.get("seed")
         if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
             raise ValueError(f"seed is {seed!r}, not a whole number, 0 ... 2147483647")
@@ -155,13 +147,13 @@ class SapienBackend:
         self._success = False
         self._publish_success()
         self._seed = seed
-        if self._frames:  # whoever looks will look again: the scene is made ready to be seen
+        if self._frames:  # pictures were wanted, and will be again
             self._camera().get_ready()
         self._ticked = time.perf_counter()
         return self.describe()
 
     def describe(self) -> dict[str, Any]:
-        """Returns seed, object, task, annotated parts and camera of the episode: nothing hidden."""
+        """Returns what a robot may know of the episode: nothing hidden."""
         scene = self._scene
         return {
             "seed": self._seed,
@@ -174,7 +166,7 @@ class SapienBackend:
         }
 
     def look(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Takes a picture of this moment into the mailbox of frames; returns its number."""
+        """Takes a picture into the mailbox of frames; returns its number."""
         if FRONT_FRAMES not in self._boxes:
             raise RobotError("The twin was started without a camera.")
         camera = self._camera()
@@ -191,7 +183,7 @@ class SapienBackend:
         return self._eye
 
     def episode(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Returns how the episode stands, with what is hidden: for logs, never for features."""
+        """Returns the state of the episode with its hidden values: for logs, never for features."""
         scene = self._scene
         return {
             **scene.episode_record(),

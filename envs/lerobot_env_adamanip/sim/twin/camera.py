@@ -1,4 +1,4 @@
-"""The twin's camera: colour and depth of one moment, rendered together, or by rays where nothing renders."""
+"""Colour and depth of one moment, rendered together, or by ray casting where nothing renders."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from lerobot_env_adamanip.sim.sensors import RaycastSensor
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 """(H, W, 3) RGB and (H, W) depth [mm], 0 where nothing was seen."""
 FARTHEST = 4000
-"""Beyond this a depth camera sees nothing [mm]."""
+"""Range of the depth camera [mm]."""
 _ROUND = Workspace((-0.8, -1.2, -1.2), (1.8, 1.2, 1.8))
-"""What rays meet, robot base frame [m]."""
+"""Volume of ray casting, robot base frame [m]."""
 _logger = logging.getLogger(__name__)
 
 
@@ -45,8 +45,7 @@ class TwinEye:
         robot: SAPIEN's articulation of the arm.
         urdf: its description.
         size: of the pictures [px].
-        source: ``render``, or ``raycast``, where pictures show shapes without colours. It becomes the latter where
-            nothing renders.
+        source: ``render``, or ``raycast`` for shapes without colours; the latter where nothing renders.
         render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
     """
 
@@ -61,7 +60,7 @@ class TwinEye:
         self._ready = False
 
     def get_ready(self) -> None:
-        """Takes the first picture, which takes ten times as long as any after it; does nothing from then on."""
+        """Takes the first picture, which takes ten times as long as later ones; then does nothing."""
         if not self._ready:
             self.take()
             self._ready = True
@@ -82,7 +81,7 @@ class TwinEye:
         return camera_parameters(pinhole(self._config), self._size).to_json()
 
     def _rendered(self) -> _DepthScene | None:
-        """The scene to render, made when the first picture is asked for; None from then on where nothing renders."""
+        """Returns the scene to render, made at the first picture; None where nothing renders."""
         if self._scene is None:
             visible, ground_z = self._views.objects.visible, self._views.objects.ground_z
             try:

@@ -1,4 +1,4 @@
-"""An environment of key frames whose arm can be streamed to as well, and that goes on one control tick at a time."""
+"""A key-frame environment whose arm also streams, one control tick at a time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lerobot_env_adamanip.sim.twin.stream_driver import StreamDriver
 
 
 class TwinScene(KeyframeEnv):
-    """The scenes of `KeyframeEnv`, drawn and driven by the same code; its arm streams in addition.
+    """The scenes of `KeyframeEnv`, by the same code; its arm streams in addition.
 
     Attributes:
         after_tick: called after every control tick of a key frame; `SteppedMotion.pause` slices key frames there.

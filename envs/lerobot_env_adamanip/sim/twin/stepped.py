@@ -11,13 +11,12 @@ class MotionAbortedError(Exception):
 
 
 class SteppedMotion:
-    """Runs a blocking motion on a thread that is awake only while `step` waits for it.
+    """Runs a blocking motion in slices of a tick, on a thread that is awake only while `step` waits for it.
 
-    `KeyframeDriver.execute` ticks the simulation until a key frame has ended; whoever has to answer in between needs it
-    in slices. Never do two threads run at once, so that nothing has to be locked and ticks come out as without it.
+    Two threads never run at once: nothing has to be locked, and ticks are the same as without slices.
 
     Args:
-        run: the motion; calls `pause` after each of its ticks.
+        run: the motion, e.g. `KeyframeDriver.execute`; calls `pause` after each of its ticks.
     """
 
     def __init__(self, run: Callable[[], object]) -> None:

@@ -1,4 +1,4 @@
-"""Streaming: the newest target wins, tick by tick, and what blocks the hand stalls it. Key frames stay as they are."""
+"""Driver that follows a stream of targets, tick by tick; key frames stay as they are."""
 
 from __future__ import annotations
 
@@ -23,21 +23,20 @@ from lerobot_env_adamanip.sim.kinematics import pose_error
 Array = NDArray[np.float64]
 
 SETTLING = 0.06
-"""Time in which the commanded pose closes in on the target [s]: what lies between two of 30 a second is smoothed."""
+"""Time constant of the approach to the target [s]: smooths targets that come at 30 Hz."""
 BRAKING = 0.8
-"""Share of the acceleration with which a target is run up to: ticks are not infinitely short."""
+"""Share of the acceleration used for braking: ticks are not infinitely short."""
 FOLLOWS = 0.2
-"""A commanded pose that covers less of its way than this, for as long as a stall takes, has come to a joint's end."""
+"""Least share of its way that the commanded pose covers, unless a joint is at its end."""
 CLOSES = 5e-3
-"""A finger target that falls by more than this closes the hand [m]."""
+"""Least fall of the finger target that closes the hand [m]."""
 
 
 class StreamDriver(KeyframeDriver):
-    """A `KeyframeDriver` that can also follow a stream of targets, one control tick at a time.
+    """A `KeyframeDriver` that also follows a stream of targets, one control tick at a time.
 
-    The commanded pose runs after the target within the speeds and accelerations of a key frame. The drives are springs:
-    where the tool lags as far behind as a stall is, for as long as a stall takes, the commanded pose only moves where
-    that lag does not grow, so that a blocked pull is held at some 30 N and given up by moving the target back.
+    The commanded pose follows the target within the speeds and accelerations of a key frame. After a stall it only
+    moves where the tool's lag does not grow: a blocked pull is held at some 30 N, until the target moves back.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -69,11 +68,11 @@ class StreamDriver(KeyframeDriver):
         self._holding = False
 
     def hold(self) -> None:
-        """Gives the target up: the arm decelerates and stays where it comes to rest; the fingers go on."""
+        """Stops following: the arm decelerates and stays; the fingers go on."""
         self._holding = True
 
     def stream_tick(self) -> None:
-        """One control tick towards the target; without one the arm holds where it is."""
+        """Advances one control tick towards the target; without one the arm stays."""
         before = self.kinematics.tcp_in_base(self._target)
         goal = before if self._slot is None or self._holding else self._slot[0]
         self._grip(goal, before)
@@ -87,7 +86,7 @@ class StreamDriver(KeyframeDriver):
         self.feedback = self._feedback(None)
 
     def end_stream(self) -> None:
-        """Forgets the target: the next one, or a key frame, begins from where the arm is."""
+        """Drops the target: the next one, or a key frame, begins from where the arm is."""
         self._leans = self.stalled and bool(np.abs(self._read().qvel).max() < LEANING_SPEED)
         self._slot, self._gripped_at, self._closing_left, self._stuck = None, None, 0, 0
         self._holding = False
@@ -95,7 +94,7 @@ class StreamDriver(KeyframeDriver):
         self.closing = self.moving_closed = False
 
     def break_off(self) -> None:
-        """After a key frame that was given up on its way: the arm decelerates from the speed it has."""
+        """Decelerates from the present speed, after a key frame that was aborted."""
         state = self._read()
         self.end_stream()
         self._leans = False
@@ -105,11 +104,11 @@ class StreamDriver(KeyframeDriver):
 
     @property
     def stream_outcome(self) -> Outcome | None:
-        """How it stands with the target: stalled, out of reach, or neither."""
+        """STALLED, UNREACHABLE or None."""
         return Outcome.STALLED if self.stalled else Outcome.UNREACHABLE if self.unreachable else None
 
     def measured(self) -> Feedback:
-        """Returns pose and gripper as they are measured now, without an outcome."""
+        """Returns measured pose and gripper, without an outcome."""
         return self._feedback(None)
 
     def _begin_stream(self) -> None:
@@ -120,7 +119,7 @@ class StreamDriver(KeyframeDriver):
             self._gripped_at = self.kinematics.tcp_in_base(self._target)
 
     def _grip(self, goal: Array, commanded: Array) -> None:
-        """Tells the mechanism whether the hand only closes, or is closed and sent somewhere; see `MechanismDriver`."""
+        """Sets whether the hand only closes, or moves closed; see `MechanismDriver`."""
         limits, closed = self.limits, self._finger_target < FINGER_HALF
         if self._closing_left:
             self.closing = _near(goal, commanded, limits.reached_position, limits.reached_rotation)
@@ -153,14 +152,14 @@ class StreamDriver(KeyframeDriver):
         return waypoint, velocity
 
     def _farther(self, waypoint: Array, lag: Array) -> bool:
-        """Whether the tool would lag farther behind ``waypoint`` (4, 4) than by ``lag`` (6,), in what it strains at."""
+        """Returns whether the strained part of the lag would be larger at ``waypoint`` (4, 4) than ``lag`` (6,)."""
         ahead, limits = pose_error(self.kinematics.tcp_in_base(self._read().qpos), waypoint), self.limits
         far = [np.linalg.norm(each[:3]) / limits.stall_position for each in (ahead, lag)]
         turned = [np.linalg.norm(each[3:]) / limits.stall_rotation for each in (ahead, lag)]
         return bool(max(far[0], turned[0]) > max(far[1], turned[1]))
 
     def _posture(self, waypoint: Array, commanded: Array) -> Array:
-        """Returns the joint positions (7,) [rad] of a commanded pose; the present ones where there are none near it."""
+        """Returns the joint positions (7,) [rad] of a commanded pose; the present ones if there are none near it."""
         solution = self.kinematics.solve(waypoint, self._target, iterations=15, tolerance=PATH_TOLERANCE)
         if not solution.within(5e-3, 0.03):
             solution = self.kinematics.solve(waypoint, self._target, iterations=80)
@@ -179,7 +178,7 @@ def _near(goal: Array, other: Array, position: float, rotation: float) -> bool:
 
 
 def _braking_speed(distance: float, deceleration: float) -> float:
-    """Returns the speed from which one comes to rest ``distance`` on: constant deceleration, and gently at the end."""
+    """Returns the speed that comes to rest within ``distance``: constant deceleration, gentle at the end."""
     gentle = deceleration * SETTLING**2
     if distance < gentle:
         return distance / SETTLING
