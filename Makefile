@@ -70,11 +70,10 @@ release: .venv/.simulates  ## wheel and source archive in dist/, tried in an env
 	$(BIN)/python -m build --no-isolation --outdir dist
 	$(BIN)/python scripts/smoke_test_release.py dist --share-packages
 
-# The policy of `make demo`, if it has been trained, is what the evaluation is timed with.
-bench: pictures  ## measure: each lever against the plain path, then this code against an older revision of it, in one run
+AGAINST ?= 13a4740
+bench: pictures  ## measure speed, then compare with an older revision: `make bench AGAINST=HEAD~10`
 	$(BIN)/adamanip bench
-	policy=outputs/demo/train/checkpoints/last/pretrained_model; \
-	$(BIN)/python scripts/bench_against.py --out outputs/bench_against.json $$([ -d $$policy ] && echo --checkpoint $$policy)
+	$(BIN)/adamanip bench --against $(AGAINST)
 
 demo: setup  ## collect, train and evaluate on a few safes
 	bash scripts/demo.sh

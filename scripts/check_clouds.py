@@ -14,7 +14,7 @@ with. For example: ``python scripts/check_clouds.py --category all --seeds 20 --
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import json
 import sys
 import warnings
@@ -23,15 +23,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from check_common import Progress, count, header
+from check_common import Progress, categories_of, count, header, in_batches, parser, run_parallel
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrames
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.util.errors import UnreachableError
 
-FIRST_SEED = 300
 MOST_OFF = 0.001
 """Share of pixels that may differ by more than 1 mm."""
 BESIDE = (1 / 256, 1 / 64, 1 / 16, 1 / 8)
@@ -133,52 +131,40 @@ def views(task: Any, seed: int, every: int) -> Iterator[Counts]:
             return
 
 
-def check(category: str, options: argparse.Namespace, progress: Progress) -> Counts:
-    """Compares a category on all seeds; those whose scene cannot be placed are left out."""
+def check(category: str, seeds: list[int], every: int) -> list[tuple[str, Counts]]:
+    """Compares a category on seeds; scenes that cannot be placed count nothing."""
     from lerobot_env_adamanip.keyframe_env import make_task
 
-    total = Counts()
-    task = make_task(category, cloud_source="render")
+    warnings.filterwarnings("ignore")
+    task, found = make_task(category, cloud_source="render"), []
     try:
-        for seed in range(FIRST_SEED, FIRST_SEED + options.seeds):
-            try:
-                for counts in views(task, seed, options.every):
+        for seed in seeds:
+            total = Counts()
+            with contextlib.suppress(UnreachableError):
+                for counts in views(task, seed, every):
                     total += counts
-            except UnreachableError:
-                pass
-            progress.tell(1)
+            found.append((category, total))
     finally:
         task.close()
-    return total
-
-
-def line(category: str, counts: Counts) -> str:
-    """A category in words."""
-    share = 100 * counts.off_1mm / max(1, counts.pixels)
-    return (
-        f"{category:16} {counts.views:4} views, {counts.pixels:9} pixels: {counts.off_1mm} off by > 1 mm "
-        f"({share:.4f} %), {counts.off_2mm} by > 2 mm, of which {counts.explained} agree with a ray beside"
-    )
+    return found
 
 
 def main() -> int:
     """Parses, runs, prints. Returns 0 if both see the same."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL)
-    parser.add_argument("--seeds", type=count, default=20, help="scenes of each category")
-    parser.add_argument("--every", type=count, default=4, help="key frames from one view to the next")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    warnings.filterwarnings("ignore")
-    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
-    progress = Progress(0, len(names) * options.seeds)
-    found = {name: check(name, options, progress) for name in names}
+    made = parser(__doc__, seeds=20, first_seed=300)
+    made.add_argument("--every", type=count, default=4, help="key frames from one view to the next (%(default)s)")
+    options = made.parse_args()
+    names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
+    batches = [(name, part, options.every) for name in names for part in in_batches(seeds)]
+    found = dict.fromkeys(names, Counts())
+    for part in run_parallel(check, batches, options.workers, Progress(0, len(names) * options.seeds)):
+        for name, counts in part:
+            found[name] += counts
+    rows = {name: {**asdict(counts), "passed": counts.passed} for name, counts in found.items()}
     passed = all(counts.passed for counts in found.values())
-    if options.json:
-        rows = {name: {**asdict(counts), "passed": counts.passed} for name, counts in found.items()}
-        sys.stdout.write(json.dumps({**header(), "categories": rows, "passed": passed}) + "\n")
-    else:
-        sys.stdout.write("\n".join(line(name, counts) for name, counts in found.items()) + "\n")
+    lines = (f"{name}: {', '.join(f'{key} {value}' for key, value in row.items())}" for name, row in rows.items())
+    content = {**header(), "categories": rows, "passed": passed}
+    sys.stdout.write((json.dumps(content) if options.json else "\n".join(lines)) + "\n")
     return 0 if passed else 1
 
 

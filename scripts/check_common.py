@@ -1,16 +1,20 @@
-"""What the checks of this folder share: what a result says of itself, progress in words, options of a kind."""
+"""Parts that the checks of this folder share: header of a report, options, processes, progress."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.fingerprint import present_fingerprint
@@ -18,10 +22,12 @@ from lerobot_env_adamanip.fingerprint import present_fingerprint
 ROOT = Path(__file__).resolve().parents[1]
 EVERY = 15.0
 """Seconds between lines of progress."""
+BATCH = 20
+"""Scenes that share one start of the simulator."""
 
 
 def header() -> dict[str, Any]:
-    """What a result has to say of itself: command, commit where there is one, code and versions."""
+    """Returns the header of a report: command, commit where there is one, fingerprint and versions."""
     asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return {
         "command": shlex.join(["python", *sys.argv]),
@@ -72,6 +78,43 @@ def list_of(allowed: tuple[str, ...] | None) -> Callable[[str], tuple[str, ...]]
         return chosen
 
     return parse
+
+
+def parser(description: str | None, *, seeds: int, first_seed: int) -> argparse.ArgumentParser:
+    """Returns a command line with options for categories, seeds, processes and JSON."""
+    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL, help="category, or all (%(default)s)")
+    made.add_argument("--seeds", type=count, default=seeds, help="scenes of each category (%(default)s)")
+    made.add_argument("--first-seed", type=count, default=first_seed, help="first of the scenes (%(default)s)")
+    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
+    made.add_argument("--json", action="store_true", help="print JSON instead of text")
+    return made
+
+
+def categories_of(options: argparse.Namespace) -> tuple[str, ...]:
+    """Returns the chosen categories."""
+    return tuple(CATEGORIES) if options.category == ALL else (options.category,)
+
+
+def in_batches[Item](items: Sequence[Item]) -> list[list[Item]]:
+    """Returns items in parts that share one start of the simulator."""
+    return [list(items[start : start + BATCH]) for start in range(0, len(items), BATCH)]
+
+
+def run_parallel[Result](
+    work: Callable[..., list[Result]], batches: Iterable[tuple[Any, ...]], workers: int, progress: Progress
+) -> Iterator[list[Result]]:
+    """Yields what ``work(*batch)`` returns for each batch, in processes of one thread each."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        try:
+            for job in as_completed([pool.submit(work, *batch) for batch in batches]):
+                found = job.result()
+                progress.tell(len(found))
+                yield found
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 class Progress:

@@ -2,10 +2,9 @@
 
 A cell is a preset, a category, a split of objects and an expert. Each has ``--episodes`` episodes; both experts meet
 the same ones. All attempts count: a scene in which an object could not be placed is a failure too. Success is the
-task's own; the expert goes on past it to its own end. With ``--out FILE`` every finished batch is kept, and the same
-command goes on where it was interrupted. For example:
+task's own; the expert goes on past it to its own end. For example:
 
-    python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --out outputs/experts.json
+    python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --workers 2
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 import sys
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from check_common import Progress, count, header, list_of
-from expert_episodes import Episode, run_all
+from check_common import Progress, count, header, in_batches, list_of, run_parallel
 
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
@@ -32,13 +30,93 @@ from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
 from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, UnreachableError
 
 FIRST_SEED = 5_000_000
 """Away from the seeds of demonstrations and evaluations; experts were tuned on these."""
 SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
-Run = Callable[[list[Episode], int, Callable[[list[Episode]], None]], None]
-"""Runs episodes in so many processes, and gives away what has ended."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One to run, and afterwards how it went; ``key_frames`` until success, ``placed`` whether the scene could be."""
+
+    preset: str
+    category: str
+    kind: str
+    split: str
+    object_id: str
+    seed: int
+    placed: bool = True
+    success: bool = False
+    key_frames: int = 0
+    hidden: dict[str, Any] | None = None
+    reason: str = ""
+
+
+class BlindEnvironment:
+    """What `rollout` needs of a `KeyframeEnvironment`, on a task that is never looked at: no rendering, no clouds."""
+
+    def __init__(self, task: Any, max_key_frames: int) -> None:
+        self._task, self.max_key_frames = task, max_key_frames
+        self.opened_after = 0
+        """Key frames until success; 0 without."""
+        self._count = 0
+
+    @property
+    def feedback(self) -> Any:
+        """What was felt after the latest key frame."""
+        return self._task.feedback
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Drives the arm to one key frame; the episode goes on past success."""
+        self._task.execute(action)
+        self._count += 1
+        if not self.opened_after and self._task.succeeded():
+            self.opened_after = self._count
+        return {}, 0.0, False, False, {"is_success": bool(self.opened_after)}
+
+
+def run_batch(episodes: list[Episode]) -> list[Episode]:
+    """Runs episodes of one preset and category one after the other in one simulator."""
+    warnings.filterwarnings("ignore")
+    from lerobot_env_adamanip.keyframe_env import make_task
+
+    task = make_task(episodes[0].category, mechanism_rules=episodes[0].preset)
+    try:
+        return [_run(task, episode) for episode in episodes]
+    finally:
+        task.close()
+
+
+def _run(task: Any, episode: Episode) -> Episode:
+    import numpy as np
+
+    from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+    from lerobot_adamanip.episode.rollout import rollout
+    from lerobot_adamanip.experts import make_expert
+
+    try:
+        task.reset(seed=episode.seed, options={"object_id": episode.object_id, "reconfigure": True})
+    except UnreachableError as error:
+        return replace(episode, placed=False, reason=str(error).splitlines()[0])
+    hidden, env = task.hidden_state(), BlindEnvironment(task, MAX_KEY_FRAMES)
+    expert = make_expert(
+        episode.category,
+        episode.kind,
+        task.placement.annotations,
+        generator=np.random.default_rng(episode.seed),
+        hidden=hidden if episode.kind == "static" else None,
+        mechanism_rules=episode.preset,
+        feedback=task.feedback,
+    )
+    result = rollout(env, {}, expert)  # type: ignore[arg-type]
+    where = {name: round(position, 3) for name, position in task.joint_positions().items()}
+    reason = "" if result.success else f"{result.reason}; joints {where}"
+    return replace(episode, success=result.success, key_frames=env.opened_after, hidden=hidden, reason=reason)
+
+
+Run = Callable[[list[Episode], int], list[Episode]]
 
 
 def plan(options: argparse.Namespace) -> list[Episode]:
@@ -75,38 +153,6 @@ def _selected(names: Sequence[str], options: argparse.Namespace) -> Iterator[tup
             allowed=f"ids of {', '.join(names)}",
             hint=f"--category {category_of(strangers[0])} --objects {strangers[0]}",
         )
-
-
-class Record:
-    """The finished episodes, in a file where one is given; only of one fingerprint."""
-
-    def __init__(self, path: Path | None, header: dict[str, Any]) -> None:
-        self.path, self.header, self.episodes = path, header, list[Episode]()
-        if path is not None and path.exists():
-            content = json.loads(path.read_text(encoding="utf-8"))
-            if content["fingerprint"] != header["fingerprint"]:
-                raise ConfigurationError(
-                    "The file holds episodes of other code.",
-                    got=f"{path}, fingerprint {content['fingerprint']}",
-                    allowed=f"fingerprint {header['fingerprint']}",
-                    hint="another --out",
-                )
-            self.episodes = [Episode(**each) for each in content["episodes"]]
-
-    def missing(self, wanted: list[Episode]) -> list[Episode]:
-        """Returns those that have not been run yet."""
-        done = {episode.identity for episode in self.episodes}
-        return [episode for episode in wanted if episode.identity not in done]
-
-    def add(self, finished: list[Episode]) -> None:
-        """Keeps a batch: the file is replaced at once, so that an interruption leaves the old one or the new one."""
-        self.episodes += finished
-        if self.path is not None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            part = self.path.with_name(self.path.name + ".part")
-            content = {**self.header, "episodes": [asdict(episode) for episode in self.episodes]}
-            part.write_text(json.dumps(content) + "\n", encoding="utf-8")
-            part.replace(self.path)
 
 
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
@@ -195,55 +241,46 @@ def write_results(path: Path, finished: list[Episode], said: dict[str, Any], sec
     write_result(path, result)
 
 
-def parser() -> argparse.ArgumentParser:
+def command_line() -> argparse.ArgumentParser:
     """Returns the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="which kind of object, or all")
+    made.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="category, or all (%(default)s)")
     made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="separated by commas")
     made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
     made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="separated by commas")
     made.add_argument("--preset", type=list_of(tuple(MECHANISM_RULES)), default=("paper",), help="of the mechanism")
-    made.add_argument("--episodes", type=count, default=20, help="of each cell")
-    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes")
-    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB")
+    made.add_argument("--episodes", type=count, default=20, help="of each cell (%(default)s)")
+    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes (%(default)s)")
+    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
     made.add_argument("--threshold", type=float, default=0.97, help="least share of a category and expert")
     made.add_argument("--mean", type=float, default=0.99, help="least mean share of an expert over the categories")
-    made.add_argument("--out", type=Path, help="JSON file that keeps what is finished, and is gone on with")
     made.add_argument("--result", type=Path, help="result file to write, for scripts/make_results.py")
     made.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return made
 
 
+def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
+    """Runs episodes in processes; those of one preset and category share a simulator."""
+    groups: dict[tuple[str, str], list[Episode]] = {}
+    for episode in episodes:
+        groups.setdefault((episode.preset, episode.category), []).append(episode)
+    batches = [(part,) for group in groups.values() for part in in_batches(group)]
+    found = run_parallel(run_batch, batches, workers, Progress(0, len(episodes)))
+    return [episode for part in found for episode in part]
+
+
 def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
     """Parses, runs, prints. Returns 0 if every share reaches its threshold, 1 if not; 2 for what cannot be run."""
-    options = parser().parse_args(arguments)
-    # One thread each: the workers share the cores already.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    said = header()
+    options, said, begin = command_line().parse_args(arguments), header(), time.monotonic()
     try:
         if options.result is not None:
             check_command(said["command"])
-        wanted, record = plan(options), Record(options.out, said)
+        finished = run(plan(options), options.workers)
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    missing = record.missing(wanted)
-    progress = Progress(len(wanted) - len(missing), len(wanted))
-
-    def keep(finished: list[Episode]) -> None:
-        record.add(finished)
-        progress.tell(len(finished))
-
-    try:
-        run(missing, options.workers, keep)
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted; the same command goes on" + (".\n" if options.out else " with --out FILE.\n"))
-        return 130
-    asked = {episode.identity for episode in wanted}
-    finished = [episode for episode in record.episodes if episode.identity in asked]
     if options.result is not None:
-        taken = time.monotonic() - progress.start
-        write_results(options.result, finished, said, taken if len(missing) == len(wanted) else None)
+        write_results(options.result, finished, said, time.monotonic() - begin)
     rows, failures = summarise(finished), [episode for episode in finished if not episode.success]
     low = below(rows, options.threshold, options.mean)
     seeds = [min(e.seed for e in finished), max(e.seed for e in finished)]

@@ -6,37 +6,32 @@ to and including the one in which the part is held, and so must the cloud and th
 hidden states are dealt out evenly among ``--frames`` seeds, and a linear classifier and nearest neighbours are
 cross-validated on what is observed while the part is held; they must stay at chance.
 
-For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2 --out outputs/hidden_state``.
-A category that has been checked is read from ``--out`` and not run again. ``--no-hold`` switches off what hides the
-state, and the check has to fail. Returns 1 if a category does.
+For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2``. ``--no-hold`` switches off
+what hides the state, and the check has to fail. Returns 1 if a category does.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-import time
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from check_common import Progress, categories_of, in_batches, parser, run_parallel
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import Phase
 from lerobot_adamanip.contract.observation import state_vector
 from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.util.errors import UnreachableError
 
 SEED_OFFSET = 300
-BATCH = 20
 FOLDS, NEIGHBOURS, RIDGE = 10, 5, 100.0
 Z_SURE = 3.29
 """A decoder that beats chance at this many standard deviations (p = 0.001) has found something."""
@@ -141,9 +136,6 @@ def check_seed(task: Any, seed: int, label: int, *, compare: bool) -> SeedResult
     return SeedResult(seed, label, features_of(own[-1]), compare, tuple(found))
 
 
-# Decoders ---------------------------------------------------------------------------------------------------------
-
-
 def linear_predictions(
     features: NDArray[np.float64], labels: NDArray[np.int64], queries: NDArray[np.float64]
 ) -> NDArray[np.int64]:
@@ -191,8 +183,6 @@ def decode(features: NDArray[np.float64], labels: NDArray[np.int64]) -> dict[str
     return report
 
 
-# Running ----------------------------------------------------------------------------------------------------------
-
 _tasks: dict[tuple[str, bool], Any] = {}
 
 
@@ -209,21 +199,19 @@ def task_of(category: str, hold: bool) -> Any:
     return _tasks[category, hold]
 
 
-def check_batch(category: str, work: list[tuple[int, int, bool]], hold: bool) -> list[SeedResult]:
-    """Runs (seed, label, compare) one after the other."""
-    from lerobot_adamanip.util.errors import UnreachableError
-
-    results = []
+def check_batch(category: str, work: list[tuple[int, int, bool]], hold: bool) -> list[SeedResult | None]:
+    """Runs (seed, label, compare) one after the other; None where an object cannot be placed."""
+    results: list[SeedResult | None] = []
     for seed, label, compare in work:
         try:
             results.append(check_seed(task_of(category, hold), seed, label, compare=compare))
         except UnreachableError:
-            continue
+            results.append(None)
     return results
 
 
 def plan(category: str, seeds: int, frames: int) -> list[tuple[int, int, bool]]:
-    """Seeds, labels dealt out evenly and at random, and which are run under every variant."""
+    """Returns seeds, labels dealt out evenly and at random, and which seeds are run under every variant."""
     count = max(seeds, frames)
     labels = np.random.default_rng(len(category)).permutation(np.arange(count) % len(VARIANTS[category]))
     return [(SEED_OFFSET + k, int(labels[k]), k < seeds) for k in range(count)]
@@ -240,7 +228,6 @@ def summary(category: str, results: list[SeedResult], options: argparse.Namespac
     return {
         "category": category,
         "hold": not options.no_hold,
-        "asked": [options.seeds, options.frames],
         "seeds": len(compared),
         "variants": len(VARIANTS[category]),
         "differing_seeds": len(differing),
@@ -250,30 +237,12 @@ def summary(category: str, results: list[SeedResult], options: argparse.Namespac
     }
 
 
-def check(category: str, options: argparse.Namespace, pool: ProcessPoolExecutor) -> dict[str, Any]:
-    """Checks a category in parallel, or reads its result."""
-    path = options.out / f"{category}{'_no_hold' if options.no_hold else ''}.json"
-    if path.exists():
-        known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if known["asked"] == [options.seeds, options.frames]:
-            return known
+def check(category: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Checks a category."""
     work = plan(category, options.seeds, options.frames)
-    batches = [work[start : start + BATCH] for start in range(0, len(work), BATCH)]
-    jobs = [pool.submit(check_batch, category, batch, not options.no_hold) for batch in batches]
-    results: list[SeedResult] = []
-    began = time.monotonic()
-    for job in as_completed(jobs):
-        results += job.result()
-        differing = sum(bool(result.differences) for result in results)
-        spent = time.monotonic() - began
-        sys.stderr.write(f"{category}: {len(results)}/{len(work)} seeds, {differing} differ, {spent:.0f} s\n")
-        sys.stderr.flush()
-    report = summary(category, results, options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    half = path.with_suffix(".tmp")
-    half.write_text(json.dumps(report, indent=1), encoding="utf-8")
-    half.replace(path)
-    return report
+    batches = [(category, part, not options.no_hold) for part in in_batches(work)]
+    found = run_parallel(check_batch, batches, options.workers, Progress(0, len(work)))
+    return summary(category, [each for part in found for each in part if each is not None], options)
 
 
 def lines(report: dict[str, Any]) -> Iterator[str]:
@@ -291,19 +260,11 @@ def lines(report: dict[str, Any]) -> Iterator[str]:
 
 def main() -> int:
     """Parses, runs, prints. Returns 0 if nothing shows."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL)
-    parser.add_argument("--seeds", type=int, default=100, help="seeds that are run under every hidden state")
-    parser.add_argument("--frames", type=int, default=400, help="held frames for the decoders; 0 for those of --seeds")
-    parser.add_argument("--workers", type=int, default=1, help="processes; each needs about 2 GB")
-    parser.add_argument("--out", type=Path, default=Path("outputs/hidden_state"), help="folder of finished categories")
-    parser.add_argument("--no-hold", action="store_true", help="joints move from reset on; the check has to fail")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        reports = [check(name, options, pool) for name in names]
+    made = parser(__doc__, seeds=100, first_seed=SEED_OFFSET)
+    made.add_argument("--frames", type=int, default=400, help="held frames for the decoders; 0 for those of --seeds")
+    made.add_argument("--no-hold", action="store_true", help="joints move from reset on; the check has to fail")
+    options = made.parse_args()
+    reports = [check(name, options) for name in categories_of(options)]
     text = json.dumps(reports) if options.json else "\n".join(line for each in reports for line in lines(each))
     sys.stdout.write(text + "\n")
     return 0 if all(report["passed"] for report in reports) else 1

@@ -7,29 +7,20 @@ that says what to do. For example: ``python scripts/check_robustness.py --catego
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from check_common import Progress, count, header
+from check_common import Progress, categories_of, header, in_batches, parser, run_parallel
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix, rotation_about
 from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
 
-FIRST_SEED = 7_000_000
-BATCH = 20
-"""Seeds that share a simulator."""
-Run = Callable[[Sequence[str], list[int], int], list[dict[str, Any]]]
 RANDOM_ACTIONS = 1
 MAX_JOINT_SPEED = 3.0
 """[rad/s]: beyond a Panda's joint speed limits (2.175 to 2.61) something has exploded."""
@@ -104,62 +95,38 @@ def _broken(env: Any, felt: Any) -> Iterator[str]:
         yield "success disagrees with the mechanism"
 
 
-def check(category: str, seeds: list[int]) -> dict[str, Any]:
-    """Runs seeds of a category in one simulator; those of scenes that cannot be placed are counted apart."""
+def check(category: str, seeds: list[int]) -> list[dict[str, Any]]:
+    """Runs seeds of a category in one simulator; returns what went wrong with each, and whether it could be placed."""
     warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.keyframe_env import make_task
 
-    env = make_task(category)
-    wrong, unplaced = [], 0
+    env, found = make_task(category), []
     try:
         for seed in seeds:
             try:
-                wrong += through(env, seed)
+                found.append({"category": category, "seed": seed, "placed": True, "wrong": through(env, seed)})
             except UnreachableError:
-                unplaced += 1
+                found.append({"category": category, "seed": seed, "placed": False, "wrong": []})
     finally:
         env.close()
-    return {"category": category, "seeds": len(seeds), "unplaced": unplaced, "wrong": wrong}
+    return found
 
 
-def check_all(names: Sequence[str], seeds: list[int], workers: int) -> list[dict[str, Any]]:
-    """Checks categories in ``workers`` processes, and tells of progress."""
-    batches = [(name, seeds[start : start + BATCH]) for name in names for start in range(0, len(seeds), BATCH)]
-    found = []
-    progress = Progress(0, len(names) * len(seeds))
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for job in as_completed([pool.submit(check, *batch) for batch in batches]):
-            found.append(job.result())
-            progress.tell(found[-1]["seeds"])
-    return [_summed(name, [each for each in found if each["category"] == name]) for name in names]
-
-
-def _summed(category: str, results: list[dict[str, Any]]) -> dict[str, Any]:
-    counts = {key: sum(each[key] for each in results) for key in ("seeds", "unplaced")}
-    return {"category": category, **counts, "wrong": [each for result in results for each in result["wrong"]]}
-
-
-def main(arguments: Sequence[str] | None = None, run: Run = check_all) -> int:
+def main() -> int:
     """Parses, runs, prints. Returns 0 if nothing went wrong."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL, help="which kind of object, or all")
-    parser.add_argument("--seeds", type=count, default=100, help="episodes per category")
-    parser.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes")
-    parser.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    options = parser.parse_args(arguments)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
-    seeds = [options.first_seed + number for number in range(options.seeds)]
-    rows = run(names, seeds, options.workers)
-    lines = [
-        f"{row['category']:16} {row['seeds']:5} seeds, {row['unplaced']} not placed, {len(row['wrong'])} wrong"
-        for row in rows
-    ]
-    lines += [f"  {each}" for row in rows for each in row["wrong"]]
-    content = {**header(), "first_seed": options.first_seed, "results": rows}
-    sys.stdout.write((json.dumps(content) if options.json else "\n".join(lines)) + "\n")
-    return 1 if any(row["wrong"] for row in rows) else 0
+    options = parser(__doc__, seeds=100, first_seed=7_000_000).parse_args()
+    names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
+    batches = [(name, part) for name in names for part in in_batches(seeds)]
+    progress = Progress(0, len(names) * options.seeds)
+    found = [each for part in run_parallel(check, batches, options.workers, progress) for each in part]
+    lines = []
+    for name in names:
+        mine = [each for each in found if each["category"] == name]
+        wrong = [text for each in mine for text in each["wrong"]]
+        unplaced = sum(not each["placed"] for each in mine)
+        lines += [f"{name:16} {len(mine):5} seeds, {unplaced} not placed, {len(wrong)} wrong", *wrong]
+    sys.stdout.write((json.dumps({**header(), "results": found}) if options.json else "\n".join(lines)) + "\n")
+    return 1 if any(each["wrong"] for each in found) else 0
 
 
 if __name__ == "__main__":

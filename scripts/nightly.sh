@@ -11,7 +11,6 @@ first_seed=${FIRST_SEED:-$((12000000 + 10#$(date -u +%j) * 10000))}
 export OMP_NUM_THREADS=1 PYTHONUNBUFFERED=1
 failed=()
 mkdir -p "$out"
-rm -rf "$out/experts.json" "$out/hidden_state" # of another night
 
 # Runs "$2"... as part "$1", and goes on whatever comes of it.
 part() {
@@ -39,9 +38,8 @@ part "simulated FR3" simulated_arm
 part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not nightly" tests/datasets tests/policies tests/recordings
 # Fails below 97 % of a category or 99 % of all, for either expert under any preset.
 part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel \
-    --episodes "$episodes" --first-seed "$first_seed" --workers "$workers" --out "$out/experts.json"
-part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --frames 60 --workers "$workers" \
-    --out "$out/hidden_state"
+    --episodes "$episodes" --first-seed "$first_seed" --workers "$workers"
+part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --frames 60 --workers "$workers"
 part "robustness" "$python" scripts/check_robustness.py --category all --seeds 10 --workers "$workers"
 rm -rf "$out/no_vulkan"
 part "no Vulkan device" env VK_ICD_FILENAMES=/nonexistent.json VK_DRIVER_FILES=/nonexistent.json \

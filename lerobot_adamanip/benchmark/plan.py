@@ -20,8 +20,10 @@ from lerobot_adamanip.evaluation.results import check_command
 
 COLLECT, CORRECT, MERGE, TRAIN, EVALUATE = "collect", "correct", "merge", "train", "evaluate"
 FOLDERS: Mapping[str, str] = {
-    **dict.fromkeys((COLLECT, CORRECT, MERGE), "demonstrations"), TRAIN: "trainings", EVALUATE: "evaluations",
-}  # fmt: skip
+    **dict.fromkeys((COLLECT, CORRECT, MERGE), "demonstrations"),
+    TRAIN: "trainings",
+    EVALUATE: "evaluations",
+}
 """Kind of step -> folder of what such steps produce, relative to that of the benchmark, in which commands run."""
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
@@ -33,8 +35,9 @@ _ATTEMPTS = 25
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _SPELLED_IN_KEYS = {
-    "--mechanism-rules": "--mechanism-preset", "--env.mechanism_rules": "--env.mechanism_preset",
-}  # fmt: skip
+    "--mechanism-rules": "--mechanism-preset",
+    "--env.mechanism_rules": "--env.mechanism_preset",
+}
 """Option -> its former name, by which keys go on to be made: a new name changes no result."""
 _LENGTH = 16
 

@@ -269,14 +269,11 @@ def _costs(report: BenchmarkReport) -> str:
         (each.machine for found in costs.values() for each in found), key=lambda m: (m["cores"], m["gpu"])
     )
     lines.append(f"- on {'; '.join(dict.fromkeys(map(machine_text, machines)))}")
-    for what, values in (
-        (
-            "commit",
-            {f"{each.origin.commit or 'none'}"[:10] + " with changes" * each.origin.changed for each in report.results},
-        ),
-        ("fingerprint", {f"`{each.fingerprint}`" for each in report.results}),
-        ("version", {each.origin.version for each in report.results}),
-    ):
+    origins = [each.origin for each in report.results]
+    commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in origins}
+    fingerprints = {f"`{each.fingerprint}`" for each in report.results}
+    versions = {each.version for each in origins}
+    for what, values in (("commit", commits), ("fingerprint", fingerprints), ("version", versions)):
         lines.append(f"- {what}: {', '.join(sorted(values))}")
     return "\n".join(lines)
 

@@ -79,7 +79,7 @@ COMMANDS = {
         "lerobot_adamanip.cli.benchmark:Benchmark", "train and test methods side by side, beside the paper's table"
     ),
     "bench": Entry(
-        "lerobot_adamanip.cli.bench.command:Bench", "measure collection, simulation, observation, training and action"
+        "lerobot_adamanip.cli.bench:Bench", "measure collection, simulation, observation, training and action"
     ),
 }
 

@@ -178,9 +178,8 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
         {"corrections": 2, "steps": 3, "start": "trained"},
     ]
     found = named_steps(plan(cell(), declared(methods=methods), SCALE, CODE))
-    assert list(found) == [
-        "collect", "train", "correct", "merge", "train_2", "correct_2", "merge_2", "train_3", "evaluate",
-    ]  # fmt: skip
+    names = "collect train correct merge train_2 correct_2 merge_2 train_3 evaluate"
+    assert list(found) == names.split()
     before = steps()
     assert (found["collect"], found["train"]) == (before[COLLECT], before[TRAIN]), "they are those without a round"
     first = found["correct"]
