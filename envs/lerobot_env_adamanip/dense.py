@@ -1,8 +1,6 @@
-"""Simulated episodes, recorded tick by tick as a robot's recorder would, beside the key frames that are in them.
+"""Record simulated episodes tick by tick, as a robot's recorder does, beside their true key frames.
 
-The simulator and its driver run as they always do; what happens at each control tick is watched from outside. So what
-finds key frames in recordings can be measured where the key frames are known. There are no pictures: a render takes as
-long as a hundred ticks. Recordings with pictures are the twin's.
+So the search for key frames can be measured. There are no pictures: a render takes as long as a hundred ticks.
 """
 
 from __future__ import annotations
@@ -22,24 +20,28 @@ from lerobot_adamanip.collection.record import EpisodeRequest, ExpertFactory, at
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.datasets.output_folder import WRITING, is_free, owned_output
 from lerobot_adamanip.hardware.features import KEY_FRAMES, SCALAR_NAMES
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
-from lerobot_env_adamanip.dense_folder import ROBOT_TYPE, claimed
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 FPS = 50
 """Control ticks per second: every one is recorded."""
+ROBOT_TYPE = "adamanip_dense"
+"""Of such recordings."""
+_MOST_ATTEMPTS = 100
+"""Attempts per episode at most whose seeds are known again."""
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass
 class TickWatch:
-    """Looks on while key frames are driven.
+    """Records the control ticks of an environment.
 
     Attributes:
-        env: whose control ticks are watched, from now on.
+        env: the environment; it is watched from now on.
         rows: state (24,), effort (7,) and goal (10,) of each tick, before it.
         ends: rows at which key frames had ended.
         successes: whether the task was done, at each of these.
@@ -62,16 +64,16 @@ class TickWatch:
         self._sim._tick = watched  # type: ignore[method-assign]
 
     def begin(self) -> None:
-        """Forgets what was seen so far: an episode is about to be reset."""
+        """Starts an episode: call it before the reset."""
         self.rows, self.ends, self.successes = [], [], []
 
     def key_frame_ended(self) -> None:
-        """Is told so by whoever drives."""
+        """Marks the end of a key frame."""
         self.ends.append(len(self.rows))
         self.successes.append(self._sim.succeeded())
 
     def episode(self, task: str) -> DenseEpisode:
-        """Returns what was seen since `begin`."""
+        """Returns the ticks since `begin`."""
         state, effort, asked = (
             np.stack(column) for column in zip(*self.rows, (*self._seen(), self._goal()), strict=True)
         )
@@ -128,7 +130,7 @@ class KnownKeyFrames:
 def dense_episode(
     watch: TickWatch, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest
 ) -> tuple[DenseEpisode, KnownKeyFrames]:
-    """Lets an expert work through an episode; returns its ticks, and its key frames."""
+    """Runs an expert through an episode; returns its ticks and its key frames."""
     watch.begin()
     attempt, recorded = attempt_episode(watch.env, spec, make_expert, request, watch.key_frame_ended)
     columns = recorded.columns
@@ -146,7 +148,7 @@ def dense_episode(
 def successful_episode(
     watch: TickWatch, spec: CollectionSpec, make_expert: ExpertFactory, item: EpisodeSpec, max_attempts: int
 ) -> tuple[DenseEpisode, KnownKeyFrames]:
-    """As `dense_episode`, trying seeds until the expert succeeds; raises `DatasetError` if it does not."""
+    """Runs `dense_episode` for one seed after another until the expert succeeds; else raises `DatasetError`."""
     category = category_of(item.object_id)
     for attempt in range(max_attempts):
         seed = episode_seed(spec.seed, category, item.object_id, item.slot, attempt)
@@ -172,22 +174,22 @@ def collect_dense(
     max_attempts: int,
     progress: Progress = lambda stage, done, total: None,
 ) -> int:
-    """Records successful episodes tick by tick, as a recording of LeRobot; goes on where it was interrupted.
+    """Records successful episodes tick by tick, in LeRobot's format; resumes an interrupted recording.
 
     Args:
         root: of the recording.
-        spec: what to record; late starts are left out.
+        spec: of the collection; late starts are left out.
         make_expert: makes experts.
         max_attempts: seeds to try per episode.
-        progress: told of episodes done, and all.
+        progress: called after each episode.
 
     Returns:
-        How many episodes there are.
+        Number of episodes.
 
     Raises:
         DatasetError: an expert did not succeed, or there is something else at ``root``.
     """
-    root = claimed(root, spec)
+    root = _claimed(root, spec)
     items, dataset, watches = spec.items(), _opened(root), _Watches(spec)
     try:
         for number in range(dataset.meta.total_episodes, len(items)):
@@ -202,7 +204,7 @@ def collect_dense(
 
 
 class _Watches:
-    """The environment of one category after the other, each watched."""
+    """Watches of one category's environment after the other."""
 
     def __init__(self, spec: CollectionSpec) -> None:
         self._spec = spec
@@ -234,7 +236,7 @@ def _opened(root: Path) -> Any:
 
 
 def _save(dataset: Any, episode: DenseEpisode, known: KnownKeyFrames, number: int) -> None:
-    """Writes what is known of the key frames first: a kill in between leaves a line that is replaced."""
+    """Writes the key frames first: after a kill in between, their line is replaced."""
     path = Path(dataset.root) / KEY_FRAMES
     before = path.read_text(encoding="utf-8").splitlines()[:number] if path.exists() else []
     lines = [*before, json.dumps(known.to_json())]
@@ -244,3 +246,46 @@ def _save(dataset: Any, episode: DenseEpisode, known: KnownKeyFrames, number: in
     for row, asked in zip(values, episode.asked, strict=True):
         dataset.add_frame({schema.STATE: row, schema.ACTION: asked, "task": episode.task})
     dataset.save_episode()
+
+
+def _claimed(target: Path, spec: CollectionSpec) -> Path:
+    """Returns where to record, checked; the recording locks it itself."""
+    with owned_output(target, WRITING) as output:
+        if not is_free(output.root):
+            _require_same_recording(output.root, spec)
+        else:
+            output.require_free()
+            if output.root.exists():
+                output.root.rmdir()  # LeRobot makes it
+    return output.root
+
+
+def _require_same_recording(root: Path, spec: CollectionSpec) -> None:
+    """Raises `DatasetError` unless the episodes of a recording are the first ones of a collection."""
+    try:
+        info = json.loads((root / "meta" / "info.json").read_text(encoding="utf-8"))
+        if (info["robot_type"], info["total_episodes"]) == (ROBOT_TYPE, 0):
+            return  # killed before the first episode was saved
+        lines = (root / KEY_FRAMES).read_text(encoding="utf-8").splitlines()
+        found = [(known["object_id"], known["seed"]) for known in map(json.loads, lines)]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise _another_recording(root, f"no dense collection: {type(error).__name__}") from error
+    items = spec.items()
+    for number, (object_id, seed) in enumerate(found):
+        item = items[number] if number < len(items) else None
+        if item is None or object_id != item.object_id or seed not in _seeds(spec, item):
+            raise _another_recording(root, f"episode {number} is of {object_id}, seed {seed}")
+
+
+def _seeds(spec: CollectionSpec, item: EpisodeSpec) -> set[int]:
+    category = category_of(item.object_id)
+    return {episode_seed(spec.seed, category, item.object_id, item.slot, number) for number in range(_MOST_ATTEMPTS)}
+
+
+def _another_recording(root: Path, got: str) -> DatasetError:
+    return DatasetError(
+        "There is something else at the root of the recording.",
+        got=f"{root}: {got}",
+        allowed="a folder that does not exist, is empty, or was recorded with the same options",
+        hint="another folder",
+    )

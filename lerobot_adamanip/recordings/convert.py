@@ -1,8 +1,4 @@
-"""Dense recordings to a dataset of demonstrations, alone or mixed with simulated ones.
-
-Episodes become shards and are assembled by the code that assembles simulated demonstrations, so that a dataset's
-description is the same whoever demonstrated.
-"""
+"""Convert dense recordings to a dataset of demonstrations, alone or mixed with simulated ones."""
 
 from __future__ import annotations
 
@@ -41,21 +37,21 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Progress = Callable[[str, int, int], None]
-"""Told of stage (``convert``, ``assemble``, ``merge``), episodes done, and all."""
+"""Called with stage (``convert``, ``assemble``, ``merge``), episodes done, and all."""
 _LEAST_TICKS = 2
 
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """How recordings become demonstrations.
+    """How to convert recordings.
 
     Attributes:
-        key_frames: what counts as one.
-        rows: what the columns are; of simulated datasets in the mix, whatever these have.
+        key_frames: thresholds of key frames.
+        rows: points, pictures and workspace; those of the simulated datasets in a mix.
         camera: whose depth becomes the cloud.
-        calibration: file that says where it stood; None for the one in each recording.
-        successful: whether episodes of roll-outs, which do not tell, count as successes from their last row on.
-        skip_still: leave episodes out in which nothing moves, instead of ending with an error.
+        calibration: file with its pose; None for the one in each recording.
+        successful: whether episodes of roll-outs, which record no success, count as successes from their last row on.
+        skip_still: leave out episodes in which nothing moves, instead of ending with an error.
         repo_id: ``local/<folder name>`` by default.
     """
 
@@ -70,14 +66,14 @@ class ConvertOptions:
 
 @dataclass(frozen=True)
 class Converted:
-    """What was made.
+    """Result of a conversion.
 
     Attributes:
         episodes: from recordings.
-        ticks: that these had.
-        key_frames: that they have.
+        ticks: of these, before.
+        key_frames: of these, now.
         simulated: episodes of simulated datasets beside them.
-        skipped: episodes without motion that were left out, as ``recording:episode``.
+        skipped: episodes without motion, as ``recording:episode``.
     """
 
     episodes: int
@@ -93,15 +89,15 @@ def convert(
     options: ConvertOptions | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Converted:
-    """Writes one dataset: the key frames of dense recordings, and then the episodes of simulated datasets.
+    """Writes one dataset: the key frames of dense recordings, then the episodes of simulated datasets.
 
-    Half of a dataset is never at ``out``; the recordings are read only.
+    ``out`` appears when it is complete.
 
     Args:
         sources: dense recordings, one or more, and any datasets of the contract.
         out: a folder that does not exist.
-        options: how.
-        progress: told of what is done.
+        options: of the conversion.
+        progress: called after each episode.
 
     Raises:
         DatasetError: a source is missing, damaged or of another kind, an episode has no motion, or ``out`` is taken.
@@ -146,7 +142,7 @@ def _is_demonstrations(root: Path) -> bool:
 
 
 def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptions:
-    """Columns like those of the simulated datasets, if there are any."""
+    """Returns options with the columns of the simulated datasets, if there are any."""
     if not simulated:
         return options
     box = one_workspace(simulated)
@@ -170,7 +166,7 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
 
 @dataclass
 class _Conversion:
-    """Recordings on their way into shards, and what was counted so far."""
+    """Writes shards of recordings and counts them."""
 
     work: Path
     options: ConvertOptions
@@ -180,7 +176,7 @@ class _Conversion:
     skipped: list[str] = field(default_factory=list)
 
     def shards(self, recordings: Sequence[DenseRecording]) -> Iterator[Path]:
-        """Writes the shards of all recordings, and yields them in order."""
+        """Writes the shards of all recordings; yields their paths in order."""
         done, total = 0, sum(map(len, recordings))
         for recording in recordings:
             calibration = recording.calibration(self.options.calibration)
@@ -236,7 +232,7 @@ class _Place:
         return self.recording.pictures(self.number, self.begin + tick)
 
     def origin(self) -> dict[str, Any]:
-        """What an episode says of where it comes from."""
+        """Returns the origin of an episode, for its column ``recorded``."""
         return {
             "recording": self.recording.root.name,
             "episode": self.number,
@@ -248,7 +244,7 @@ class _Place:
 
 
 def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
-    """Returns what of an episode was demonstrated: all, or from each take-over until the policy is left alone again."""
+    """Returns the demonstrated parts of an episode: all of it, or each take-over from a policy."""
     if episode.corrected is None:
         return [(0, episode)]
     edges = np.flatnonzero(np.diff(np.r_[False, episode.corrected, False]))

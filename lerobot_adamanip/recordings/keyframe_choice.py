@@ -1,7 +1,4 @@
-"""Which ticks of a dense episode are key frames, and which accepted target each of them ended.
-
-Pure: `lerobot_adamanip.recordings.recording` reads episodes, `lerobot_adamanip.recordings.convert` writes rows.
-"""
+"""Choose the key frames of a dense episode, and the accepted target that each of them ended."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ that is wider than half way."""
 
 @dataclass(frozen=True)
 class DenseEpisode:
-    """What a robot told, tick by tick.
+    """A recorded episode, tick by tick.
 
     Attributes:
         state: (T, 24) float32 of the contract.
@@ -38,7 +35,7 @@ class DenseEpisode:
         success: (T,) whether the task was done by then.
         task: the instruction.
         asked: (T, 10) float32: what the teleoperator or policy asked for in answer to the row.
-        corrected: (T,) whether a person or an expert had taken over; None where nobody could.
+        corrected: (T,) whether a person or an expert had taken over; None outside roll-outs.
     """
 
     state: NDArray[np.float32]
@@ -62,10 +59,10 @@ class DenseEpisode:
 
 @dataclass(frozen=True)
 class KeyFrameOptions:
-    """What counts as what.
+    """Thresholds.
 
     Attributes:
-        sparsify: where the arm stood still, or gave up.
+        sparsify: of standing still and giving up.
         reached_position: a target this close was reached [m].
         reached_rotation: likewise [rad].
     """
@@ -101,7 +98,7 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
     Args:
         episode: two ticks or more.
         fps: of the recording [Hz], for episodes whose stamps stand still.
-        options: what counts as what.
+        options: thresholds.
 
     Raises:
         DatasetError: nothing moves in the episode.
@@ -131,7 +128,7 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
 def trajectory_of(
     episode: DenseEpisode, grips: NDArray[np.bool_], fps: int
 ) -> tuple[DenseTrajectory, NDArray[np.int64]]:
-    """Returns what `sparsify` looks at, and the ticks that it consists of: each reading of the arm once."""
+    """Returns the input of `sparsify`, and its ticks: each reading of the arm once."""
     moments = _moments(episode, fps)
     ticks = np.flatnonzero(np.r_[True, np.diff(moments) > _SHORTEST])
     pose = episode.pose[ticks]
@@ -144,7 +141,7 @@ def trajectory_of(
 
 
 def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
-    """Returns whether the hand is open, (T,): as it was sent, once the fingers are half way, or rest before that.
+    """Returns whether the hand is open, (T,): as it was sent, once the fingers are half way or rest.
 
     Fingers that close on a bottle's cap stay open by more than half.
     """
@@ -162,10 +159,7 @@ def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
 
 
 def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Leaves out key frames to which the hand was never sent as it is: fingers on their way, where the arm stands.
-
-    After a blocked pull a hand is opened where it is: it gives way, stands, and opens, all for one target.
-    """
+    """Drops key frames where the fingers were still on their way, as when a hand opens after a blocked pull."""
     wanted = episode.sent[:, schema.GRIPPER_DIM] > 0.5
     kept = [int(rows[0])]
     for row in rows[1:].tolist():
@@ -175,7 +169,7 @@ def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.
 
 
 def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
-    """Returns when each row was measured (T,) [s]; by the rate, where the stamps tell nothing."""
+    """Returns when each row was measured (T,) [s]; by the rate where the stamps stand still."""
     told = episode.stamp
     if np.isfinite(told).all() and told[-1] - told[0] > _SHORTEST:
         return told
@@ -197,23 +191,22 @@ def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArra
 def _key_rows(episode: DenseEpisode, grips: NDArray[np.bool_], fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
     trajectory, ticks = trajectory_of(episode, grips, fps)
     kept = sparsify(trajectory, options.sparsify)
-    # An arm that waits before it begins is in one place twice: in the first sample, and at the end of the wait.
-    waits = len(kept) > 1 and _same_place(trajectory, kept[0], kept[1], options)
+    # An arm that waits before it begins has two key frames in one place: the first sample, and the end of the wait.
+    waits = len(kept) > 1 and stays(trajectory.pose[kept[0] : kept[1] + 1], options.sparsify.same_place)
     return ticks[kept[1:] if waits else kept]
 
 
-def _same_place(trajectory: DenseTrajectory, first: int, last: int, options: KeyFrameOptions) -> bool:
-    between = trajectory.pose[first : last + 1]
-    gripper = between[:, schema.GRIPPER_DIM] > 0.5
-    near = all(distance(between[0], pose) <= options.sparsify.same_place for pose in between)
-    return bool(near and (gripper == gripper[0]).all())
+def stays(pose: NDArray[np.float64], same_place: float) -> bool:
+    """Whether poses (T, 10) are all in one place, with the hand open in all or in none."""
+    is_open = pose[:, schema.GRIPPER_DIM] > 0.5
+    return bool((is_open == is_open[0]).all()) and all(distance(pose[0], each) <= same_place for each in pose)
 
 
 def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions) -> int:
-    """Returns the tick whose ``sent`` is the target that key frame ``last`` ended, of those after ``first``.
+    """Returns the tick after ``first`` whose ``sent`` is the target that key frame ``last`` ended.
 
-    By then the target of the next key frame may have been accepted: the arm, and fingers, take a while to begin. So it
-    is the first that stands still while the arm is where it ends, with the fingers sent to where they then are.
+    The target of the next key frame may be accepted before the arm leaves. So it is the first target that stands still
+    while the arm is in its last place, with the fingers sent to where they are then.
     """
     begin, here = last, episode.pose[last]
     while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.sparsify.same_place:
@@ -223,7 +216,7 @@ def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last
 
 
 def _outcome(episode: DenseEpisode, tick: int, target: NDArray[np.float32], options: KeyFrameOptions) -> int:
-    """How the motion to a target had ended by a tick: as the arm says, or else by how far it was off."""
+    """Returns how the motion to a target had ended by a tick: as the arm reports, or else by its distance."""
     if episode.outcome[tick] >= 0:
         return int(episode.outcome[tick])
     far, turned = pose_error(*(pose_from_vector(each)[0] for each in (episode.pose[tick], target)))

@@ -1,4 +1,4 @@
-"""How well key frames are found where they are known."""
+"""Compare the key frames that were found in a recording with those that were driven."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.recordings.keyframe_choice import ChosenKeyFrames, DenseEpisode, KeyFrameOptions
+from lerobot_adamanip.recordings.keyframe_choice import ChosenKeyFrames, DenseEpisode, KeyFrameOptions, stays
 from lerobot_adamanip.recordings.sparsify import distance
 
 SECONDS = 0.4
-"""A key frame is found if it is found within so long of its end: an arm begins slowly."""
+"""Largest time between a key frame's end and the tick that was found for it [s]."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,7 @@ class Score:
         found: that were found in the recording.
         matched: of both.
         same_action: matched ones whose action is the target that was in force, in float32, the gripper made 0 or 1.
-        unmoved: key frames that were driven and left arm and fingers where they were (a pull that is blocked at once):
-            to find them is right, and not to find them is no mistake.
+        unmoved: key frames that moved neither arm nor fingers, as a pull that is blocked at once.
         unmoved_found: of these, that were found.
     """
 
@@ -60,7 +59,9 @@ def score(episode: DenseEpisode, chosen: ChosenKeyFrames, ends: NDArray[np.int64
         fps: of the recording [Hz].
     """
     options = KeyFrameOptions()
-    moved = [number for number in range(len(ends)) if _moves(episode, ends, number, options)]
+    begins = np.r_[0, ends[:-1]]
+    spans = [episode.pose[begin : end + 1] for begin, end in zip(begins, ends, strict=True)]
+    moved = [number for number, span in enumerate(spans) if not stays(span, options.sparsify.same_place)]
     unmoved = [number for number in range(len(ends)) if number not in moved]
     free = list(zip(chosen.rows[1:].tolist(), chosen.actions[:-1], strict=True))
     pairs: dict[int, NDArray[np.float32]] = {}
@@ -76,14 +77,6 @@ def score(episode: DenseEpisode, chosen: ChosenKeyFrames, ends: NDArray[np.int64
         same += bool((pairs[number] == wanted).all())
     matched = len(set(pairs) & set(moved))
     return Score(len(moved), len(chosen.rows) - 1, matched, same, len(unmoved), len(pairs) - matched)
-
-
-def _moves(episode: DenseEpisode, ends: NDArray[np.int64], number: int, options: KeyFrameOptions) -> bool:
-    begin, end = int(ends[number - 1]) if number else 0, int(ends[number])
-    between = episode.pose[begin : end + 1]
-    gripper = between[:, schema.GRIPPER_DIM] > 0.5
-    near = all(distance(between[0], pose) <= options.sparsify.same_place for pose in between)
-    return not (near and (gripper == gripper[0]).all())
 
 
 def _is_it(episode: DenseEpisode, row: int, end: int, fps: int, options: KeyFrameOptions) -> bool:

@@ -1,4 +1,4 @@
-"""A dense recording as LeRobot's recorder wrote it: its columns by name, its episodes, and its pictures."""
+"""Read a dense recording of LeRobot's recorder: columns by name, episodes, and pictures."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ INTERVENTION = "intervention"
 """Column of LeRobot's DAgger recordings: whether a person, or an expert, had taken over."""
 _IMAGES = "observation.images."
 _ROTATION_OFF = 0.05
-"""A target's rotation this far from a rotation is none: what a robot tells before it has accepted one."""
+"""A target's rotation that is off by more than this is none: the robot has not accepted a target yet."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +93,11 @@ class DenseRecording:
         return LeRobotDataset(f"local/{self.root.name}", root=self.root, video_backend="pyav")
 
     def calibration(self, path: Path | None = None) -> CameraCalibration:
-        """Returns the calibration of the camera, of a file, or of the one that was recorded with the episodes.
+        """Returns the calibration of the camera, from a file, or as it was recorded with the episodes.
 
         Raises:
-            DatasetError: none was recorded, and none is given, or it is of other cameras.
-            ConfigurationError: the file is none of calibrations.
+            DatasetError: there is none, or only of other cameras.
+            ConfigurationError: the file holds no calibrations.
         """
         chosen = path or self.root / CALIBRATIONS
         if path is None and not chosen.exists():
@@ -123,7 +123,7 @@ class DenseRecording:
         return pa.concat_tables(tables).sort_by("index")
 
     def episode(self, number: int) -> DenseEpisode:
-        """Returns an episode's columns; raises `DatasetError` for values that no robot tells."""
+        """Returns an episode's columns; raises `DatasetError` for values that are not finite."""
         table = self._rows.filter(pc.equal(self._rows["episode_index"], number))
         states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
         names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
@@ -154,10 +154,9 @@ class DenseRecording:
         )
 
     def _accepted(self, asked: NDArray[np.float32], first: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Returns what the arm had accepted at each tick of a roll-out, which tells only what was asked for, (T, 10).
+        """Returns the accepted target at each tick of a roll-out, which records only what was asked for, (T, 10).
 
-        It is what was asked for a tick earlier, as the robot's safety filter lets it through; recordings of before the
-        filter's limits were kept have it unfiltered.
+        It is what was asked for a tick earlier, after the robot's safety filter if the filter's limits are recorded.
         """
         path = self.root / SAFETY
         if not path.exists():
@@ -179,7 +178,7 @@ class DenseRecording:
 
     @property
     def tells_success(self) -> bool:
-        """Whether it says when the task was done; roll-outs do not."""
+        """Whether it records success; roll-outs do not."""
         return self._tells([LABEL_NAME])
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
@@ -195,7 +194,7 @@ class DenseRecording:
 
 
 def _targets(sent: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Returns accepted targets, where the tool is before the first was accepted."""
+    """Returns accepted targets; the tool's pose before the first was accepted."""
     rotation = sent[:, schema.ROTATION_DIMS].reshape(-1, 2, 3)
     known = np.isfinite(sent).all(axis=1) & (np.abs(np.linalg.norm(rotation, axis=2) - 1.0) < _ROTATION_OFF).all(axis=1)
     return np.where(known[:, None], sent, state[:, : schema.ACTION_DIM]).astype(np.float32)

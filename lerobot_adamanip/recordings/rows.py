@@ -1,4 +1,4 @@
-"""From the key frames of a dense episode to the columns of a demonstration."""
+"""Make the columns of a demonstration from the key frames of a dense episode."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
 
 @dataclass(frozen=True)
 class Camera:
-    """What a camera saw in an episode, and where it stood: the calibration turns its depth into points."""
+    """Pictures of an episode, and the calibration that turns their depth into points."""
 
     pictures: Pictures
     calibration: CameraCalibration
@@ -37,7 +37,7 @@ _OPEN_FINGER = 0.04
 
 @dataclass(frozen=True)
 class RowOptions:
-    """What the columns are to be.
+    """Sizes of the columns.
 
     Attributes:
         num_points: per cloud.
@@ -55,9 +55,8 @@ def demonstration_columns(
 ) -> dict[str, NDArray[Any]]:
     """Returns one (K, ...) array per column of the contract, for the K key frames of an episode.
 
-    Nobody has labelled what was tried: phase and trial are -1, and no row tells of a try. Object joints are not known
-    either, and 0. Where a person or an expert corrected, ``action`` is what they asked for; always,
-    ``complementary_info.executed`` is what the arm accepted.
+    Tries are unlabelled: phase and trial are -1, and no row has a try. Object joints are unknown and 0. ``action`` is
+    what a corrector asked for, if there was one; ``complementary_info.executed`` is what the arm accepted.
 
     Raises:
         DatasetError: pictures are wanted, and there are none.
@@ -124,11 +123,11 @@ def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
 
 
 def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str, Any]:
-    """Returns what a demonstration says of its front camera, JSON-able: see the simulator's ``camera`` column.
+    """Returns the value of column ``camera``, JSON-able, as the simulator writes it.
 
     Args:
-        calibration: of the camera; what is told is of colour, if that was calibrated, as the image shows it.
-        size: of the front image [px]; None without images: then it is of the depth picture's middle square.
+        calibration: of the camera; its colour imager is described if it was calibrated, else its depth imager.
+        size: of the front image [px]; None without images, for the depth picture's middle square.
     """
     imager = calibration.color or calibration.depth
     side = min(imager.width, imager.height)

@@ -1,4 +1,4 @@
-"""From dense teleoperation to key frames: where the arm stopped, the gripper changed, or a command was given up."""
+"""Find key frames in dense motion: where the arm stopped, the gripper changed, or a command was given up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
-from lerobot_adamanip.util.errors import ConfigurationError
 
 _STANDS, _AWHILE = 1e-3, 3
 """A goal that moves by less than this [m] for so many samples stands still."""
@@ -34,46 +33,30 @@ class DenseTrajectory:
     speed: NDArray[np.float64]
     command: NDArray[np.float64] | None = None
 
-    def __post_init__(self) -> None:
-        count = len(self.pose)
-        command_shape = (count, schema.ACTION_DIM) if self.command is None else self.command.shape
-        shapes = (self.pose.shape, self.speed.shape, command_shape)
-        wanted = ((count, schema.ACTION_DIM), (count,), (count, schema.ACTION_DIM))
-        if shapes != wanted:
-            raise ConfigurationError(
-                "A trajectory's arrays do not fit together.",
-                got=f"pose, speed, command: {shapes}",
-                allowed=f"{wanted}",
-                hint="DenseTrajectory.from_samples(pose, rate)",
-            )
-
     @classmethod
     def from_samples(
         cls, pose: NDArray[np.float64], rate: float, command: NDArray[np.float64] | None = None
     ) -> DenseTrajectory:
-        """Builds a trajectory from (T, 10) poses sampled at ``rate`` [Hz]; the speed is what comes next.
-
-        The last sample's speed is zero: nothing comes next.
-        """
+        """Builds a trajectory from (T, 10) poses sampled at ``rate`` [Hz]; a sample's speed is towards the next one."""
         pose = np.asarray(pose, dtype=np.float64)
         way = [distance(a, b) for a, b in itertools.pairwise(pose)]
         speed = np.array([*way, 0.0] if len(pose) else [], dtype=np.float64) * rate
         return cls(pose, speed, None if command is None else np.asarray(command, dtype=np.float64))
 
     def take(self, indices: NDArray[np.int64]) -> DenseTrajectory:
-        """Returns the trajectory of these samples alone, each with the speed it was measured at."""
+        """Returns the trajectory of some of the samples."""
         command = None if self.command is None else self.command[indices]
         return DenseTrajectory(self.pose[indices], self.speed[indices], command)
 
 
 @dataclass(frozen=True)
 class SparsifyOptions:
-    """What counts as what.
+    """Thresholds.
 
     Attributes:
-        stopped: slower than this is standing still [m/s].
-        same_place: two poses this close are one [m].
-        given_up: a goal that is replaced while still this far away was given up [m].
+        stopped: an arm slower than this stands still [m/s].
+        same_place: poses closer than this are one place [m].
+        given_up: a goal replaced at a larger distance than this was given up [m].
     """
 
     stopped: float = 0.02
@@ -90,13 +73,12 @@ def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None) -> NDArray[np.int64]:
-    """Returns the indices of key frames, ascending.
+    """Returns the indices of key frames, ascending. Applied to its own result, it changes nothing.
 
-    First and last sample are always key frames. Of a stay in one place the last sample is: there the arm, and the
-    gripper, have settled. A change of the gripper is kept at the end of the stay it happens in, or where it happens if
-    the arm is moving; not while the arm is on its way to a goal far off. A goal that is replaced ends a stay then and
-    there. Applying it again to its own result changes
-    nothing.
+    - The first and the last sample are key frames.
+    - Of a stay in one place the last sample is one: arm and gripper have settled.
+    - A change of the gripper is kept at the end of its stay, or where it happens if the arm is moving.
+    - A goal that is replaced ends a stay.
     """
     chosen = options or SparsifyOptions()
     indices: NDArray[np.int64] = np.arange(len(trajectory.pose), dtype=np.int64)
@@ -133,19 +115,12 @@ def _late_ends(
     is_open: NDArray[np.bool_],
     options: SparsifyOptions,
 ) -> set[int]:
-    """Returns ends of stays that were over when their goal was given up: after that an arm takes a while to begin.
-
-    One that leaned on something springs back when its goal is given up, and may stay again right after that.
-    """
-    late, last = set[int](), len(stay_end) - 1
-
-    def near(a: int, b: int) -> bool:
-        return distance(trajectory.pose[a], trajectory.pose[b]) <= options.same_place
-
+    """Returns ends of stays whose goal was given up before: an arm takes a while to begin, or springs back first."""
+    pose, late, last = trajectory.pose, set[int](), len(stay_end) - 1
     for t in given_up:
-        # All the while: of samples that were kept before, the next but one may be where an arm has come back to.
+        # Every sample in between: of samples kept before, the next but one may be where an arm has come back to.
         left = t + 1
-        while left <= last and is_open[left] == is_open[t] and near(t, left):
+        while left <= last and is_open[left] == is_open[t] and distance(pose[t], pose[left]) <= options.same_place:
             left += 1
         late.update(end for end in stay_end[t : t + 1 + _SPRINGS].tolist() if 0 <= end < left)
     return late - {last}
@@ -160,9 +135,8 @@ def _take_back_beginnings(
 ) -> None:
     """Moves key frames at which an arm has begun to move to where its goal changed, or drops them.
 
-    An arm that leaves for a goal that stands still is slow at first, and its fingers may change meanwhile: it stands
-    still by its speed, and yet is on its way. What was kept for that is the place where the goal before had ended; if
-    that has a key frame of its own, as it has where the fingers changed, there is none here.
+    An arm that leaves for another goal is slow at first: by its speed it stands still, and yet is on its way. If the
+    goal before has a key frame of its own, as where the fingers changed, the one here is dropped.
     """
     pose, command, last = trajectory.pose, trajectory.command, len(trajectory.pose) - 1
     assert command is not None
@@ -212,7 +186,7 @@ def _replaced(
 ) -> list[int]:
     """Returns the last sample before each change of goal that ends a stay, or comes while the old goal is far away.
 
-    A goal that streams ahead of the arm, as in teleoperation, moves by little from sample to sample and is not meant.
+    Small changes do not count: in teleoperation a goal streams ahead of the arm.
     """
     return [
         t

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
-from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, by_hidden_value, count
+from lerobot_adamanip.datasets.attempts import AttemptRecord, by_hidden_value, count
 
 
 def attempt(kept: bool, hidden: dict[str, Any] | None, slot: int = 0) -> AttemptRecord:
@@ -33,8 +32,3 @@ def test_they_divide_by_each_hidden_value() -> None:
     assert table["angle >= 1.5"] == (1, 2)
     assert table["(no layout)"] == (0, 1)
     assert by_hidden_value([]) == {}
-
-
-def test_lines_are_json() -> None:
-    lines = attempts_jsonl(LISTED).decode().splitlines()
-    assert [json.loads(line)["kept"] for line in lines] == [True, False, True, False]

@@ -66,14 +66,6 @@ def test_every_episode_ends_past_success_in_one_terminal_row(finished: Path) -> 
         assert sum(int(item[schema.TRIED]) >= 0 for item in items) == row["tries"]
 
 
-def test_history_and_chunks_can_be_asked_for_by_time(finished: Path) -> None:
-    deltas = {"action": [-1 / schema.FPS, 0.0, 1 / schema.FPS], schema.POINT_CLOUD: [-1 / schema.FPS, 0.0]}
-    item = open_dataset(finished, video_backend="pyav", delta_timestamps=deltas)[0]
-    assert item["action"].shape == (3, schema.ACTION_DIM)
-    assert item[schema.POINT_CLOUD].shape == (2, 24)
-    assert item["action_is_pad"].tolist() == [True, False, False]
-
-
 def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> None:
     dataset = open_dataset(finished)
     seen, starts = set(), []
@@ -120,10 +112,6 @@ def test_cameras_travel_with_the_dataset(finished: Path) -> None:
     assert front["constant"]["intrinsics"] == np.eye(3).tolist()
     assert front["per_episode"] == ["cam_in_base"]
     assert load_check(finished)["features"][schema.FRONT_IMAGE]["info"]["intrinsics"] == np.eye(3).tolist()
-
-
-def test_a_missing_dataset_is_one_clear_error(tmp_path: Path, refuses: Refuses) -> None:
-    assert "no dataset" in refuses(DatasetError, lambda: load_check(tmp_path / "nowhere"))
 
 
 def test_an_unfinished_dataset_says_how_to_finish(tmp_path: Path, refuses: Refuses) -> None:

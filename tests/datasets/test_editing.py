@@ -11,24 +11,22 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from demos_helpers import fakes, make_spec, patiently, same_content
+from demos_helpers import same_content
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.collection.collect import collect
-from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets import cutting
 from lerobot_adamanip.datasets.conditions import Facts, parse_condition
 from lerobot_adamanip.datasets.episode_facts import episode_facts, recoveries
 from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.merge import merge
-from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset
+from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.datasets.selection import read_selection, selection_path
 from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.datasets.split import assign, split_episodes
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.video import write_video
 
 Refuses = Callable[[type, Callable[[], Any]], str]
@@ -149,45 +147,6 @@ def test_columns_of_episodes_cameras_and_manifest_stay(whole: Path, tmp_path: Pa
         assert (tmp_path / "part" / "meta" / name).read_bytes() == (whole / "meta" / name).read_bytes()
     (cameras,) = json.loads((tmp_path / "part" / "meta" / "cameras.json").read_text()).values()
     assert cameras["per_episode"] == ["cam_in_base"]
-
-
-def test_lerobot_sees_the_same_frames(finished: Path, tmp_path: Path) -> None:
-    filter_episodes(finished, ["episode_index=1,3,5"], tmp_path / "part")
-    full, part = open_dataset(finished, video_backend="pyav"), open_dataset(tmp_path / "part", video_backend="pyav")
-    begins = episode_table(finished)["dataset_from_index"].to_pylist()
-    place = 0
-    for episode in (1, 3, 5):
-        for row in range(begins[episode], [*begins, len(full)][episode + 1]):
-            for key in (schema.FRONT_IMAGE, schema.POINT_CLOUD, schema.ACTION):
-                np.testing.assert_array_equal(part[place][key], full[row][key])
-            place += 1
-    assert place == len(part)
-
-
-def test_statistics_of_a_part_are_those_of_its_rows(whole: Path, tmp_path: Path) -> None:
-    filter_episodes(whole, ["episode_index=0"], tmp_path / "part")
-    stats = json.loads((tmp_path / "part" / "meta" / "stats.json").read_text())
-    values = rows(tmp_path / "part")[schema.ACTION]
-    for name, true in {"min": values.min(axis=0), "max": values.max(axis=0), "mean": values.mean(axis=0)}.items():
-        np.testing.assert_allclose(stats[schema.ACTION][name], true, rtol=1e-5, atol=1e-6)
-
-
-def test_a_part_is_replayed_as_the_whole(finished: Path, tmp_path: Path) -> None:
-    filter_episodes(finished, ["episode_index=3"], tmp_path / "part")
-    again = replay(tmp_path / "part", 0, fakes().environment)
-    assert again.agrees(1e-6)
-    assert again.seed == replay(finished, 3, fakes().environment).seed
-
-
-def test_a_filter_of_a_merge_is_the_collection_of_those_objects(tmp_path: Path) -> None:
-    alone = []
-    for name in ("safe_000", "safe_001"):
-        collect(tmp_path / name, make_spec(objects=(name,), observe_images=False), fakes(), patiently())
-        alone.append(tmp_path / name)
-    merge(alone, tmp_path / "both")
-    filter_episodes(tmp_path / "both", ["object_id=safe_001"], tmp_path / "again")
-    same_tables(tmp_path / "safe_001", tmp_path / "again")
-    same_statistics(tmp_path / "safe_001", tmp_path / "again")
 
 
 def test_what_differs_between_merged_datasets_is_known_where_they_agree(finished: Path, tmp_path: Path) -> None:
@@ -324,13 +283,6 @@ def test_what_is_known_of_an_episode(finished: Path) -> None:
     assert max(each["recoveries"] or 0 for each in facts) == 1
 
 
-@pytest.mark.parametrize(
-    ("failed", "count"), [([], 0), ([True], 0), ([True, False], 1), ([True, True, False, True, False, False], 2)]
-)
-def test_a_recovery_is_a_failed_try_after_which_the_next_works(failed: list[bool], count: int) -> None:
-    assert recoveries(failed) == count
-
-
 # Parts ------------------------------------------------------------------------------------------------------------
 
 MANY: list[Facts] = [{"episode_index": n, "object_id": f"safe_{n % 7:03d}", "success": n % 3 > 0} for n in range(50)]
@@ -359,11 +311,6 @@ def test_shares_are_kept_and_seeds_differ() -> None:
     parts = [assign(MANY, {"a": 0.8, "b": 0.2}, by="episode_index", seed=seed) for seed in range(3)]
     assert [(len(each["a"]), len(each["b"])) for each in parts] == [(40, 10)] * 3
     assert len({tuple(each["b"]) for each in parts}) == 3
-
-
-def test_without_shares_each_value_has_a_part() -> None:
-    parts = assign(MANY, None, by="success", seed=0)
-    assert {name: len(mine) for name, mine in parts.items()} == {"false": 17, "true": 33}
 
 
 @pytest.mark.parametrize(
@@ -412,21 +359,6 @@ def test_a_selection_that_cannot_be_is_one_clear_error(unpictured: Path, tmp_pat
         read_selection(tmp_path / "part", 2)
 
 
-def test_an_interrupted_split_leaves_nothing_at_its_place_and_is_done_again(
-    unpictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def stop(done: int, total: int) -> None:
-        if done == 4:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        split_episodes(unpictured, tmp_path / "parts", HALVES, progress=stop)
-    assert not (tmp_path / "parts").exists()
-    split_episodes(unpictured, tmp_path / "parts", HALVES)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["parts"]
-    assert sorted(path.name for path in (tmp_path / "parts").iterdir()) == sorted(HALVES)
-
-
 def test_damage_is_named_and_leaves_nothing(unpictured: Path, tmp_path: Path) -> None:
     shutil.copytree(unpictured, tmp_path / "copy")
     (path,) = (tmp_path / "copy" / "data").rglob("*.parquet")
@@ -454,14 +386,3 @@ def test_the_commands_count_write_and_report(
     parts = json.loads(capsys.readouterr().out)["parts"]
     objects = episode_table(unpictured)["object_id"].to_pylist()
     assert [len({objects[index] for index in mine}) for mine in parts.values()] == [1, 1]
-
-
-def test_an_unknown_column_gets_the_nearest_one() -> None:
-    facts: list[Facts] = [{"failed_tries": 1, "success": True, "hidden.locked": False}]
-    for typed, meant in (
-        ("fail>=1", "failed_tries>=1"),
-        ("sucess=true", "success=true"),
-        ("locked=true", "hidden.locked=true"),
-    ):
-        with pytest.raises(ConfigurationError, match=f"try: .*{meant}"):
-            parse_condition(typed, facts)

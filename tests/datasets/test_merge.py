@@ -15,7 +15,7 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.merge import merge
-from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset
+from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.util.errors import AdaManipError
 
 
@@ -55,21 +55,6 @@ def test_columns_of_episodes_are_kept(finished: Path, merged: Path) -> None:
     assert [[row[name] for name in kept] for row in whole] == 2 * [[row[name] for name in kept] for row in part]
 
 
-def test_lerobot_reads_it_as_the_part(finished: Path, merged: Path) -> None:
-    part, whole = open_dataset(finished), open_dataset(merged)
-    assert len(whole) == 2 * len(part)
-    for index in (0, 3, len(part) - 1):
-        for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION, schema.EXECUTED):
-            np.testing.assert_array_equal(whole[len(part) + index][key], part[index][key])
-        assert whole[len(part) + index]["task"] == part[index]["task"]
-
-
-def test_statistics_of_poses_are_as_ours_have_them(finished: Path, merged: Path) -> None:
-    part, whole = (json.loads((root / "meta" / "stats.json").read_text()) for root in (finished, merged))
-    for name in ("min", "max", "mean"):
-        np.testing.assert_allclose(whole[schema.ACTION][name], part[schema.ACTION][name], atol=1e-6)
-
-
 def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(finished: Path, tmp_path: Path) -> None:
     for parts, out, said in (
         ([finished], tmp_path / "new", "nothing to merge"),
@@ -97,14 +82,6 @@ def test_a_dataset_and_its_part_are_refused_whatever_else_is_merged(
         with pytest.raises(AdaManipError, match=r"share episodes(.|\n)*2 of them: 1, 2 "):
             merge(parts, tmp_path / "new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["part", "third"]
-
-
-def test_nothing_there_is_overwritten(finished: Path, other: Path, tmp_path: Path) -> None:
-    (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "mine").touch()
-    with pytest.raises(AdaManipError, match="There is something"):
-        merge([finished, other], tmp_path / "new")
-    assert [path.name for path in tmp_path.rglob("*")] == ["new", "mine"]
 
 
 def test_a_lerobot_with_another_writer_is_refused(

@@ -16,7 +16,6 @@ import demos_fake_env
 import pytest
 from demos_helpers import InThisProcess, another, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.collection import executors as crews
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.parts import Part
@@ -208,17 +207,6 @@ def test_links_and_dots_lead_to_the_folder_that_they_name(unpictured: Path, tmp_
     assert {path.name for path in (tmp_path / "here").iterdir()} <= {"link", "another"}
 
 
-def test_a_link_to_an_empty_folder_is_recorded_to_and_resumed(tmp_path: Path, unpictured: Path) -> None:
-    disk = tmp_path / "disk" / unpictured.name
-    disk.mkdir(parents=True)
-    (tmp_path / "link").symlink_to(disk, target_is_directory=True)
-    collect(tmp_path / "link", BARE, fakes(), patiently(part=Part(1, 2)))
-    assert len(list(CollectionPaths(disk).episodes.iterdir())) == 3
-    assert collect(tmp_path / "link", BARE, fakes(), patiently()).recorded == 3
-    same_bytes(unpictured, disk)
-    assert collect(tmp_path / "link", BARE, fakes(), patiently()).recorded == 0
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_folder_that_cannot_be_written_is_one_error_before_any_work(
     unpictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, refuses: Refuses
@@ -363,18 +351,3 @@ def test_names_that_the_hub_refuses_are_refused_first(tmp_path: Path, name: str,
     for call in calls:
         assert "The Hub takes no repository of this name" in refuses(ConfigurationError, call)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_commands_refuse_such_names_before_anything_else(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for line in (
-        ["collect", str(tmp_path / "a"), "--policy", "nowhere"],
-        ["collect", str(tmp_path / "a"), "--dense"],
-        ["filter", str(tmp_path), "--out", str(tmp_path / "a")],
-        ["merge", str(tmp_path), str(tmp_path), "--out", str(tmp_path / "a")],
-        ["keyframes", str(tmp_path), "--out", str(tmp_path / "a")],
-        ["render", str(tmp_path)],
-    ):
-        assert main([*line, "--repo-id", "my data"]) == 2
-        assert "The Hub takes no repository of this name" in capsys.readouterr().err

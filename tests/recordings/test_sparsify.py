@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.recordings.sparsify import DenseTrajectory, distance, sparsify
-from lerobot_adamanip.util.errors import ConfigurationError
 
 RATE = 20.0
 UP = np.eye(3)
@@ -127,15 +126,3 @@ def test_turning_on_the_spot_is_moving() -> None:
     assert sparsify(DenseTrajectory.from_samples(samples, RATE)).tolist() == [0, 15]
     assert distance(pose(0.0), pose(0.0, angle=1.0)) == pytest.approx(0.1)
     assert distance(pose(0.0), pose(0.2, gripper=0.0)) == pytest.approx(0.2)
-
-
-def test_little_or_nothing_recorded() -> None:
-    assert sparsify(DenseTrajectory.from_samples(np.zeros((0, 10)), RATE)).tolist() == []
-    assert sparsify(DenseTrajectory.from_samples(pose(0.0)[None], RATE)).tolist() == [0]
-
-
-def test_arrays_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="fit"):
-        DenseTrajectory(np.zeros((3, 10)), np.zeros(2))
-    with pytest.raises(ConfigurationError, match="fit"):
-        DenseTrajectory.from_samples(np.tile(pose(0.0), (3, 1)), RATE, np.zeros((3, 9)))
