@@ -1,4 +1,4 @@
-"""Appending prepared episodes to a LeRobotDataset, in their order: what LeRobot's writer does once the rest is done."""
+"""Append prepared episodes to a LeRobotDataset in order, with the bytes that LeRobot's writer writes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def can_append(dataset: Any) -> bool:
 
 
 def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:
-    """Yields what comes numbered from 0, each as soon as all before it have come."""
+    """Yields numbered values in order, each as soon as all before it have come."""
     waiting: dict[int, T] = {}
     following = 0
     for number, value in numbered:
@@ -41,7 +41,7 @@ def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:
 
 
 def append(dataset: Any, episode: PreparedEpisode) -> int:
-    """Appends an episode: the same bytes as ``add_frame`` and ``save_episode`` write. Returns its number of rows."""
+    """Appends an episode as ``add_frame`` and ``save_episode`` do; returns its number of rows."""
     table = pa.ipc.open_stream(episode.table).read_all()
     task = episode.record["task"]
     return append_rows(dataset, table, [task], [task] * len(table), stats=episode.stats, videos=episode.videos)
@@ -60,8 +60,8 @@ def append_rows(
 
     Args:
         dataset: LeRobot's, being written.
-        table: the rows; what stands in the columns `PLACE` is replaced.
-        tasks: of the episode; those the dataset does not know yet are added to it.
+        table: the rows; the columns `PLACE` are replaced.
+        tasks: of the episode; new ones are added to the dataset.
         task_of_row: one of them for each row.
         stats: column -> statistics; those of the columns `PLACE` are computed anew.
         videos: column -> content of a file with the episode's frames alone.

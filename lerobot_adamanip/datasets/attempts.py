@@ -1,4 +1,4 @@
-"""Accounts of attempts: all that were made for a dataset, kept or not, and how they divide by hidden value."""
+"""All attempts made for a dataset, kept or not, and their counts by hidden value."""
 
 from __future__ import annotations
 
@@ -16,22 +16,20 @@ from lerobot_adamanip.util.errors import DatasetError
 SUCCESS = "success"
 """Reason of an attempt that succeeded."""
 NO_LAYOUT = "(no layout)"
-"""Stands for the hidden state of an attempt for which no reachable layout was found."""
+"""Hidden state of an attempt without a reachable layout."""
 
 
 @dataclass(frozen=True)
 class AttemptRecord:
-    """One attempt of a collection, as ``meta/attempts.jsonl`` lists it.
+    """One line of ``meta/attempts.jsonl``.
 
     Attributes:
-        object_id: of the object.
-        slot: of the object's episodes.
-        attempt: number within the slot, from 0.
+        object_id, slot, attempt: its place: the number ``attempt``, from 0, at the object's episode ``slot``.
         seed: of the episode.
         hidden_state: its draw; None if there was no layout.
         kept: whether it is in the dataset.
         reason: ``success``, or why not.
-        key_frames: it took.
+        key_frames: number of them.
         late: whether it started late.
     """
 
@@ -47,14 +45,14 @@ class AttemptRecord:
 
     @property
     def success(self) -> bool:
-        """Whether it succeeded: a policy's episodes that an expert corrects are kept without that, too."""
+        """Whether it succeeded; a policy's corrected episodes are kept without success too."""
         return self.reason == SUCCESS
 
 
 def all_attempts(
     paths: CollectionPaths, items: Iterable[EpisodeSpec], records: Iterable[Mapping[str, Any]]
 ) -> list[AttemptRecord]:
-    """Returns every attempt at the items, in their order: of episode files, and of items that were given up."""
+    """Returns every attempt at the items, in their order, given-up items included."""
     kept = {(record["slot"], record["object_id"]): record for record in records}
     listed = []
     for item in items:
@@ -68,7 +66,6 @@ def all_attempts(
 
 
 def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
-    """An expert's episodes are kept if they succeed, a policy's that an expert corrects always."""
     facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
     return {**facts, "reason": SUCCESS if record["success"] else "corrected without success"}
 
@@ -111,16 +108,13 @@ def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
 
 
 def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, int]]:
-    """Returns what was hidden -> (kept, attempted). Of continuous values, below and above the attempted ones' median.
-
-    A share that differs from value to value shows where successes alone would mislead.
-    """
+    """Returns hidden value -> (kept, attempted); continuous values are split at their median."""
     groups = grouped_by_hidden_value(attempts)
     return {label: (sum(attempt.kept for attempt in group), len(group)) for label, group in groups.items()}
 
 
 def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
-    """Returns what was hidden -> attempts. An attempt is in a group for each of its hidden values."""
+    """Returns hidden value -> attempts; an attempt is in the group of each of its hidden values."""
     listed = list(attempts)
     names = sorted({name for attempt in listed for name in attempt.hidden_state or {}})
     table: dict[str, list[AttemptRecord]] = {}

@@ -1,4 +1,4 @@
-"""The command line that collects a dataset of given options, for its card."""
+"""The `adamanip collect` command of a dataset, for its card."""
 
 from __future__ import annotations
 

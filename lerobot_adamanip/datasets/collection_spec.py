@@ -1,4 +1,4 @@
-"""What a collection is: its options, its episodes, their seeds, and the folders it lives in."""
+"""Options of a collection, its episodes and their seeds, and its folders."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ MAX_OBJECTS, MAX_EPISODES = 5_000, 1_000_000
 def episode_seed(seed: int, category: str, object_id: str, slot: int, attempt: int) -> int:
     """Returns an episode's seed, a hash of its place in the collection.
 
-    It depends on neither the expert nor the order of work: an adaptive and a static collection of one seed meet the
-    same layouts and hidden states, and any number of workers, interrupted or not, gives the same data.
+    It depends on neither the expert nor the order of work. So adaptive and static collections of one seed have the same
+    layouts and hidden states, and any number of workers gives the same data.
     """
     place = json.dumps([seed, category, object_id, slot, attempt]).encode()
     number = int.from_bytes(hashlib.sha256(place).digest()[:8], "big")
@@ -56,7 +56,7 @@ class EpisodeSpec:
 
 @dataclass(frozen=True)
 class CollectionSpec:
-    """Everything that decides which data a collection holds. Two collections of equal options are equal.
+    """Options that decide the data of a collection; equal options give equal collections.
 
     Attributes:
         environment: options of the environments; its ``category`` is that of the first object.
@@ -132,13 +132,13 @@ def _require(holds: bool, name: str, got: object, allowed: str, advice: object =
 
 @dataclass(frozen=True)
 class CollectionPaths:
-    """Where a collection lives: ``root`` once complete; beside it what is not."""
+    """Folders of a collection: ``root`` when complete, others beside it until then."""
 
     root: Path
 
     @property
     def partial(self) -> Path:
-        """What was recorded so far."""
+        """Folder of an unfinished collection."""
         return self.root.with_name(self.root.name + COLLECTING)
 
     @property
@@ -148,7 +148,7 @@ class CollectionPaths:
 
     @property
     def attempts(self) -> Path:
-        """What became of items without such a file."""
+        """Attempts at items without an episode file."""
         return self.partial / "attempts"
 
     @property
@@ -202,5 +202,5 @@ NOT_DECIDING = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
     "logged_seeds",
 )  # fmt: skip
-"""Options that it does not: category and objects stand beside them, the split is the same for every collection, a path
-is of one machine, a run is of an evaluation, and the fingerprint tells the renderer."""
+"""Other options: category and objects have fields of their own, the split is always the same, paths belong to one
+machine, a run belongs to an evaluation, and the renderer is in the fingerprint."""

@@ -1,6 +1,6 @@
-"""What of an episode's way into a dataset depends on that episode alone: its table, statistics and video.
+"""Prepare an episode for a dataset: its table, statistics and video, which depend on that episode alone.
 
-That is most of assembly's work, so it is done by as many processes as there are; appending in order is what is left.
+This is most of the work of assembly, so worker processes do it; `appending` is the rest.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def video_encoder() -> Any:
 
 @contextlib.contextmanager
 def preparing_session(features: Features, fps: int) -> Iterator[Callable[[EpisodeFile | bytes, Beat], PreparedEpisode]]:
-    """What a worker holds: a folder of its own. It is given an episode's file, or what is in it."""
+    """Yields a worker's function, which prepares an episode from its file or the file's content."""
     import av
     import datasets
 
@@ -78,7 +78,7 @@ def preparing_session(features: Features, fps: int) -> Iterator[Callable[[Episod
 
 
 def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Path) -> PreparedEpisode:
-    """Does for one episode what LeRobot's writer does, with LeRobot's functions.
+    """Prepares one episode with LeRobot's functions, as LeRobot's writer does.
 
     Args:
         episode: to be prepared.

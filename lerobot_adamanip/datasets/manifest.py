@@ -1,7 +1,6 @@
-"""``meta/collection.json``: how a dataset was collected. Written by us, read from anywhere, so checked field by field.
+"""``meta/collection.json``: how a dataset was collected. It may come from anywhere, so every field is checked.
 
-It names no code and no path: environment and expert come from the program that reads it, the folder of external
-assets from whoever has it (``--assets``); the manifest holds a hash of each object's content.
+It names no code and no path. Of external assets it holds a hash of each object's content.
 """
 
 from __future__ import annotations
@@ -67,12 +66,12 @@ _WORD = text(r"[\w .:+-]{1,80}", "a short word")
 
 @dataclass(frozen=True)
 class AttemptCounts:
-    """How many episodes were tried for a dataset.
+    """Numbers of attempted episodes.
 
     Attributes:
         kept: in the dataset.
-        attempted: tried for it, kept or not.
-        given_up: that were to be in the dataset, and no attempt at them succeeded.
+        attempted: in all.
+        given_up: episodes of which no attempt succeeded.
     """
 
     kept: int
@@ -82,11 +81,11 @@ class AttemptCounts:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What ``meta/collection.json`` says.
+    """Content of ``meta/collection.json``.
 
     Attributes:
         spec: the options.
-        fingerprint: part -> hash or name of what made the episodes, see `lerobot_adamanip.util.fingerprint`.
+        fingerprint: see `lerobot_adamanip.util.fingerprint`.
         external_assets: object id -> hash of its folder's content; empty for generated objects.
         attempts: counts of a finished collection.
     """
@@ -98,7 +97,7 @@ class Manifest:
 
     @classmethod
     def of(cls, spec: CollectionSpec, fingerprint: Mapping[str, str]) -> Manifest:
-        """Returns the manifest of a collection that is about to begin."""
+        """Returns the manifest of a new collection."""
         assets = spec.environment.assets
         hashes = {} if assets is None else {name: asset_hash(assets, name) for name in spec.objects}
         return cls(spec, dict(fingerprint), hashes)
@@ -162,7 +161,7 @@ def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
 
 
 def stored_images(paths: CollectionPaths) -> bool | None:
-    """Returns whether the collection that ``paths`` hold, finished or not, has images; None if they hold none."""
+    """Returns whether a collection, finished or not, has images; None if there is none."""
     for path in (paths.manifest, paths.partial_manifest):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             return bool(read(path)["collection"]["environment"]["observe_images"])
@@ -288,9 +287,3 @@ def _outdated(path: Path) -> DatasetError:
         allowed=f"format {FORMAT}, as `adamanip collect` writes it now",
         hint="collect it again, into another folder",
     )
-
-
-__all__ = [
-    "FORMAT", "HIDDEN_STATE", "AttemptCounts", "Manifest", "asset_hash", "differing_parts", "read_manifest",
-    "require_same", "stored_images", "write_manifest",
-]  # fmt: skip

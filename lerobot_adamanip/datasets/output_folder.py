@@ -1,7 +1,6 @@
-"""Output folders: one owner at a time, and one rule for every command that writes a dataset.
+"""Output folders: resolve, lock and probe the target before work begins; keep unfinished output in a folder beside it.
 
-The target is resolved, locked and probed before any work begins. Unfinished output is kept beside it, in a work folder
-whose suffix belongs to one command. Nothing is removed that another command, or another run of the same, has left.
+The suffix of that work folder belongs to one command. A command removes nothing that another one has left.
 """
 
 from __future__ import annotations
@@ -25,23 +24,18 @@ WORK_FOLDERS = {
     WRITING: ("dataset",),
     CONVERTING: ("episodes", "dataset", "merged"),
 }
-"""Suffix -> what may be in such a folder. ``lock`` was left there by version 0.2."""
+"""Suffix -> names that may be in such a folder; version 0.2 left ``lock``."""
 _RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render"}
-"""Commands that go on with the episodes in their work folder."""
+"""Suffix -> command that resumes from the episodes in its work folder."""
 _EPISODE_FOLDERS = ("episodes", "failed")
 _PROBE = "probe"
 MIN_FREE_BYTES = 20_000_000
-"""Room that every output needs at least, beside the data."""
+"""Free space that every output needs beside its data."""
 
 
 @dataclass(frozen=True)
 class OutputFolder:
-    """A locked output folder.
-
-    Attributes:
-        root: where the finished dataset is to be; resolved.
-        suffix: of the work folder.
-    """
+    """A locked output folder: ``root``, resolved, of the finished dataset, and ``suffix`` of the work folder."""
 
     root: Path
     suffix: str
@@ -52,7 +46,7 @@ class OutputFolder:
         return self.root.with_name(self.root.name + self.suffix)
 
     def fresh(self, name: str) -> Path:
-        """Returns a path in the work folder at which nothing is: what an interrupted run built there is removed."""
+        """Returns a free path in the work folder; removes what an interrupted run built there."""
         files.remove_tree(self.work / name)
         return self.work / name
 
@@ -76,7 +70,7 @@ class OutputFolder:
                 )
 
     def require_room(self, data_bytes: int = 0) -> None:
-        """Raises `DatasetError` if so much data does not fit on the disk."""
+        """Raises `DatasetError` if the disk has no room for so much data."""
         free, needed = shutil.disk_usage(self.work).free, data_bytes + MIN_FREE_BYTES
         if free < needed:
             raise DatasetError(
@@ -87,13 +81,13 @@ class OutputFolder:
             )
 
     def publish(self, built: Path) -> None:
-        """Moves a finished dataset to ``root``, and removes the work folder."""
+        """Moves a finished dataset to ``root`` and removes the work folder."""
         files.move_durably(built, self.root)
         files.crash_point("dataset in place")
         self.discard()
 
     def discard(self) -> None:
-        """Removes the work folder; the episodes in it are published, or can be made again at any time."""
+        """Removes the work folder, whose episodes are published or can be made again."""
         for name in WORK_FOLDERS[self.suffix]:
             path = self.work / name
             if path.is_dir():
@@ -131,7 +125,7 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
 
 @contextlib.contextmanager
 def _parents(root: Path) -> Iterator[None]:
-    """Makes the folders above an output folder; removes those of them that are still empty afterwards."""
+    """Makes the folders above an output folder; removes them afterwards if they are empty."""
     made = [folder for folder in root.parents if not folder.exists()]
     with _clear_errors(root):
         root.parent.mkdir(parents=True, exist_ok=True)
@@ -144,7 +138,7 @@ def _parents(root: Path) -> Iterator[None]:
 
 
 def resolve_output(target: str | Path) -> Path:
-    """Returns the folder that a path names, whatever links and ``..`` are in it; raises `DatasetError`."""
+    """Returns the folder that a path names, without links and ``..``; raises `DatasetError`."""
     try:
         root = Path(target).expanduser().resolve()
     except (OSError, RuntimeError) as error:
@@ -165,22 +159,17 @@ def count_episodes(work: Path) -> int:
 
 
 def lock_path(root: Path) -> Path:
-    """Returns the lock file of an output folder: there while a command is at work, or after one was killed.
-
-    Not ``.<name>.lock``, which LeRobot locks itself.
-    """
+    """Returns the lock file of an output folder; ``.<name>.lock`` is LeRobot's."""
     return root.with_name(f".{root.name}.adamanip-lock")
 
 
 @contextlib.contextmanager
 def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
-    """Keeps every other command of ours away from an output folder.
-
-    The lock file is beside the folder, and is removed at the end. A process that dies leaves it unlocked.
+    """Locks an output folder against other commands of ours. The lock of a process that dies is released.
 
     Args:
         root: resolved, see `resolve_output`.
-        optional: do without a lock where no file can be written beside the folder: nobody else can write there either.
+        optional: go without a lock where no file can be written beside the folder.
 
     Raises:
         DatasetError: another process has the lock.
@@ -210,7 +199,7 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int:
-    """Returns the descriptor of a locked file that is still at its path: whoever had it before has removed it."""
+    """Returns the descriptor of a locked file that is still at its path: its last owner may have removed it."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -225,7 +214,7 @@ def _locked(path: Path) -> int:
 
 
 def _close_locks() -> None:
-    """For a forked process: an encoder of LeRobot's would hold them after its parent was killed."""
+    """Closes inherited locks in a forked process, such as LeRobot's encoder, which may outlive its parent."""
     while _held:
         os.close(_held.pop())
 

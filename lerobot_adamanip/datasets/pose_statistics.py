@@ -10,13 +10,8 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POSE_NAMES, STATE, Statistics, fix_pose_statistics
+from lerobot_adamanip.hardware.features import names_of
 from lerobot_adamanip.util import files
-
-
-def flat_names(feature: Mapping[str, Any] | None) -> list[str]:
-    """Returns the names of a feature's numbers, which LeRobot keeps as a list or in groups; [] for none."""
-    names = (feature or {}).get("names")
-    return [name for group in names.values() for name in group] if isinstance(names, Mapping) else list(names or ())
 
 
 def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics:
@@ -29,7 +24,7 @@ def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics
     poses = {
         key: stats[key]
         for key in (STATE, ACTION)
-        if key in stats and flat_names(features.get(key))[:ACTION_DIM] == list(POSE_NAMES)
+        if key in stats and names_of(features.get(key))[:ACTION_DIM] == list(POSE_NAMES)
     }
     return {**stats, **fix_pose_statistics(poses)}
 

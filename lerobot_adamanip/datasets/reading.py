@@ -1,4 +1,4 @@
-"""Opening a demonstration dataset, with one clear error if it is not there, not whole, or of another layout."""
+"""Open a dataset, with one clear error if it is missing, half written, or of another layout."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def episode_table(root: str | Path) -> pa.Table:
 
 
 def episode_records(root: str | Path) -> list[dict[str, Any]]:
-    """Returns what the episodes' columns tell of each, JSON decoded; raises `DatasetError` if that is not there."""
+    """Returns the columns of each episode, JSON decoded; raises `DatasetError` if some are missing."""
     rows: list[dict[str, Any]] = episode_table(root).to_pylist()
     try:
         return [{**row, **{name: parse(row[name]) for name in JSON_COLUMNS}} for row in rows]
@@ -87,7 +87,7 @@ def episode_records(root: str | Path) -> list[dict[str, Any]]:
 
 
 def missing_dataset(folder: Path) -> DatasetError:
-    """Returns the error for a folder without a dataset: a collection may be under way beside it."""
+    """Returns the error for a folder without a dataset; it names an unfinished collection beside it."""
     partial = CollectionPaths(folder.resolve())
     if partial.partial.is_dir():
         done = len(list(partial.episodes.glob("*.safetensors")))
@@ -112,12 +112,7 @@ def as_typed(folder: Path) -> str:
 
 
 def workspace_of(root: Path, features: dict[str, Any]) -> Workspace:
-    """Returns the box of a dataset's clouds: its collection's, or what the column's description says, or the default.
-
-    Args:
-        root: of the dataset.
-        features: as its ``meta/info.json`` has them.
-    """
+    """Returns the box of a dataset's clouds: from its manifest, or the column's description, or the default."""
     told: Any = (features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("workspace")
     if manifest_path(root).exists():
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # `read_manifest` says what is wrong
@@ -182,7 +177,7 @@ def _info(folder: Path) -> dict[str, Any]:
 
 
 def _check_feature(key: str, feature: dict[str, Any]) -> None:
-    """A column's name is part of a path where it is a video."""
+    """Raises ValueError for an invalid column; a video's name is part of a path."""
     sizes = feature["shape"]
     sound = all(isinstance(size, int) and 0 < size <= 1_000_000 for size in sizes) and len(sizes) <= 4
     if not _KEY.fullmatch(key) or not sound or not _DTYPE.fullmatch(feature["dtype"]):

@@ -1,4 +1,4 @@
-"""One file per finished episode, written so that a kill at any moment leaves it whole or absent."""
+"""Episode files (shards): one per finished episode, written atomically."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Column ``start`` of an episode: at rest, or the actions that led to where its recording begins."""
+"""Column ``start`` of an episode: at rest, or the actions before its recording begins."""
 
 from __future__ import annotations
 

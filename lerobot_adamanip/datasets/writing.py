@@ -27,7 +27,7 @@ def create_dataset(
     intrinsics: list[list[float]] | None,
     workspace: Workspace | None = None,
 ) -> Any:
-    """Returns an empty LeRobotDataset of the contract, whoever demonstrates: the one place that describes its columns.
+    """Returns an empty LeRobotDataset with the contract's columns.
 
     Args:
         root: a folder that does not exist.
@@ -72,9 +72,7 @@ def _box(workspace: Workspace | None) -> dict[str, Any]:
 
 
 def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
-    """Adds per-episode columns to a finalised dataset: readable as ``ds.meta.episodes[i][name]``.
-
-    LeRobot has no call for this; its reader takes whatever columns ``meta/episodes`` has.
+    """Adds per-episode columns to a finalised dataset, readable as ``ds.meta.episodes[i][name]``.
 
     Args:
         root: of the dataset.
@@ -89,7 +87,7 @@ def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
 
 
 def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
-    """Returns ``meta/cameras.json``: what is the same in all episodes, and what their column has."""
+    """Returns ``meta/cameras.json``: constant parameters, and the names of those that vary by episode."""
     fixed = {key: value for key, value in cameras[0].items() if all(camera.get(key) == value for camera in cameras)}
     content = {
         "front": {
