@@ -78,8 +78,9 @@ def _section(name: str) -> str:
     rows, positional = [], []
     command = load(name)
     for option in options(command):
-        if "Positional" in option.kind:
-            positional.append("DIR" if "Path" in option.kind and "tuple" not in option.kind else option.name.upper())
+        if "Positional" in option.kind or "DatasetFolder" in option.kind:
+            folders = {"DatasetFolder": "DIR", "DatasetFolders": "DIR [DIR ...]"}
+            positional.append(folders.get(option.kind, option.name.upper()))
             rows.append((f"`{positional[-1]}`", _default(command, option), option.text))
         else:
             rows.append((f"`--{option.name.replace('_', '-')}`", _default(command, option), option.text))
