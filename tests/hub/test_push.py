@@ -14,7 +14,8 @@ from hub_store import is_lfs
 from huggingface_hub import HfApi
 from loopback_hub import TOKEN, Cut, LoopbackHub
 
-from lerobot_adamanip.hub.endpoint import HubError, require_hub_name, require_release_name
+from lerobot_adamanip.datasets.repository_names import require_hub_name, require_release_name
+from lerobot_adamanip.hub.endpoint import HubError
 from lerobot_adamanip.hub.push import push
 from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_model
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
