@@ -30,7 +30,6 @@ DECIDES_NOTHING: Mapping[str, str] = {
     "lerobot_adamanip.lerobot_patches.episode_signals": "recordings of robots",
     "lerobot_adamanip.lerobot_patches.ordered_depth": "recordings of robots",
     "lerobot_env_adamanip.fingerprint": "tells what decides",
-    "lerobot_policy_adamanip.common.publishing": "a model's card",
 }
 """Module or package that code which decides imports -> why it is in no fingerprint. There are no other exceptions."""
 _LENGTH = 16
