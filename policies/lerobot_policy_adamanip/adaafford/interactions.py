@@ -76,10 +76,7 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
     that did not fail: an expert never turns back. Its result is known at all rows of its stretch, in which nothing
     moved. After a motion, the way back is added as an interaction without success, though no expert made it.
 
-    Args:
-        demonstrations: of an expert that tries, and fails.
-        history: maximum number of interactions before a row, H: the latest.
-        candidates: maximum number of interactions with a known result at a row, K.
+    Kept are at most ``history`` interactions before a row, the latest, and ``candidates`` with a known result.
 
     Raises:
         ConfigurationError: no try failed, or none moved anything.
@@ -100,11 +97,7 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
 def _episode(
     demonstrations: Demonstrations, rows: slice, recorded: _Recorded
 ) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Records an episode's interactions.
-
-    Returns:
-        number and row (from 0) of each executed interaction, and number and stretch of each known result.
-    """
+    """Records an episode's interactions."""
     made: list[tuple[int, int]] = []
     known: list[tuple[int, int]] = []
     stretch = demonstrations.stretches(rows)

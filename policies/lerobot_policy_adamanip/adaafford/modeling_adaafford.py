@@ -62,14 +62,7 @@ class AdaAffordPolicy(AffordancePolicy):
     # Training ---------------------------------------------------------------------------------------------------
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the modules' losses, over the rows with known results of interactions.
-
-        Args:
-            batch: ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D), ``index`` (B,).
-
-        Raises:
-            ConfigurationError: the policy was made without a dataset.
-        """
+        """Returns the sum of the modules' losses, over the rows with known results of interactions."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         recorded = self.rows_of(batch)
         candidates = labels.candidates[recorded]
@@ -116,12 +109,6 @@ class AdaAffordPolicy(AffordancePolicy):
 
         The known one alone would leave the actor's own proposals without a target: their hands are turned as in no
         demonstration, and if hardly any try fails, the scorer predicts success for everything new.
-
-        Args:
-            cloud: (B, N, 3) [m].
-            known: interactions (B, K) with known results; the first one is moved elsewhere.
-            held: (B, K, 3) [m] their places.
-            elsewhere: (B, 1, 3) [m] the place that it is moved to.
         """
         points = points_away(cloud, held, PART_RADIUS_M, self.config.num_astray)
         grasps, commands = (each.squeeze(2) for each in self.model.proposals(cloud, points, 1))
@@ -146,15 +133,7 @@ class AdaAffordPolicy(AffordancePolicy):
     def _information_error(
         self, past: Interactions, features: Tensor, latest: Tensor, prefix: Tensor, gained: Tensor
     ) -> Tensor:
-        """Returns ``|G - gained|`` (B,): predicted against measured information of the latest interaction.
-
-        Args:
-            past: interactions (B, H) before a row.
-            features: (B, H, F) of their places.
-            latest: (B, 1) number of the latest.
-            prefix: z (B, Z) of those before it.
-            gained: (B,) cross-entropy of the known results without it, less that with it [nats].
-        """
+        """Returns ``|G - gained|`` (B,): predicted against measured information of the latest interaction."""
         row = torch.arange(len(latest), device=latest.device)[:, None]
         actions = action_numbers(past.before[row, latest], past.command[row, latest])
         features, prefix = features[row, latest].detach(), prefix.detach()
@@ -166,8 +145,7 @@ class AdaAffordPolicy(AffordancePolicy):
         """Returns ``L1 + KL`` () of known tries as proposals, one a row; added ways back are not proposed.
 
         Half of them are proposed at the tool's own place, as motions of a held part are. A motion's numbers count
-        singly, since a turn is one of six. The mean divergence has free bits (Kingma et al. 2016): with a smaller
-        penalty, draws from the prior fall between the tries, with a larger one, they are their mean, no motion.
+        singly, since a turn is one of six. The mean divergence has free bits, as in ``vat_mart``.
         """
         drawn = (torch.rand_like(known.moved) + known.tried).argmax(dim=1)
         row = torch.arange(len(drawn), device=drawn.device)
@@ -184,14 +162,7 @@ class AdaAffordPolicy(AffordancePolicy):
         return weighted_mean(error, weight) + self.config.divergence_weight * divergence
 
     def _map_error(self, cloud: Tensor, held: Tensor, elsewhere: Tensor, z: Tensor) -> Tensor:
-        """Returns the maps' errors (B,) at a contact and elsewhere, without gradients of proposals and scores.
-
-        Args:
-            cloud: (B, N, 3) [m].
-            held: (B, K, 3) [m] places of known interactions; the first is used.
-            elsewhere: (B, 1, 3) [m].
-            z: (B, Z).
-        """
+        """Returns the maps' errors (B,) at a contact and elsewhere, without gradients of proposals and scores."""
         places = torch.cat([point_near(cloud, held[:, 0], PART_RADIUS_M)[:, None], elsewhere], dim=1)
         before, command = self.model.proposals(cloud, places, self.config.contact_proposals)
         likely, information = self.model.scores(cloud, z, before.flatten(1, 2), command.flatten(1, 2))
@@ -211,12 +182,7 @@ class AdaAffordPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns the next key frame (B, 10), and remembers the result of the one before.
-
-        Args:
-            batch: one observation: cloud (B, N, 3) [m], state (B, D).
-            kwargs: ignored.
-        """
+        """Returns the next key frame (B, 10) for one observation, and remembers the result of the one before."""
         cloud, pose = self.observed(batch)
         self._chunks.select()
         self._memories += self._new_memories(len(cloud) - len(self._memories))
@@ -257,13 +223,7 @@ class AdaAffordPolicy(AffordancePolicy):
         return self.model.summary(tokens, features, torch.ones_like(before[..., 0], dtype=torch.bool))
 
     def _plan(self, cloud: Tensor, pose: Tensor, memory: InteractionMemory) -> Tensor:
-        """Returns the key frames (T, 10) of the best next interaction: a motion of the held part, or a new contact.
-
-        Args:
-            cloud: (1, N, 3) [m].
-            pose: (10,) of the tool, its gripper the measured opening.
-            memory: of the episode.
-        """
+        """Returns the key frames (T, 10) of the best next interaction: a motion of the held part, or a new contact."""
         z = self.summarise(cloud, memory)
         grasps, commands, contact_scores = self._new_contacts(cloud, z, memory)
         best = int(contact_scores.argmax())

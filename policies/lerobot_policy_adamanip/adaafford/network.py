@@ -81,11 +81,7 @@ def goal_of(pose: Tensor, motion: Tensor) -> Tensor:
 
 
 class AdaAffordNetwork(nn.Module):
-    """All modules. Those of success and information share features of places; the actor and the maps have their own.
-
-    Args:
-        config: of the policy.
-    """
+    """All modules. Those of success and information share features of places; the actor and the maps have their own."""
 
     def __init__(self, config: AdaAffordConfig) -> None:
         super().__init__()

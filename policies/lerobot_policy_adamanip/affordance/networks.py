@@ -50,7 +50,6 @@ class Score(nn.Module):
 
     Args:
         action_dim: numbers of the action; 0 to score the place alone.
-        features: features of the place.
     """
 
     def __init__(self, action_dim: int, features: int) -> None:
@@ -73,7 +72,6 @@ class ConditionalVAE(nn.Module):
 
     Args:
         action_dim: numbers of an action.
-        features: features of the place, the condition.
         latent: size of the latent vector.
     """
 

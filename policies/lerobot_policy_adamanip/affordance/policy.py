@@ -32,12 +32,10 @@ class Labels(nn.Module):
 
 
 class AffordancePolicy(CloudPolicy):
-    """Base of LeRobot policies.
+    """Base of LeRobot policies; labels are made from the files of ``dataset_meta``, which only a training needs.
 
-    Args:
-        config: of the policy.
-        dataset_meta: of the demonstrations, from which labels are made; needed to train only.
-        kwargs: other arguments of LeRobot's factories.
+    A batch of `forward` has ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D) and ``index`` (B,);
+    one observation of `select_action` has the first two.
     """
 
     name: ClassVar[str] = "affordance"

@@ -62,11 +62,7 @@ class DepthToCloudStep(ProcessorStep):
         check_num_points(self.num_points)
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with the cloud (B, N, 3), or the one given.
-
-        Raises:
-            ConfigurationError: there is no calibration, or the picture is of another size or kind.
-        """
+        """Returns a transition with the cloud (B, N, 3), or the one given."""
         observation = transition.get(TransitionKey.OBSERVATION)
         key = f"{IMAGES}{self.camera}{DEPTH_SUFFIX}"
         if observation is None or observation.get(POINT_CLOUD) is not None or observation.get(key) is None:

@@ -40,11 +40,7 @@ def events(commands: Tensor, poses: Tensor, valid: Tensor, *, feedback: bool = T
 
 
 class EventMemory(nn.Module):
-    """Reads `events` in order with a GRU: older failures count as much as the last one.
-
-    Args:
-        dim: size of the memory.
-    """
+    """Reads `events` in order with a GRU: older failures count as much as the last one."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()

@@ -45,11 +45,7 @@ MIN_ANCHOR_PROBABILITY = 0.03
 
 
 class AnchorNetwork(nn.Module):
-    """Cloud and memory to logits of anchors and a residual for each; and a refiner of poses.
-
-    Args:
-        config: of the policy.
-    """
+    """Cloud and memory to logits of anchors and a residual for each; and a refiner of poses."""
 
     anchors: Tensor
     spread: Tensor
@@ -94,11 +90,7 @@ class AnchorNetwork(nn.Module):
 
 
 class AnchorHead:
-    """Loss and sampling of an `AnchorNetwork`. States and actions are poses, not normalised.
-
-    Args:
-        config: of the policy.
-    """
+    """Loss and sampling of an `AnchorNetwork`. States and actions are poses, not normalised."""
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         self.config = config
@@ -140,14 +132,8 @@ class AnchorHead:
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Returns a loss per sample (B,), its weight (B,), and its parts as metrics.
 
-        Args:
-            model: with anchors.
-            window: inputs.
-            actions: (B, 1, 10) poses.
-            is_label: (B, 1) bool.
-
-        Raises:
-            ConfigurationError: the model has no anchors.
+        Labels are ``actions`` (B, 1, 10), poses, where ``is_label`` (B, 1). Raises `ConfigurationError` for a model
+        without anchors.
         """
         if self._fitted is not model and not model.spread.any():
             raise ConfigurationError(
@@ -181,13 +167,7 @@ class AnchorHead:
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, 1, 10).
-
-        Args:
-            model: trained.
-            window: inputs.
-            noise: uniform numbers in [0, 1), (B, ...), the first of a row is used; drawn if None.
-        """
+        """Draws actions (B, 1, 10), by the first of each row of ``noise`` (B, ...), uniform in [0, 1), if given."""
         tool = window.observations[STATE][:, -1, :ACTION_DIM].float()
         logits, residuals = self.predict(model, window)
         index = _draw(logits.float().softmax(dim=-1), noise)

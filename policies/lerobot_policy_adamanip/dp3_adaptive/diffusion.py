@@ -24,7 +24,6 @@ class ActionDenoiser(nn.Module):
     """The trained network: cloud encoder, history encoder and LeRobot's conditional U-Net.
 
     Args:
-        config: of the policy.
         point_dim: numbers per point, as `PoseFrames` gives them.
     """
 
@@ -53,7 +52,6 @@ class DiffusionHead:
     """Loss and sampling of an `ActionDenoiser`. States and actions are normalised.
 
     Args:
-        config: of the policy.
         frames: relate normalised numbers to metres.
     """
 
@@ -77,11 +75,7 @@ class DiffusionHead:
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Returns the denoising error per sample (B,), its weight (B,), and no metrics.
 
-        Args:
-            model: a network of this head.
-            window: inputs.
-            actions: (B, T, A) normalised.
-            is_label: (B, T) bool; false for padding, which repeats the episode's last action.
+        Labels are ``actions`` (B, T, A), normalised, where ``is_label`` (B, T); padding repeats an episode's last one.
         """
         if model.training and self.config.history_noise_std:
             noisy = window.history + self.config.history_noise_std * torch.randn_like(window.history)

@@ -58,10 +58,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     invalid in both cases and masked. Observations before it repeat the first one, as LeRobot's padding does.
 
     Args:
-        config: of the policy.
         dataset_stats: of the training data; relates normalised numbers to metres. Not needed to load a checkpoint.
         dataset_meta: of the training data, with its files. Needed to train only.
-        kwargs: other arguments of LeRobot's factories.
     """
 
     config_class = DP3AdaptiveConfig
@@ -140,9 +138,6 @@ class DP3AdaptivePolicy(CloudPolicy):
             batch: normalised, with S = n_obs_steps: ``observation.point_cloud`` (B, N, 3) metres,
                 ``observation.state`` (B, D), ``action`` (B, A), ``index`` (B,). Observations are (B, S, ...) for S > 1.
             reduction: ``mean``, or ``none`` for one loss per sample (B,).
-
-        Raises:
-            ConfigurationError: the policy was made without a dataset, or with another one.
         """
         window, actions, is_label = self.training_window(batch)
         losses, weights, metrics = self.head.loss(self._active_model(), window, actions, is_label)
@@ -188,10 +183,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
         """Returns the next action (B, A), normalised, and remembers it as executed.
 
-        Args:
-            batch: one observation, normalised: cloud (B, N, 3) [m], state (B, D). An ``action`` is ignored.
-            noise: of the head's sampling, (B, T, A); drawn if None.
-            kwargs: ignored.
+        ``batch`` is one observation, normalised: cloud (B, N, 3) [m], state (B, D). The head samples from ``noise``
+        (B, T, A), which is drawn if None.
         """
         observation = self._single(batch)
         self._chunks.select()

@@ -42,9 +42,6 @@ class Refiner(nn.Module):
     """Predicts a correction of a pose from the points near it.
 
     Its inputs exclude the chosen motion and the hand's pose: in training both are right and would give the goal away.
-
-    Args:
-        neighbours: number of nearest points.
     """
 
     def __init__(self, neighbours: int) -> None:
@@ -93,9 +90,6 @@ def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
 
     Two swapped fingers hold alike. So the turn is given by cosine and sine of its doubled angle, equal for both grasps
     and without a jump. An angle would be learnt as the mean of a quarter turn to either side.
-
-    Returns:
-        (B, 7): position [m, m, m], tilt about x and y [rad, rad], cosine and sine of twice the turn [-, -].
     """
     motion = motion_between(goal, proposed)
     turned = matrix_from_rotation_vector(motion[:, 3:6])

@@ -38,7 +38,6 @@ class TrainingWindows:
     """States, labels and executed actions of a dataset, as inputs and targets of a head.
 
     Args:
-        config: of the policy.
         dataset_meta: of the dataset, with its files; its ``stats`` are those that normalise batches.
 
     Raises:
@@ -61,9 +60,6 @@ class TrainingWindows:
         Args:
             batch: preprocessed, with ``index`` (B,).
             observations: of the batch, (B, ...) of the present, or (B, S, ...) of S = n_obs_steps.
-
-        Raises:
-            ConfigurationError: the batch is of another dataset.
         """
         config, recorded = self._config, self.recorded
         if observations[STATE].dim() == 2:

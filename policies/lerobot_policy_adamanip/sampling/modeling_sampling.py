@@ -37,11 +37,7 @@ from lerobot_policy_adamanip.sampling.contact_labels import ContactLabels, draw_
 
 
 class SamplingNetwork(nn.Module):
-    """Affordance, grasps, and the set of motions in contact.
-
-    Args:
-        config: of the policy.
-    """
+    """Affordance, grasps, and the set of motions in contact."""
 
     motions: Tensor
 
@@ -92,14 +88,7 @@ class SamplingPolicy(AffordancePolicy):
         return labels
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the losses of affordance and grasps, over the rows at which a contact can be made.
-
-        Args:
-            batch: ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D), ``index`` (B,).
-
-        Raises:
-            ConfigurationError: the policy was made without a dataset.
-        """
+        """Returns the losses of affordance and grasps, over the rows at which a contact can be made."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         contacts = labels.contacts_of[self.rows_of(batch)]
         rows = valid_rows(contacts[:, 0] >= 0)
@@ -123,12 +112,7 @@ class SamplingPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns the next key frame (B, 10) of each episode's macro action; draws one if the last is finished.
-
-        Args:
-            batch: one observation: cloud (B, N, 3) [m], state (B, D).
-            kwargs: ignored.
-        """
+        """Returns the next key frame (B, 10) of each episode's macro action; draws one if the last is finished."""
         cloud, pose = self.observed(batch)
         for row in self._plans.finished(len(cloud)):
             self._plans.append(row, self.draw_macro(cloud[row], pose[row]))

@@ -36,11 +36,7 @@ NEGATIVE_TURN_RAD, NEGATIVE_SHIFT_M = (0.2, 3.1), (0.01, 0.06)
 
 
 class VatMartNetwork(nn.Module):
-    """The three modules, each with features of its own.
-
-    Args:
-        config: of the policy.
-    """
+    """The three modules, each with features of its own."""
 
     def __init__(self, config: VatMartConfig) -> None:
         super().__init__()
@@ -57,11 +53,7 @@ class VatMartNetwork(nn.Module):
         Each key frame's position and rotation count alike. The mean divergence has free bits (Kingma et al. 2016): with
         a smaller penalty, draws from the prior fall between the demonstrations, with a larger one, they are their mean.
 
-        Args:
-            cloud: (B, N, 3) [m].
-            place: (B, 3) [m] of the contacts.
-            trajectory: (B, D) demonstrated.
-            weight: (B,) of each.
+        Trajectories (B, D) with weights (B,) are demonstrated at places (B, 3) [m] of clouds (B, N, 3) [m].
         """
         config = self.config
         features = self.proposal_features(cloud, place[:, None]).squeeze(1)
@@ -106,14 +98,7 @@ class VatMartPolicy(AffordancePolicy):
         return label_plans(demonstrations, self.config.waypoints)
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the three modules' losses, over the rows of a plan.
-
-        Args:
-            batch: ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D), ``index`` (B,).
-
-        Raises:
-            ConfigurationError: the policy was made without a dataset.
-        """
+        """Returns the sum of the three modules' losses, over the rows of a plan."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         plan = labels.plan_of[self.rows_of(batch)]
         rows = valid_rows(plan >= 0)
@@ -136,14 +121,7 @@ class VatMartPolicy(AffordancePolicy):
         return sum_losses(losses)
 
     def _score_loss(self, cloud: Tensor, places: Tensor, trajectory: Tensor, share: Tensor) -> Tensor:
-        """Returns ``BCE(C, success)`` (B,) of trajectories (B, D), and of negatives: perturbed grasps, other places.
-
-        Args:
-            cloud: (B, N, 3) [m].
-            places: (B, 2, 3) [m]: of the contact, and elsewhere.
-            trajectory: (B, D).
-            share: (B,) of episodes that it opens.
-        """
+        """Returns ``BCE(C, success)`` (B,) of trajectories (B, D), and of negatives: perturbed grasps, other places."""
         candidates = torch.stack([trajectory, perturb_grasp(trajectory), trajectory], dim=1)
         logits = self.model.score(cloud, places[:, [0, 0, 1]], candidates)
         target = torch.stack([share, torch.zeros_like(share), torch.zeros_like(share)], dim=1)
@@ -167,10 +145,7 @@ class VatMartPolicy(AffordancePolicy):
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
         """Returns the plan's next key frame (B, 10); after its last one the tool stays.
 
-        Args:
-            batch: one observation: cloud (B, N, 3) [m], state (B, D). Only the first of an episode is used.
-            noise: see `predict_action_chunk`.
-            kwargs: ignored.
+        Only an episode's first observation is used; see `predict_action_chunk` for ``noise``.
         """
         if not self._plan:
             self._plan = list(self.predict_action_chunk(batch, noise).unbind(dim=1))
@@ -182,10 +157,7 @@ class VatMartPolicy(AffordancePolicy):
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
         """Returns the plan (B, 3 + waypoints, 10) for an observation; changes nothing.
 
-        Args:
-            batch: one observation: cloud (B, N, 3) [m], state (B, D).
-            noise: (B, 1, proposals, latent_dim) of the proposals; drawn if None.
-            kwargs: ignored.
+        Proposals are drawn by ``noise`` (B, 1, proposals, latent_dim) if given.
         """
         cloud, _ = self.observed(batch)
         rows = torch.arange(len(cloud), device=cloud.device)

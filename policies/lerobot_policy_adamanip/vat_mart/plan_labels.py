@@ -41,9 +41,7 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
     It belongs to the rows before the fingers close from which the part is visible: the hand is open and away. Its share
     compares its joint motions with those that each episode of the same task, with its own hidden state, needed.
 
-    Args:
-        demonstrations: of any expert.
-        waypoints: maximum number of key frames in contact, K.
+    A plan has at most ``waypoints`` key frames in contact, K.
 
     Raises:
         ConfigurationError: no demonstration opens within one contact of so many key frames.
