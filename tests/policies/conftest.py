@@ -29,7 +29,7 @@ def toy_worlds() -> list[Any]:
 
 @pytest.fixture
 def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
-    """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories; what is given wins."""
+    """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories; None drops an option."""
 
     def build(policy_type: str, root: Path = toy_root, **changes: Any) -> tuple[Any, ...]:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -38,7 +38,8 @@ def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
         import lerobot_policy_adamanip  # noqa: F401  (registers them)
 
         dataset = LeRobotDataset(REPO_ID, root=root)
-        config = make_policy_config(policy_type, **{**TINY, **changes})
+        options = {name: value for name, value in {**TINY, **changes}.items() if value is not None}
+        config = make_policy_config(policy_type, **options)
         policy = make_policy(config, ds_meta=dataset.meta)
         before, after = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
         return policy, before, after, dataset

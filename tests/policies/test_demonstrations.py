@@ -28,40 +28,38 @@ def episode(*key_frames: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     return poses, commands
 
 
-def test_a_hand_that_closes_in_place_grasps() -> None:
-    poses, commands = episode((0.4, 1), (0.5, 1), (0.5, 0), (0.6, 0), (0.7, 0), (0.7, 1), (0.3, 1))
-    (contact,) = find_contacts(poses, commands)
-    assert (contact.start, contact.first, contact.end) == (2, 3, 5)
-    np.testing.assert_array_equal(contact.grasp[:9], commands[2, :9])
-    assert contact.grasp[schema.GRIPPER_DIM] == 1
+CONTACTS: dict[str, tuple[list[tuple[float, int]], list[tuple[int, int, int, float, int]]]] = {
+    "a hand that closes in place grasps": (
+        [(0.4, 1), (0.5, 1), (0.5, 0), (0.6, 0), (0.7, 0), (0.7, 1), (0.3, 1)], [(2, 3, 5, 0.5, 1)],
+    ),
+    "one that closes on its way pushes": ([(0.4, 0), (0.5, 0), (0.53, 0), (0.4, 0), (0.2, 1)], [(0, 2, 4, 0.5, 0)]),
+    "and if it goes no farther, nothing": ([(0.5, 0), (0.5, 1)], []),
+    "each closing, also the last, which nothing opens": (
+        [(0.5, 1), (0.5, 0), (0.6, 0), (0.6, 1), (0.5, 1), (0.5, 0), (0.55, 0)], [(1, 2, 3, 0.5, 1), (5, 6, 7, 0.5, 1)],
+    ),
+    "both": (
+        [(0.4, 0), (0.5, 0), (0.53, 0), (0.2, 1), (0.2, 0), (0.3, 0), (0.3, 1), (0.3, 0)],
+        [(0, 2, 3, 0.5, 0), (4, 5, 6, 0.2, 1), (7, 8, 8, 0.3, 1)],
+    ),
+}  # fmt: skip
 
 
-def test_a_hand_that_closes_on_its_way_pushes() -> None:
-    poses, commands = episode((0.4, 0), (0.5, 0), (0.53, 0), (0.4, 0), (0.2, 1))
-    (contact,) = find_contacts(poses, commands)
-    assert (contact.start, contact.first, contact.end) == (0, 2, 4)
-    assert contact.grasp[0] == commands[1, 0]
-    assert contact.grasp[schema.GRIPPER_DIM] == 0
-
-
-def test_each_closing_is_a_contact_of_its_own_also_the_last_which_nothing_opens() -> None:
-    poses, commands = episode((0.5, 1), (0.5, 0), (0.6, 0), (0.6, 1), (0.5, 1), (0.5, 0), (0.55, 0))
-    assert [(each.start, each.first, each.end) for each in find_contacts(poses, commands)] == [(1, 2, 3), (5, 6, 7)]
+@pytest.mark.parametrize("case", CONTACTS)
+def test_contacts_are_found_and_their_motions_are_those_that_the_tracker_tells(case: str) -> None:
+    key_frames, wanted = CONTACTS[case]
+    poses, commands = episode(*key_frames)
+    found = find_contacts(poses, commands)
+    told = [(each.start, each.first, each.end, each.grasp[0], each.grasp[schema.GRIPPER_DIM]) for each in found]
+    assert told == [pytest.approx(each) for each in wanted]
+    tracker = ContactTracker()
+    moves = [tracker.sent(pose, command) for pose, command in zip(poses, commands, strict=True)]
+    assert np.flatnonzero(moves).tolist() == [row for each in found for row in range(each.first, each.end)]
 
 
 def test_a_hand_that_was_closed_before_the_episode_began_shows_no_contact() -> None:
     poses, commands = episode((0.5, 0), (0.6, 0), (0.6, 1))
     poses[0, schema.GRIPPER_DIM] = 0.2
     assert find_contacts(poses, commands) == []
-
-
-def test_motions_in_contact_are_those_that_the_tracker_tells() -> None:
-    poses, commands = episode((0.4, 0), (0.5, 0), (0.53, 0), (0.2, 1), (0.2, 0), (0.3, 0), (0.3, 1), (0.3, 0))
-    tracker = ContactTracker()
-    told = [tracker.sent(pose, command) for pose, command in zip(poses, commands, strict=True)]
-    found = find_contacts(poses, commands)
-    assert np.flatnonzero(told).tolist() == [row for each in found for row in range(each.first, each.end)] == [2, 5]
-    assert [float(each.grasp[schema.GRIPPER_DIM]) for each in found] == [0, 1, 1]
 
 
 def test_a_stretch_ends_with_what_moves_something(adaptive_toy_root: Path) -> None:
@@ -76,10 +74,6 @@ def test_a_stretch_ends_with_what_moves_something(adaptive_toy_root: Path) -> No
             np.testing.assert_allclose(stands, np.broadcast_to(stands[0], stands.shape), atol=1e-5)
         moved = (demonstrations.tried[rows] >= 0) & ~demonstrations.failed[rows]
         assert stretch[-1] == moved[:-1].sum()
-
-
-def test_a_hand_that_closes_on_its_way_and_goes_no_farther_shows_none() -> None:
-    assert find_contacts(*episode((0.5, 0), (0.5, 1))) == []
 
 
 def test_a_final_observation_is_not_a_motion(adaptive_toy_root: Path) -> None:

@@ -1,4 +1,4 @@
-"""Mixed precision, as `--policy.use_amp=true` runs it, where a machine can; one clear error where it cannot."""
+"""Mixed precision, as `--policy.use_amp=true` runs it, if a machine can; one clear error if it cannot."""
 
 from __future__ import annotations
 
@@ -18,43 +18,19 @@ from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
-SIZES = {"num_points": 16, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dims": (16, 32)}
-
 
 def make_policy(**options: Any) -> Any:
     from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 
-    config = DP3AdaptiveConfig(device="cpu", push_to_hub=False, **SIZES, **options)
-    config.input_features = {
-        schema.POINT_CLOUD: PolicyFeature(FeatureType.STATE, (32, 3)),
-        schema.STATE: PolicyFeature(FeatureType.STATE, (schema.STATE_DIM,)),
-    }
+    sizes: dict[str, Any] = {"num_points": 16, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dims": (16, 32)}
+    config = DP3AdaptiveConfig(device="cpu", push_to_hub=False, **sizes, **options)
+    shapes = {schema.POINT_CLOUD: (32, 3), schema.STATE: (schema.STATE_DIM,)}
+    config.input_features = {key: PolicyFeature(FeatureType.STATE, shape) for key, shape in shapes.items()}
     config.output_features = {schema.ACTION: PolicyFeature(FeatureType.ACTION, (schema.ACTION_DIM,))}
     policy = DP3AdaptivePolicy(config)
-    if policy.config.head == "anchors":
+    if config.head == "anchors":
         policy.fit_anchors(np.random.default_rng(0).normal(size=(40, 7)).astype(np.float32))
     return policy
-
-
-def half_precision_step(policy: Any) -> tuple[Any, Any]:
-    """A loss and an action, under autocast."""
-    config, pose = policy.config, schema.ACTION_DIM
-    observations = {
-        schema.POINT_CLOUD: torch.rand(2, 1, 32, 3),
-        schema.STATE: torch.rand(2, config.observed_steps, schema.STATE_DIM),
-    }
-    past = config.n_action_history_steps
-    window = Window(observations, torch.rand(2, past, pose), torch.ones(2, past, dtype=torch.bool))
-    labels = torch.rand(2, config.horizon, pose)
-    policy.training_window = lambda _: (window, labels, torch.ones(labels.shape[:2], dtype=torch.bool))
-
-    with torch.autocast("cpu", torch.bfloat16):
-        loss, _ = policy.forward({})
-        loss.backward()
-        assert all(weight.grad is not None for weight in policy.get_optim_params())
-        policy.eval()
-        action = policy.select_action({key: values[:, -1] for key, values in observations.items()})
-    return loss, action
 
 
 @pytest.fixture
@@ -66,14 +42,25 @@ def _nothing_known() -> Iterator[None]:
 
 @pytest.mark.parametrize("preset", ["fast", "diffusion"])
 def test_a_policy_trains_and_acts_in_half_precision_exactly_where_the_probe_says_so(preset: str) -> None:
-    if mixed_precision.mixed_precision_problem("cpu") is None:
-        loss, action = half_precision_step(make_policy(preset=preset, use_amp=True))
-        assert torch.isfinite(loss)
-        assert action.dtype == torch.float32
-        assert torch.isfinite(action).all()
-    else:
+    if mixed_precision.mixed_precision_problem("cpu") is not None:
         with pytest.raises(ConfigurationError, match=r"--policy.use_amp=false"):
             make_policy(preset=preset, use_amp=True)
+        return
+    policy = make_policy(preset=preset, use_amp=True)
+    config, past = policy.config, policy.config.n_action_history_steps
+    states = torch.rand(2, config.observed_steps, schema.STATE_DIM)
+    observations = {schema.POINT_CLOUD: torch.rand(2, 1, 32, 3), schema.STATE: states}
+    window = Window(observations, torch.rand(2, past, schema.ACTION_DIM), torch.ones(2, past, dtype=torch.bool))
+    labels = torch.rand(2, config.horizon, schema.ACTION_DIM)
+    policy.training_window = lambda _: (window, labels, torch.ones(labels.shape[:2], dtype=torch.bool))
+    with torch.autocast("cpu", torch.bfloat16):
+        loss, _ = policy.forward({})
+        loss.backward()
+        assert all(weight.grad is not None for weight in policy.get_optim_params())
+        action = policy.eval().select_action({key: values[:, -1] for key, values in observations.items()})
+    assert torch.isfinite(loss)
+    assert action.dtype == torch.float32
+    assert torch.isfinite(action).all()
 
 
 @pytest.mark.usefixtures("_nothing_known")
@@ -89,9 +76,8 @@ def test_a_machine_that_cannot_is_one_clear_error(monkeypatch: pytest.MonkeyPatc
     real = subprocess.run
     monkeypatch.setattr(subprocess, "run", lambda _command, **kw: real([sys.executable, "-c", code], **kw))
     monkeypatch.setattr(mixed_precision, "PROBE_TIMEOUT_S", 2.0)
-    with pytest.raises(
-        ConfigurationError, match=r"(?s)mixed precision.*use_amp=true on cpu.*--policy.use_amp=false"
-    ) as caught:
+    wanted = r"(?s)mixed precision.*use_amp=true on cpu.*--policy.use_amp=false"
+    with pytest.raises(ConfigurationError, match=wanted) as caught:
         make_policy(use_amp=True)
     assert said in str(caught.value)
     make_policy(use_amp=False)  # and without, nothing is asked

@@ -51,15 +51,14 @@ def test_a_motion_leads_where_it_was_seen_to_lead() -> None:
     tool, goal = _poses(60, 1), _poses(60, 2)
     motion = motion_between(goal, tool)
     assert motion.shape == (60, 7)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(motion_between(goal, tool), motion)  # half precision would blur positions
+    both = motion_between(goal, torch.stack([tool, goal]))  # of several tools at once
+    assert torch.equal(both[0], motion)
+    torch.testing.assert_close(both[1, :, :6], torch.zeros(60, 6), rtol=0, atol=1e-3)  # staying is no motion
     torch.testing.assert_close(pose_after(motion, tool), goal, rtol=0, atol=2e-4)
     distance = (goal[:, :3] - tool[:, :3]).norm(dim=-1)
     torch.testing.assert_close(motion[:, :3].norm(dim=-1), distance, rtol=0, atol=1e-5)
-
-
-def test_staying_is_no_motion() -> None:
-    tool = _poses(20, 3)
-    still = motion_between(tool, tool)
-    torch.testing.assert_close(still[:, :6], torch.zeros(20, 6), rtol=0, atol=1e-3)
 
 
 def test_what_is_seen_does_not_depend_on_where_everything_stands() -> None:
@@ -74,21 +73,6 @@ def test_what_is_seen_does_not_depend_on_where_everything_stands() -> None:
     assert not torch.allclose(upwards(there[0]), upwards(tool), atol=0.1)
     upright = _moved(tool, Rotation.from_rotvec([0, 0, 1.2]), shift)
     torch.testing.assert_close(upwards(upright), upwards(tool), rtol=0, atol=1e-6)
-
-
-def test_half_precision_does_not_blur_positions() -> None:
-    tool, goal = _poses(30, 7), _poses(30, 8)
-    with torch.autocast("cpu", torch.bfloat16):
-        blurred = motion_between(goal, tool)
-    assert torch.equal(blurred, motion_between(goal, tool))
-
-
-def test_a_tools_own_axes_are_the_coordinates() -> None:
-    tool = torch.zeros(1, 10)
-    # The tool's x points along the base's y: its matrix' columns are its axes.
-    tool[0, 3:9] = torch.from_numpy(rotation_6d_from_matrix(Rotation.from_euler("z", 90, degrees=True).as_matrix()))
-    points = torch.tensor([[[0.0, 0.2, 0.0]]])
-    torch.testing.assert_close(points_seen(points, tool), torch.tensor([[[0.2, 0.0, 0.0]]]), rtol=0, atol=1e-6)
 
 
 def test_an_event_tells_what_was_left_undone() -> None:
@@ -139,8 +123,3 @@ def test_a_constant_made_at_run_time_can_be_trained_with() -> None:
     (weight * constant((2.0, 3.0), weight)).sum().backward()
     assert weight.grad is not None
     assert weight.grad.tolist() == [2.0, 3.0]
-
-
-def test_motions_of_several_tools_at_once_are_those_of_each() -> None:
-    goal, tools = _poses(8, 4), torch.stack([_poses(8, 5), _poses(8, 6)])
-    assert torch.equal(motion_between(goal, tools), torch.stack([motion_between(goal, tool) for tool in tools]))

@@ -8,7 +8,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
-from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d, matrix_from_rotation_vector, rotation_vector
+from lerobot_policy_adamanip.common.torch_rotations import (
+    angle_between,
+    matrix_from_6d,
+    matrix_from_rotation_vector,
+    rotation_vector,
+)
 
 HALF_TURNS = np.pi * np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0.0, -0.6, 0.8]])
 
@@ -45,8 +50,15 @@ def test_half_a_turn_has_an_axis() -> None:
     np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), matrices.numpy(), atol=1e-5)
 
 
-def test_no_turn_is_no_vector() -> None:
-    assert torch.equal(rotation_vector(torch.eye(3)[None]), torch.zeros(1, 3))
+def test_the_angle_between_rotations_is_the_turn_between_them() -> None:
+    first = Rotation.random(10, random_state=1)
+    for angle in (0.0, 0.3, 3.0):
+        second = Rotation.from_rotvec(angle * np.eye(3)[1]) * first
+        one, other = (torch.from_numpy(rotation_6d_from_matrix(each.as_matrix())) for each in (first, second))
+        found = angle_between(one.requires_grad_(), other)
+        np.testing.assert_allclose(found.detach(), np.full(10, angle), atol=2e-3)
+        (gradient,) = torch.autograd.grad(found.sum(), one)
+        assert torch.isfinite(gradient).all()
 
 
 def test_rotation_6d_is_a_matrix_again() -> None:

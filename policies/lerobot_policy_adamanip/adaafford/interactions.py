@@ -76,10 +76,8 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
     that did not fail: an expert never turns back. Its result is known at all rows of its stretch, in which nothing
     moved. After a motion, the way back is added as an interaction without success, though no expert made it.
 
-    Kept are at most ``history`` interactions before a row, the latest, and ``candidates`` with a known result.
-
-    Raises:
-        ConfigurationError: no try failed, or none moved anything.
+    Kept are at most ``history`` interactions before a row, the latest, and ``candidates`` with a known result. Raises
+    `ConfigurationError` if no try failed, or none moved anything.
     """
     recorded = _Recorded()
     size = 1 + int(demonstrations.index.max())
@@ -125,11 +123,7 @@ def _fill(row: NDArray[np.int64], numbers: list[int]) -> None:
 
 
 class InteractionMemory:
-    """Interactions of one episode at run time.
-
-    Args:
-        length: number of latest interactions that are kept.
-    """
+    """Interactions of one episode at run time; the latest ``length`` are kept."""
 
     def __init__(self, length: int) -> None:
         self.interactions: deque[tuple[Tensor, Tensor, Tensor]] = deque(maxlen=length)

@@ -1,8 +1,4 @@
-"""``adaafford``: chooses contacts and motions by the results of its own interactions.
-
-Names of modules and losses are those of the method's released code (`wangyian-me/AdaAffordCode`); the package's
-docstring lists the deviations.
-"""
+"""``adaafford``: chooses contacts and motions by the results of its own interactions. See the package."""
 
 from __future__ import annotations
 
@@ -24,22 +20,14 @@ from lerobot_policy_adamanip.adaafford.network import (
     goal_of,
     trim_padding,
 )
+from lerobot_policy_adamanip.affordance import plans
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
 from lerobot_policy_adamanip.affordance.networks import mean_of_best, point_near, points_away
-from lerobot_policy_adamanip.affordance.plans import (
-    GRASP_DIM,
-    GRASP_GROUPS,
-    PART_RADIUS_M,
-    PlanQueue,
-    stacked,
-    taking_hold,
-    with_gripper,
-)
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
 from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
 from lerobot_policy_adamanip.common.policy import ChunkGuard
 
-OFFSET = slice(GRASP_GROUPS[0], GRASP_GROUPS[0] + GRASP_GROUPS[1])
+OFFSET = slice(plans.GRASP_GROUPS[0], plans.GRASP_GROUPS[0] + plans.GRASP_GROUPS[1])
 """Numbers of a proposal: offset of the tool from a place in the cloud."""
 BEST_SUCCESSES, BEST_INFORMATION = 3, 5
 """Best proposals at a place whose mean is the target of each map."""
@@ -49,11 +37,8 @@ class AdaAffordPolicy(AffordancePolicy):
     """LeRobot policy. Its memory is its own interactions and their results."""
 
     config_class = AdaAffordConfig
+    network_class = AdaAffordNetwork
     name = "adaafford"
-
-    def make_network(self) -> AdaAffordNetwork:
-        """Returns an untrained network."""
-        return AdaAffordNetwork(self.config)
 
     def make_labels(self, demonstrations: Demonstrations) -> InteractionLabels:
         """Returns interactions, and those that each row can learn from."""
@@ -71,7 +56,7 @@ class AdaAffordPolicy(AffordancePolicy):
         weight = (candidates[:, 0] >= 0).to(cloud.dtype)
         known, past = self._interactions(trim_padding(candidates)), self._interactions(trim_padding(history))
         held = known.before[..., POSITION_DIMS]
-        elsewhere = points_away(cloud, held, PART_RADIUS_M, 1)
+        elsewhere = points_away(cloud, held, plans.PART_RADIUS_M, 1)
         negatives = self._negatives(cloud, known, held, elsewhere)
         # In one call: each call encodes the whole cloud.
         places = torch.cat([past.before[..., POSITION_DIMS], held, negatives.places], dim=1)
@@ -110,13 +95,13 @@ class AdaAffordPolicy(AffordancePolicy):
         The known one alone would leave the actor's own proposals without a target: their hands are turned as in no
         demonstration, and if hardly any try fails, the scorer predicts success for everything new.
         """
-        points = points_away(cloud, held, PART_RADIUS_M, self.config.num_astray)
+        points = points_away(cloud, held, plans.PART_RADIUS_M, self.config.num_astray)
         grasps, commands = (each.squeeze(2) for each in self.model.proposals(cloud, points, 1))
         places = torch.cat([elsewhere, grasps[..., POSITION_DIMS]], dim=1)
         before = torch.cat([known.before[:, :1], grasps], dim=1)
         command = torch.cat([known.command[:, :1], commands], dim=1)
         # A proposal at a point beside a part may be a grasp of it.
-        away = (torch.cdist(places, held) > PART_RADIUS_M).all(dim=-1)
+        away = (torch.cdist(places, held) > plans.PART_RADIUS_M).all(dim=-1)
         away[:, 0] = True
         return NegativeActions(places, action_numbers(before, command), away)
 
@@ -150,12 +135,12 @@ class AdaAffordPolicy(AffordancePolicy):
         drawn = (torch.rand_like(known.moved) + known.tried).argmax(dim=1)
         row = torch.arange(len(drawn), device=drawn.device)
         before, command, opening = (each[row, drawn] for each in (known.before, known.command, known.opening))
-        place = point_near(cloud, before[:, POSITION_DIMS], PART_RADIUS_M)
+        place = point_near(cloud, before[:, POSITION_DIMS], plans.PART_RADIUS_M)
         place = torch.where(torch.rand_like(place[:, :1]) < 0.5, before[:, POSITION_DIMS], place)
         target = encode_proposal(before, command, opening, place)
         predicted, divergence = self.model.actor(target, self.model.actor_features(cloud, place[:, None]).squeeze(1))
         weight = known.tried.any(dim=1).to(predicted.dtype)
-        error = error_by_group(predicted, target, (*GRASP_GROUPS, *[1] * (target.shape[-1] - GRASP_DIM)))
+        error = error_by_group(predicted, target, (*plans.GRASP_GROUPS, *[1] * (target.shape[-1] - plans.GRASP_DIM)))
         offset = (predicted - target)[:, OFFSET].abs().mean(dim=-1)
         error = error + (self.config.offset_weight - 1) * offset
         divergence = weighted_mean(divergence, weight).clamp(min=self.config.free_divergence)
@@ -163,7 +148,7 @@ class AdaAffordPolicy(AffordancePolicy):
 
     def _map_error(self, cloud: Tensor, held: Tensor, elsewhere: Tensor, z: Tensor) -> Tensor:
         """Returns the maps' errors (B,) at a contact and elsewhere, without gradients of proposals and scores."""
-        places = torch.cat([point_near(cloud, held[:, 0], PART_RADIUS_M)[:, None], elsewhere], dim=1)
+        places = torch.cat([point_near(cloud, held[:, 0], plans.PART_RADIUS_M)[:, None], elsewhere], dim=1)
         before, command = self.model.proposals(cloud, places, self.config.contact_proposals)
         likely, information = self.model.scores(cloud, z, before.flatten(1, 2), command.flatten(1, 2))
         likely, information = (each.reshape(before.shape[:3]) for each in (likely, information))
@@ -177,7 +162,7 @@ class AdaAffordPolicy(AffordancePolicy):
     def reset(self) -> None:
         """Clears memories and plans at an episode's start."""
         self._memories: list[InteractionMemory] = []
-        self._plans = PlanQueue()
+        self._plans = plans.PlanQueue()
         self._chunks = ChunkGuard(self.name)
 
     @torch.no_grad()
@@ -208,7 +193,7 @@ class AdaAffordPolicy(AffordancePolicy):
         cloud, pose = self.observed(batch)
         self._chunks.predict({POINT_CLOUD: cloud, STATE: pose})
         memories = self._memories or self._new_memories(len(cloud))
-        return stacked([self._plan(cloud[row : row + 1], pose[row], memories[row]) for row in range(len(cloud))])
+        return plans.stacked([self._plan(cloud[row : row + 1], pose[row], memories[row]) for row in range(len(cloud))])
 
     def _new_memories(self, count: int) -> list[InteractionMemory]:
         return [InteractionMemory(self.config.num_interactions) for _ in range(count)]
@@ -231,18 +216,18 @@ class AdaAffordPolicy(AffordancePolicy):
             motions, scores = self._held_motions(cloud, pose, z, memory)
             if scores.amax() >= contact_scores[best] - self.config.contact_margin:
                 return motions[int(scores.argmax())][None]
-        return taking_hold(pose, grasps[best], commands[best])
+        return plans.taking_hold(pose, grasps[best], commands[best])
 
     def _held_motions(self, cloud: Tensor, pose: Tensor, z: Tensor, memory: InteractionMemory) -> tuple[Tensor, Tensor]:
         """Returns goals (K, 10) of a held part and their scores (K,): proposals, the last motion, and the way back."""
         codes = self.model.actor.proposals(
             self.model.actor_features(cloud, pose[None, None, POSITION_DIMS]), self.config.held_proposals
         )
-        goals = goal_of(pose.expand(codes.shape[2], -1), codes[0, 0, :, GRASP_DIM:])
+        goals = goal_of(pose.expand(codes.shape[2], -1), codes[0, 0, :, plans.GRASP_DIM :])
         if memory.interactions:
             before, command, _ = memory.interactions[-1]
             again = goal_of(pose, action_numbers(before, command)[6:])
-            goals = torch.cat([goals, again[None], with_gripper(before, 0.0)[None]])
+            goals = torch.cat([goals, again[None], plans.with_gripper(before, 0.0)[None]])
         return goals, self._scores(cloud, z, pose.expand(len(goals), -1), goals, memory)
 
     def _new_contacts(self, cloud: Tensor, z: Tensor, memory: InteractionMemory) -> tuple[Tensor, Tensor, Tensor]:

@@ -13,19 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import OPEN_HAND
-from lerobot_adamanip.contract.schema import (
-    ACTION_DIM,
-    DONE,
-    EXECUTED,
-    FAILED,
-    GRIPPER_DIM,
-    JOINTS,
-    MAX_OBJECT_JOINTS,
-    STATE,
-    SUCCESS,
-    TRIED,
-)
 from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, read_columns
 
@@ -75,7 +64,7 @@ class Demonstrations:
         """Returns at which rows (R,) the hand is open and `MIN_CLEARANCE_M` away from a place (3,) [m]."""
         poses = self.poses[rows]
         away: NDArray[np.bool_] = np.linalg.norm(poses[:, :3] - place, axis=1) > MIN_CLEARANCE_M
-        return away & (poses[:, GRIPPER_DIM] > OPEN_HAND)
+        return away & (poses[:, schema.GRIPPER_DIM] > OPEN_HAND)
 
     def stretches(self, rows: slice) -> NDArray[np.int64]:
         """Returns how many tries of an episode had moved a joint before each of its rows (T,).
@@ -95,21 +84,21 @@ class Demonstrations:
 
 def read_demonstrations(dataset_meta: Any) -> Demonstrations:
     """Returns a dataset's columns; raises `ConfigurationError` as `read_columns` does."""
-    numbers = (INDEX, EPISODE, "task_index", TRIED, FAILED, SUCCESS, DONE)
-    read = read_columns(dataset_meta, (*numbers, STATE, EXECUTED, JOINTS))
+    numbers = (INDEX, EPISODE, "task_index", schema.TRIED, schema.FAILED, schema.SUCCESS, schema.DONE)
+    read = read_columns(dataset_meta, (*numbers, schema.STATE, schema.EXECUTED, schema.JOINTS))
     index, episode, task, tried, failed, success, done = (read[key].reshape(-1) for key in numbers)
     last = np.append(np.diff(episode) != 0, True)
     return Demonstrations(
         index.astype(np.int64),
         episode.astype(np.int64),
         task.astype(np.int64),
-        read[STATE][:, :ACTION_DIM],
-        read[EXECUTED],
+        read[schema.STATE][:, : schema.ACTION_DIM],
+        read[schema.EXECUTED],
         tried.astype(np.int64),
         failed.astype(np.bool_),
         success.astype(np.bool_),
         done.astype(np.bool_) & last,
-        read[JOINTS][:, -MAX_OBJECT_JOINTS:],
+        read[schema.JOINTS][:, -schema.MAX_OBJECT_JOINTS :],
     )
 
 
@@ -145,19 +134,14 @@ class ContactTracker:
         self._pushes, self._was_closed = False, False
 
     def sent(self, pose: NDArray[np.float32], command: NDArray[np.float32]) -> bool:
-        """Processes one key frame; returns whether it was a motion in contact.
-
-        Args:
-            pose: (10,) tool pose and gripper before it.
-            command: (10,) pose that was sent.
-        """
+        """Processes a key frame, pose (10,) before it and command (10,); returns whether it was a motion in contact."""
         in_contact = self.opening is not None
-        if command[GRIPPER_DIM] >= CLOSED:
+        if command[schema.GRIPPER_DIM] >= CLOSED:
             self.opening, self._pushes, self._was_closed = None, False, False
             return False
         if self._pushes:
             self.opening, self._pushes = 0.0, False
-        elif not self._was_closed and pose[GRIPPER_DIM] > OPEN_HAND:
+        elif not self._was_closed and pose[schema.GRIPPER_DIM] > OPEN_HAND:
             in_place = float(np.linalg.norm(command[:3] - pose[:3])) < MAX_GRASP_TRAVEL_M
             self.opening, self._pushes = (1.0, False) if in_place else (None, True)
         self._was_closed = True
@@ -165,17 +149,11 @@ class ContactTracker:
 
 
 def find_contacts(poses: NDArray[np.float32], commands: NDArray[np.float32], first_row: int = 0) -> list[Contact]:
-    """Returns the contacts of an episode in order, as `ContactTracker` finds them.
-
-    Args:
-        poses: (T, 10) tool pose and gripper before each command.
-        commands: (T, 10) poses that were sent.
-        first_row: number of the first of these rows.
-    """
+    """Returns the contacts of an episode, as `ContactTracker` finds them, from poses (T, 10) and commands (T, 10)."""
     tracker, contacts, met = ContactTracker(), list[Contact](), -1
 
     def add(opening: float, end: int) -> None:
-        grasp = np.append(commands[met][:GRIPPER_DIM], np.float32(opening))
+        grasp = np.append(commands[met][: schema.GRIPPER_DIM], np.float32(opening))
         start = met if opening else met - 1
         contacts.append(Contact(start + first_row, grasp, met + 1 + first_row, end + first_row))
 

@@ -1,7 +1,6 @@
 """Networks of the point-level methods (Where2Act's family): features of places in a cloud, proposals, scores.
 
-The papers use a PointNet++ on 10,000 points per module and some eighty epochs on a GPU. Here, for two CPU cores, a
-PointNet encodes the whole cloud, and another one the points around each place.
+Instead of the papers' PointNet++ on 10,000 points, one PointNet encodes the whole cloud, another one each place's.
 """
 
 from __future__ import annotations
@@ -46,11 +45,7 @@ class PlaceFeatures(nn.Module):
 
 
 class Score(nn.Module):
-    """A score of an action at a place, or of a place alone.
-
-    Args:
-        action_dim: numbers of the action; 0 to score the place alone.
-    """
+    """A score of an action at a place, or, with ``action_dim`` 0, of a place alone."""
 
     def __init__(self, action_dim: int, features: int) -> None:
         super().__init__()
@@ -68,12 +63,7 @@ class Score(nn.Module):
 
 
 class ConditionalVAE(nn.Module):
-    """A conditional variational autoencoder (Sohn et al. 2015) that proposes actions at a place.
-
-    Args:
-        action_dim: numbers of an action.
-        latent: size of the latent vector.
-    """
+    """A conditional variational autoencoder (Sohn et al. 2015) that proposes actions at a place."""
 
     def __init__(self, action_dim: int, features: int, latent: int) -> None:
         super().__init__()

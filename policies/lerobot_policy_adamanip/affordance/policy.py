@@ -18,11 +18,7 @@ from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, Recorde
 
 
 class Labels(nn.Module):
-    """Arrays of a dataclass as tensors that follow the policy's device; no checkpoint holds them.
-
-    Args:
-        arrays: a dataclass of arrays, looked up by row; see `AffordancePolicy.rows_of`.
-    """
+    """Arrays of a dataclass as tensors that follow the policy's device; no checkpoint holds them."""
 
     def __init__(self, arrays: Any) -> None:
         super().__init__()
@@ -38,11 +34,12 @@ class AffordancePolicy(CloudPolicy):
     one observation of `select_action` has the first two.
     """
 
+    network_class: ClassVar[Any]
     name: ClassVar[str] = "affordance"
 
     def __init__(self, config: AffordanceConfig, *, dataset_meta: Any = None, **kwargs: Any) -> None:
         super().__init__(config)
-        self.model = self.make_network()
+        self.model = self.network_class(config)
         self._labels: Labels | None = None
         if dataset_meta is not None:
             read_in_batches(dataset_meta)
@@ -50,10 +47,6 @@ class AffordancePolicy(CloudPolicy):
             self._labels = Labels(self.make_labels(demonstrations))
             self._recorded = RecordedRows({INDEX: demonstrations.index, EPISODE: demonstrations.episode})
         self.reset()
-
-    def make_network(self) -> nn.Module:
-        """Returns an untrained network."""
-        raise NotImplementedError
 
     def make_labels(self, demonstrations: Demonstrations) -> Any:
         """Returns a dataclass of arrays to learn from."""

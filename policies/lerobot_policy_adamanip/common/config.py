@@ -89,10 +89,8 @@ class CloudPolicyConfig(PreTrainedConfig):
     def keep_inputs(self, *keys: str) -> None:
         """Drops all other inputs, so that a checkpoint runs without cameras; declares the cloud as ENV, (N, 3).
 
-        LeRobot has no point-cloud type. As STATE, the cloud would be normalised under the state's mode.
-
-        Raises:
-            ConfigurationError: an input is missing, or clouds have fewer points than ``num_points``.
+        LeRobot has no point-cloud type. As STATE, the cloud would be normalised under the state's mode. Raises
+        `ConfigurationError` if an input is missing, or clouds have fewer points than ``num_points``.
         """
         inputs: dict[str, PolicyFeature] = dict(self.input_features or {})
         if any(key not in inputs for key in keys):

@@ -42,11 +42,6 @@ class PointNetEncoder(nn.Module):
     Only points that win a channel, at most a third of a cloud, have a gradient. In training on a CPU the cloud passes
     the MLP without a graph, and the winners once more with one. If two points are equal, one gets the whole gradient;
     weights get the same. On a GPU finding the winners would synchronise, and the plain way is used.
-
-    Args:
-        in_dim: numbers per point.
-        dims: widths of the MLP.
-        out_dim: features of a cloud.
     """
 
     winners_only: ClassVar[bool] = True

@@ -23,11 +23,7 @@ _logger = logging.getLogger(__name__)
 
 
 class CloudPolicy(PreTrainedPolicy):
-    """Base of LeRobot policies with one trained network, ``model``.
-
-    Args:
-        config: its `validate_features` is called here.
-    """
+    """Base of LeRobot policies with one trained network, ``model``."""
 
     config_class: ClassVar[type[CloudPolicyConfig]] = CloudPolicyConfig
     name: ClassVar[str] = "cloud_policy"
@@ -64,11 +60,7 @@ class CloudPolicy(PreTrainedPolicy):
     # Inputs ---------------------------------------------------------------------------------------------------------
 
     def pick_inputs(self, batch: Mapping[str, Any]) -> dict[str, Tensor]:
-        """Returns the policy's inputs, clouds as their first ``num_points`` points (..., N, 3); the batch stays.
-
-        Raises:
-            ConfigurationError: an input is missing, or clouds have fewer points.
-        """
+        """Returns the inputs, clouds as their first points (..., N, 3); raises `ConfigurationError` if some lack."""
         wanted, num_points = self.config.input_features, self.config.num_points
         if any(batch.get(key) is None for key in wanted):
             raise ConfigurationError(
@@ -150,11 +142,7 @@ class CloudPolicy(PreTrainedPolicy):
 
 
 def log_training_objects(checkpoint: Path) -> None:
-    """Logs which objects a checkpoint was trained on, if its dataset is on this machine; "seen" is no policy's split.
-
-    Args:
-        checkpoint: folder with ``train_config.json``, as ``lerobot-train`` writes it.
-    """
+    """Logs which objects a checkpoint was trained on, by its ``train_config.json``, if the dataset is here."""
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
     from lerobot_adamanip.datasets.reading import episode_table
@@ -184,11 +172,7 @@ class ChunkGuard:
         self._predicted = None
 
     def predict(self, observation: Mapping[str, Tensor]) -> None:
-        """Notes a predicted chunk of an observation: cloud (B, N, 3) [m] and state (B, D).
-
-        Raises:
-            ConfigurationError: another observation was predicted from, and no action was selected since.
-        """
+        """Raises `ConfigurationError` for another observation than before, if no action was selected since."""
         latest = self._predicted or observation
         if any(not torch.equal(latest[key], observation[key]) for key in (POINT_CLOUD, STATE)):
             raise ConfigurationError(

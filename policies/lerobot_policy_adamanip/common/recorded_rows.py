@@ -28,8 +28,7 @@ _POSITION, _FIRST, _LAST = "position of an index", "first row of the episode", "
 def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Returns numeric columns of a dataset, ordered by `INDEX`: key -> (rows, ...), floats as float32.
 
-    Raises:
-        ConfigurationError: the files are not there, or lack a column.
+    Raises `ConfigurationError` if the files are not there, or lack a column.
     """
     import pyarrow.dataset as files
 
@@ -61,11 +60,9 @@ def _array(table: Any, key: str) -> NDArray[Any]:
 
 
 class RecordedRows:
-    """Rows of narrow columns. Look-ups from a new device copy the columns there; no checkpoint holds them.
+    """Rows of narrow columns, key -> (R, ...), ordered by `INDEX`; `INDEX` and `EPISODE` are among them.
 
-    Args:
-        columns: key -> (R, ...), ordered by `INDEX`; `INDEX` and `EPISODE` among them. If only some episodes were
-            downloaded, these are their rows.
+    If only some episodes were downloaded, these are their rows. Look-ups from a new device copy the columns there.
     """
 
     def __init__(self, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -79,8 +76,7 @@ class RecordedRows:
     def rows(self, index: Tensor) -> Tensor:
         """Returns the positions (B,) of rows by their ``index`` (B,) or (B, 1).
 
-        Raises:
-            ConfigurationError: a row was not read. On a GPU this is not checked, since the check would synchronise.
+        Raises `ConfigurationError` if a row was not read, except on a GPU, where the check would synchronise.
         """
         index = index.reshape(-1)
         position = self._on(index.device)[_POSITION]

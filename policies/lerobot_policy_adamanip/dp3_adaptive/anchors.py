@@ -29,8 +29,8 @@ from lerobot_policy_adamanip.common.tool_frame import (
 )
 from lerobot_policy_adamanip.common.torch_rotations import angle_between
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
-from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 POINT_UNIT, DIRECTION_SCALE = 0.15, 0.03

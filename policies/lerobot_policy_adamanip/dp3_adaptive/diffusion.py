@@ -13,7 +13,7 @@ from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.common.encoders import make_encoder
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
-from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, INSTRUCTION_DIM
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, INSTRUCTION_DIM
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 BODY_RANGE = 3.0
@@ -21,11 +21,7 @@ BODY_RANGE = 3.0
 
 
 class ActionDenoiser(nn.Module):
-    """The trained network: cloud encoder, history encoder and LeRobot's conditional U-Net.
-
-    Args:
-        point_dim: numbers per point, as `PoseFrames` gives them.
-    """
+    """The trained network: cloud encoder, history encoder and LeRobot's conditional U-Net."""
 
     def __init__(self, config: DP3AdaptiveConfig, point_dim: int) -> None:
         super().__init__()
@@ -49,11 +45,7 @@ class ActionDenoiser(nn.Module):
 
 
 class DiffusionHead:
-    """Loss and sampling of an `ActionDenoiser`. States and actions are normalised.
-
-    Args:
-        frames: relate normalised numbers to metres.
-    """
+    """Loss and sampling of an `ActionDenoiser`. States and actions are normalised."""
 
     def __init__(self, config: DP3AdaptiveConfig, frames: PoseFrames) -> None:
         self.config, self.frames = config, frames

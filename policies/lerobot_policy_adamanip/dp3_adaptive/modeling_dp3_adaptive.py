@@ -16,14 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import (
-    GRIPPER_DIM,
-    POINT_CLOUD,
-    POSITION_DIMS,
-    ROTATION_DIMS,
-    STATE,
-    fix_pose_statistics,
-)
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
@@ -34,8 +27,8 @@ from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
-from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, balanced_weights
-from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows, Window
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows, Window, balanced_weights
 
 TASK_INDEX = "task_index"
 
@@ -115,7 +108,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         read_in_batches(dataset_meta)
         if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
             # LeRobot gives them to the processors of a fine-tuned policy without asking the policy.
-            dataset_meta.stats = fix_pose_statistics(dataset_meta.stats)
+            dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
         self._windows = TrainingWindows(self.config, dataset_meta)
         if self.config.balance_tasks:
             self._task_weights = balanced_weights(dataset_meta)
@@ -202,8 +195,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Returns an action (B, A) as the environment receives it, normalised."""
         if self.config.head != "diffusion" or not self.config.has_pose_layout:
             return action
-        rotation, gripper = orthonormal_6d(action[:, ROTATION_DIMS]), action[:, GRIPPER_DIM:].clamp(0, 1)
-        return torch.cat([action[:, POSITION_DIMS], rotation, gripper], dim=-1)
+        rotation, gripper = orthonormal_6d(action[:, schema.ROTATION_DIMS]), action[:, schema.GRIPPER_DIM :].clamp(0, 1)
+        return torch.cat([action[:, schema.POSITION_DIMS], rotation, gripper], dim=-1)
 
     def replace_latest(self, action: Tensor) -> None:
         """Replaces the latest executed action by another one (B, A), normalised, and drops the rest of its chunk."""
@@ -224,7 +217,7 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     def _kept(self, observation: dict[str, Tensor]) -> dict[str, Tensor]:
         """Returns the remembered part of an observation: for the head anchors poses alone."""
-        return {STATE: observation[STATE]} if self.config.head == "anchors" else observation
+        return {schema.STATE: observation[schema.STATE]} if self.config.head == "anchors" else observation
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the run-time history: actions (B, H, A), oldest first and zero before the start; validity (B, H)."""
@@ -240,7 +233,9 @@ class DP3AdaptivePolicy(CloudPolicy):
     def _generate(self, present: dict[str, Tensor], observed: list[dict[str, Tensor]], noise: Tensor | None) -> Tensor:
         observations = {key: value[:, None] for key, value in present.items() if key not in observed[0]}
         observations |= {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
-        window = Window(observations, *self.executed_history(len(observations[STATE]), observations[STATE]))
+        window = Window(
+            observations, *self.executed_history(len(observations[schema.STATE]), observations[schema.STATE])
+        )
         return self.head.sample(self._active_model(), window, noise)
 
     # Shared -----------------------------------------------------------------------------------------------------
@@ -254,12 +249,12 @@ class DP3AdaptivePolicy(CloudPolicy):
         picked = self.pick_inputs(batch)
         if self.config.use_instruction:
             # Equal at all steps of a window, so it has no time axis of its own.
-            picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[STATE].dim() == 3 else batch[INSTRUCTION]
+            picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[schema.STATE].dim() == 3 else batch[INSTRUCTION]
         return picked
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Returns one step's inputs, each (B, ...). LeRobot adds a missing batch dimension to states only."""
         observation = self._observations(batch)
-        if observation[POINT_CLOUD].dim() == 2:
-            observation[POINT_CLOUD] = observation[POINT_CLOUD][None]
+        if observation[schema.POINT_CLOUD].dim() == 2:
+            observation[schema.POINT_CLOUD] = observation[schema.POINT_CLOUD][None]
         return observation

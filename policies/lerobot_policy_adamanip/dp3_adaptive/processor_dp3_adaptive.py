@@ -1,7 +1,11 @@
-"""Processors of ``dp3_adaptive``: LeRobot's steps, a rigid augmentation, and orthonormal rotations."""
+"""Processors of ``dp3_adaptive``: LeRobot's steps, a rigid augmentation, instructions, and orthonormal rotations."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import itertools
+import re
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -16,24 +20,66 @@ from lerobot.processor import (
 )
 from torch import Tensor
 
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
-from lerobot_adamanip.contract.schema import (
-    ACTION_DIM,
-    GRIPPER_DIM,
-    POINT_CLOUD,
-    POSITION_DIMS,
-    ROTATION_DIMS,
-    STATE,
-    fix_pose_statistics,
-)
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep, Pipelines
+from lerobot_policy_adamanip.common.tool_frame import mirrored_poses
 from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION, SceneMotion
-from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import INSTRUCTION, instruction_vector
 
+INSTRUCTION = "observation.instruction"
+INSTRUCTION_DIM = 64
 Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
+SCENE_MOTION = "scene_motion"
+"""Key of an augmented batch: its `SceneMotion`, by which history and labels are moved too."""
+
+
+@dataclass(frozen=True)
+class SceneMotion:
+    """Scenes of a batch, mirrored, turned about a vertical, then shifted.
+
+    Attributes:
+        mirrored: (B,) bool, left for right; None if no scene is.
+        rotation: (B, 3, 3).
+        shift: (B, 3) [m].
+        center: (x, y, z) [m], robot base frame, of the vertical.
+    """
+
+    mirrored: Tensor | None
+    rotation: Tensor
+    shift: Tensor
+    center: tuple[float, float, float]
+
+    def points(self, points: Tensor) -> Tensor:
+        """Returns points (B, ..., 3+) moved [m]; numbers after the first three stay."""
+        if self.mirrored is not None:
+            other_side = torch.cat([points[..., :1], -points[..., 1:2], points[..., 2:]], dim=-1)
+            points = self._where_mirrored(other_side, points)
+        return self._turned(points)
+
+    def poses(self, poses: Tensor) -> Tensor:
+        """Returns poses (B, ..., 10+) moved; numbers after the first ten stay."""
+        if self.mirrored is not None:
+            other_side = torch.cat(
+                [mirrored_poses(poses[..., : schema.ACTION_DIM]), poses[..., schema.ACTION_DIM :]], dim=-1
+            )
+            poses = self._where_mirrored(other_side, poses)
+        position = self._turned(poses[..., schema.POSITION_DIMS])
+        # Rotation 6D holds the matrix' first two rows; a turn about z mixes only these.
+        rows = poses[..., schema.ROTATION_DIMS].reshape(*poses.shape[:-1], 2, 3)
+        turn = self.rotation[:, :2, :2].to(poses.dtype).reshape(len(poses), *(1,) * (poses.dim() - 2), 2, 2)
+        return torch.cat([position, (turn @ rows).flatten(-2), poses[..., schema.GRIPPER_DIM :]], dim=-1)
+
+    def _where_mirrored(self, changed: Tensor, plain: Tensor) -> Tensor:
+        assert self.mirrored is not None
+        return torch.where(self.mirrored.reshape(-1, *(1,) * (plain.dim() - 1)), changed, plain)
+
+    def _turned(self, points: Tensor) -> Tensor:
+        center = torch.as_tensor(self.center, dtype=points.dtype, device=points.device)
+        flat, turn = points[..., :3].reshape(len(points), -1, 3), self.rotation.transpose(1, 2).to(points.dtype)
+        turned = (flat - center) @ turn + center + self.shift[:, None].to(points.dtype)
+        return torch.cat([turned.reshape(*points.shape[:-1], 3), points[..., 3:]], dim=-1)
 
 
 @ProcessorStepRegistry.register("adamanip_rigid_augmentation")
@@ -62,13 +108,13 @@ class RigidAugmentationStep(ProcessorStep):
         still = self.translation == self.yaw == self.mirror == 0
         if not isinstance(actions, Tensor) or observation is None or still:
             return transition
-        if observation[POINT_CLOUD].dim() == observation[STATE].dim():
-            observation = {**observation, POINT_CLOUD: as_points(observation[POINT_CLOUD])}
+        if observation[schema.POINT_CLOUD].dim() == observation[schema.STATE].dim():
+            observation = {**observation, schema.POINT_CLOUD: as_points(observation[schema.POINT_CLOUD])}
         motion = self._draw(len(actions), actions.device)
         moved = {
             **observation,
-            POINT_CLOUD: motion.points(observation[POINT_CLOUD]),
-            STATE: motion.poses(observation[STATE]),
+            schema.POINT_CLOUD: motion.points(observation[schema.POINT_CLOUD]),
+            schema.STATE: motion.poses(observation[schema.STATE]),
         }
         extra = {**(transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}), SCENE_MOTION: motion}
         changed = {
@@ -102,15 +148,30 @@ class OrthonormaliseStep(ProcessorStep):
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Returns a transition with the changed action, or the one given if its action is no pose."""
         action = transition.get(TransitionKey.ACTION)
-        if not isinstance(action, Tensor) or action.shape[-1] != ACTION_DIM:
+        if not isinstance(action, Tensor) or action.shape[-1] != schema.ACTION_DIM:
             return transition
-        rotation, gripper = orthonormal_6d(action[..., ROTATION_DIMS]), action[..., GRIPPER_DIM:].clamp(0, 1)
-        pose = torch.cat([action[..., POSITION_DIMS], rotation, gripper], dim=-1)
+        rotation, gripper = (
+            orthonormal_6d(action[..., schema.ROTATION_DIMS]),
+            action[..., schema.GRIPPER_DIM :].clamp(0, 1),
+        )
+        pose = torch.cat([action[..., schema.POSITION_DIMS], rotation, gripper], dim=-1)
         return cast(EnvTransition, {**transition, TransitionKey.ACTION: pose})
 
     def transform_features(self, features: Features) -> Features:
         """Shapes stay."""
         return features
+
+
+@functools.cache
+def instruction_vector(text: str) -> Tensor:
+    """Returns a unit vector (64,) by feature hashing (Weinberger et al. 2009) of words and pairs of words."""
+    words = re.findall(r"\w+", text.lower())
+    vector = torch.zeros(INSTRUCTION_DIM)
+    for token in (*words, *(f"{one} {other}" for one, other in itertools.pairwise(words))):
+        number = int.from_bytes(hashlib.blake2b(token.encode(), digest_size=8).digest(), "big")
+        vector[number % INSTRUCTION_DIM] += 1.0 if number >> 63 else -1.0
+    unit: Tensor = vector / vector.norm().clamp(min=1e-6)
+    return unit
 
 
 @ProcessorStepRegistry.register("adamanip_instruction")
@@ -155,7 +216,7 @@ def make_dp3_adaptive_pre_post_processors(
     """
     stats: Any = dataset_stats  # arrays, though LeRobot annotates tensors
     if stats and config.has_pose_layout:
-        stats = fix_pose_statistics(stats)
+        stats = schema.fix_pose_statistics(stats)
     steps = make_default_policy_processor_steps(config, stats)
     inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, DepthToCloudStep(config.num_points)]
     inputs += [InstructionStep(), steps.to_device] if config.use_instruction else [steps.to_device]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ from lerobot_adamanip.contract.schema import ACTION, EXECUTED, STATE
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.recorded_rows import INDEX, IS_LABEL, read_recorded_rows
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.scene_motion import SCENE_MOTION
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import SCENE_MOTION
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,7 @@ class Window:
 
 
 class TrainingWindows:
-    """States, labels and executed actions of a dataset, as inputs and targets of a head.
-
-    Args:
-        dataset_meta: of the dataset, with its files; its ``stats`` are those that normalise batches.
-
-    Raises:
-        ConfigurationError: the files are not there, or lack a column.
-    """
+    """States, labels and executed actions of a dataset as a head's inputs and targets, normalised by its ``stats``."""
 
     def __init__(self, config: DP3AdaptiveConfig, dataset_meta: Any) -> None:
         self._config, self.recorded = config, read_recorded_rows(dataset_meta)
@@ -98,3 +92,12 @@ class TrainingWindows:
                 hint="a training from the start, or --resume=true with the dataset it began with",
             )
         self._is_checked = True
+
+
+def balanced_weights(dataset_meta: Any) -> Tensor:
+    """Returns a row's weight by its task's index, inverse to the task's number of rows; the mean over rows is 1."""
+    rows: Counter[int] = Counter()
+    for tasks, length in zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True):
+        rows[int(dataset_meta.get_task_index(tasks[0]))] += int(length)
+    mean = sum(rows.values()) / len(rows)
+    return torch.tensor([mean / rows[index] if rows[index] else 0.0 for index in range(1 + max(rows))])

@@ -37,10 +37,8 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
     """Finds, for each row with an open hand, the episode's contacts that can be made there.
 
     These are the contacts, earlier or later, of the same stretch, in which nothing moved: if a knob and a handle were
-    both grasped before anything moved, both can be grasped from the first row on.
-
-    Raises:
-        ConfigurationError: the demonstrations show no contact.
+    both grasped before anything moved, both can be grasped from the first row on. Raises `ConfigurationError`
+    if there is no contact.
     """
     labels = np.full((1 + int(demonstrations.index.max()), MAX_CONTACTS), -1, dtype=np.int64)
     grasps: list[NDArray[np.float32]] = []

@@ -8,26 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_adamanip.contract.schema import POSITION_DIMS
+from lerobot_policy_adamanip.affordance import networks, plans
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
-from lerobot_policy_adamanip.affordance.networks import (
-    ConditionalVAE,
-    PlaceFeatures,
-    Score,
-    point_near,
-    points_away,
-    scores_of_points,
-)
-from lerobot_policy_adamanip.affordance.plans import (
-    GRASP_DIM,
-    GRASP_GROUPS,
-    PART_RADIUS_M,
-    PlanQueue,
-    decode_grasp,
-    encode_grasp,
-    holds_something,
-    stacked,
-    taking_hold,
-)
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
 from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
@@ -44,9 +26,9 @@ class SamplingNetwork(nn.Module):
     def __init__(self, config: SamplingConfig) -> None:
         super().__init__()
         self.config = config
-        self.place_features, self.grasp_features = (PlaceFeatures(config) for _ in range(2))
-        self.affordance = Score(0, config.feature_dim)
-        self.grasps = ConditionalVAE(GRASP_DIM, config.feature_dim, config.latent_dim)
+        self.place_features, self.grasp_features = (networks.PlaceFeatures(config) for _ in range(2))
+        self.affordance = networks.Score(0, config.feature_dim)
+        self.grasps = networks.ConditionalVAE(plans.GRASP_DIM, config.feature_dim, config.latent_dim)
         self.register_buffer("motions", torch.zeros(2 * config.num_motions, MOTION_DIM))
 
     def place_logits(self, cloud: Tensor, places: Tensor) -> Tensor:
@@ -56,28 +38,25 @@ class SamplingNetwork(nn.Module):
     def grasp_loss(self, cloud: Tensor, place: Tensor, grasp: Tensor) -> Tensor:
         """Returns ``KL + L1`` (B,) of demonstrated grasps (B, 10) at places (B, 3) of clouds (B, N, 3)."""
         features = self.grasp_features(cloud, place[:, None]).squeeze(1)
-        target = encode_grasp(grasp, place)
+        target = plans.encode_grasp(grasp, place)
         predicted, divergence = self.grasps(target, features)
-        return error_by_group(predicted, target, GRASP_GROUPS) + self.config.divergence_weight * divergence
+        return error_by_group(predicted, target, plans.GRASP_GROUPS) + self.config.divergence_weight * divergence
 
     def draw_grasps(self, cloud: Tensor) -> Tensor:
         """Draws a grasp (B, 10) for each cloud (B, N, 3), at a place drawn among the likely ones."""
-        likely = scores_of_points(self.place_logits, cloud).sigmoid()
+        likely = networks.scores_of_points(self.place_logits, cloud).sigmoid()
         candidates = (likely >= self.config.likely_share * likely.amax(dim=1, keepdim=True)).to(likely.dtype)
         place = cloud[torch.arange(len(cloud), device=cloud.device), torch.multinomial(candidates, 1).squeeze(1)]
         features = self.grasp_features(cloud, place[:, None]).squeeze(1)
-        return decode_grasp(self.grasps.proposals(features, 1).squeeze(1), place)
+        return plans.decode_grasp(self.grasps.proposals(features, 1).squeeze(1), place)
 
 
 class SamplingPolicy(AffordancePolicy):
     """LeRobot policy without a memory: draws a macro action from the present observation, and follows it to its end."""
 
     config_class = SamplingConfig
+    network_class = SamplingNetwork
     name = "sampling"
-
-    def make_network(self) -> SamplingNetwork:
-        """Returns an untrained network without motions."""
-        return SamplingNetwork(self.config)
 
     def make_labels(self, demonstrations: Demonstrations) -> ContactLabels:
         """Returns contacts, and sets the network's motions to typical ones in contact."""
@@ -95,8 +74,8 @@ class SamplingPolicy(AffordancePolicy):
         cloud, contacts = cloud[rows], contacts[rows]
         weight = (contacts[:, 0] >= 0).to(cloud.dtype)
         grasp, places = draw_contact(labels.grasps, contacts)
-        place = point_near(cloud, grasp[:, POSITION_DIMS], PART_RADIUS_M)
-        elsewhere = points_away(cloud, places, PART_RADIUS_M, 1)
+        place = networks.point_near(cloud, grasp[:, POSITION_DIMS], plans.PART_RADIUS_M)
+        elsewhere = networks.points_away(cloud, places, plans.PART_RADIUS_M, 1)
         logits = self.model.place_logits(cloud, torch.cat([place[:, None], elsewhere], dim=1))
         affordance = logistic_loss(logits, torch.tensor([1.0, 0.0], device=logits.device).expand_as(logits)).mean(dim=1)
         grasping = self.model.grasp_loss(cloud, place, grasp)
@@ -108,7 +87,7 @@ class SamplingPolicy(AffordancePolicy):
 
     def reset(self) -> None:
         """Drops the rest of macro actions."""
-        self._plans = PlanQueue()
+        self._plans = plans.PlanQueue()
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
@@ -122,7 +101,7 @@ class SamplingPolicy(AffordancePolicy):
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Returns a macro action (B, T, 10) for each observation, the last key frame of shorter ones repeated."""
         cloud, pose = self.observed(batch)
-        return stacked([self.draw_macro(cloud[row], pose[row]) for row in range(len(cloud))])
+        return plans.stacked([self.draw_macro(cloud[row], pose[row]) for row in range(len(cloud))])
 
     def draw_macro(self, cloud: Tensor, pose: Tensor) -> Tensor:
         """Draws a macro action (T, 10): a motion of the held part, or a new grasp.
@@ -132,10 +111,10 @@ class SamplingPolicy(AffordancePolicy):
             pose: (10,) of the tool, its gripper the measured opening.
         """
         motions = self.model.motions
-        if holds_something(pose):
+        if plans.holds_something(pose):
             choice = int(torch.randint(len(motions) + 1, ()))
             if choice < len(motions):
                 return pose_after(motions[choice], pose)[None]
         grasp = self.model.draw_grasps(cloud[None])[0]
         push = motions[int(torch.randint(len(motions), ()))]
-        return taking_hold(pose, grasp, pose_after(push, grasp))
+        return plans.taking_hold(pose, grasp, pose_after(push, grasp))

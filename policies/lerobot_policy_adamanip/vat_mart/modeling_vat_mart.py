@@ -1,8 +1,4 @@
-"""``vat_mart``: proposes grasps and trajectories, scores the proposals, and follows the best one.
-
-Names and losses are those of the method's released code (`warshallrho/VAT-Mart`); the package's docstring lists the
-deviations.
-"""
+"""``vat_mart``: proposes grasps and trajectories, scores the proposals, and follows the best. See the package."""
 
 from __future__ import annotations
 
@@ -13,16 +9,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lerobot_adamanip.contract.schema import POSITION_DIMS
+from lerobot_policy_adamanip.affordance import networks
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
-from lerobot_policy_adamanip.affordance.networks import (
-    ConditionalVAE,
-    PlaceFeatures,
-    Score,
-    mean_of_best,
-    point_near,
-    points_away,
-    scores_of_points,
-)
 from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, PART_RADIUS_M
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
 from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
@@ -42,10 +30,12 @@ class VatMartNetwork(nn.Module):
         super().__init__()
         self.config = config
         numbers, features = trajectory_dim(config.waypoints), config.feature_dim
-        self.proposal_features, self.score_features, self.action_features = (PlaceFeatures(config) for _ in range(3))
-        self.proposal = ConditionalVAE(numbers, features, config.latent_dim)
-        self.scorer = Score(numbers, features)
-        self.actionability = Score(0, features)
+        self.proposal_features, self.score_features, self.action_features = (
+            networks.PlaceFeatures(config) for _ in range(3)
+        )
+        self.proposal = networks.ConditionalVAE(numbers, features, config.latent_dim)
+        self.scorer = networks.Score(numbers, features)
+        self.actionability = networks.Score(0, features)
 
     def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         """Returns ``KL + L1 + geodesic`` (), weighted, and the reconstructed trajectories (B, D).
@@ -87,11 +77,8 @@ class VatMartPolicy(AffordancePolicy):
     """LeRobot policy. Plans from an episode's first observation, and follows the plan whatever happens."""
 
     config_class = VatMartConfig
+    network_class = VatMartNetwork
     name = "vat_mart"
-
-    def make_network(self) -> VatMartNetwork:
-        """Returns an untrained network."""
-        return VatMartNetwork(self.config)
 
     def make_labels(self, demonstrations: Demonstrations) -> PlanLabels:
         """Returns plans and the rows that they belong to."""
@@ -104,9 +91,9 @@ class VatMartPolicy(AffordancePolicy):
         rows = valid_rows(plan >= 0)
         cloud, plan, weight = cloud[rows], plan[rows].clamp(min=0), (plan[rows] >= 0).to(cloud.dtype)
         grasp, share = labels.grasps[plan], labels.share[plan]
-        place = point_near(cloud, grasp[:, POSITION_DIMS], PART_RADIUS_M)
+        place = networks.point_near(cloud, grasp[:, POSITION_DIMS], PART_RADIUS_M)
         trajectory = encode_trajectory(grasp, labels.waypoints[plan], place)
-        elsewhere = points_away(cloud, grasp[:, None, POSITION_DIMS], PART_RADIUS_M, 1)
+        elsewhere = networks.points_away(cloud, grasp[:, None, POSITION_DIMS], PART_RADIUS_M, 1)
         places = torch.cat([place[:, None], elsewhere], dim=1)
         proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, weight * (share > 0))
         # Both: otherwise the scorer learns to tell a proposal from a demonstration.
@@ -133,7 +120,7 @@ class VatMartPolicy(AffordancePolicy):
         Most places open nothing: an absolute error would drive D to zero everywhere, where a sigmoid has no gradient.
         """
         _, scores = self.model.proposed(cloud, places, self.config.training_proposals)
-        target = mean_of_best(scores, self.config.best_proposals)
+        target = networks.mean_of_best(scores, self.config.best_proposals)
         return logistic_loss(self.model.actionable(cloud, places), target).mean(dim=1)
 
     def reset(self) -> None:
@@ -161,7 +148,7 @@ class VatMartPolicy(AffordancePolicy):
         """
         cloud, _ = self.observed(batch)
         rows = torch.arange(len(cloud), device=cloud.device)
-        place = cloud[rows, scores_of_points(self.model.actionable, cloud).argmax(dim=1)]
+        place = cloud[rows, networks.scores_of_points(self.model.actionable, cloud).argmax(dim=1)]
         trajectories, scores = self.model.proposed(cloud, place[:, None], self.config.proposals, noise)
         return key_frames(trajectories[rows, 0, scores[:, 0].argmax(dim=1)], place)
 

@@ -41,10 +41,7 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
     It belongs to the rows before the fingers close from which the part is visible: the hand is open and away. Its share
     compares its joint motions with those that each episode of the same task, with its own hidden state, needed.
 
-    A plan has at most ``waypoints`` key frames in contact, K.
-
-    Raises:
-        ConfigurationError: no demonstration opens within one contact of so many key frames.
+    A plan has at most ``waypoints`` key frames in contact, K. Raises `ConfigurationError` if none opens an object.
     """
     plan_of = np.full(1 + int(demonstrations.index.max()), -1, dtype=np.int64)
     contacts_of = ((rows, demonstrations.contacts(rows)) for rows in demonstrations.episodes())

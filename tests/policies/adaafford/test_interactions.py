@@ -41,17 +41,13 @@ def numbers(row: np.ndarray) -> list[int]:
 def test_before_a_row_are_the_motions_in_contact_before_it_oldest_first(
     demonstrations: Demonstrations, labels: InteractionLabels
 ) -> None:
+    short = label_interactions(demonstrations, 2, 32)
     for rows in demonstrations.episodes():
         in_contact = [row for each in demonstrations.contacts(rows) for row in range(each.first, each.end)]
         for row in range(rows.start, rows.stop - 1):
             told = [row_of(demonstrations, labels, number) for number in numbers(labels.history[row])]
             assert told == [each for each in in_contact if each < row]
-
-
-def test_only_the_latest_are_kept(demonstrations: Demonstrations, labels: InteractionLabels) -> None:
-    short = label_interactions(demonstrations, 2, 32)
-    for row in np.flatnonzero(~demonstrations.final):
-        assert numbers(short.history[row]) == numbers(labels.history[row])[-2:]
+            assert numbers(short.history[row]) == numbers(labels.history[row])[-2:]  # the latest
 
 
 def test_an_interaction_tells_what_came_of_it(demonstrations: Demonstrations, labels: InteractionLabels) -> None:

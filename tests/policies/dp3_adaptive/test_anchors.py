@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,26 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
-from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions, demonstrated_motions
-from lerobot_policy_adamanip.common.recorded_rows import read_recorded_rows
+from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions
 from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
 from lerobot_policy_adamanip.dp3_adaptive import anchors
-from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 MakeTiny = Callable[..., tuple[Any, ...]]
-ANCHORS: dict[str, Any] = {
-    "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
-    "training_points": 24, "coarse_points": 32, "num_points": 48, "refinement_points": 16, "num_refinements": 2,
-}  # fmt: skip
 
 
 @pytest.fixture
-def make_anchors(make_tiny: MakeTiny) -> MakeTiny:
+def make_anchors(make_tiny: MakeTiny, heads: dict[str, Any]) -> MakeTiny:
     """As `make_tiny`, with the head ``anchors``."""
-    return lambda **changes: make_tiny(**{**ANCHORS, **changes})
+    return lambda **changes: make_tiny(**{**heads["anchors"], **changes})
 
 
 # Anchors ------------------------------------------------------------------------------------------------------------
@@ -51,48 +43,9 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
         assert (away[nearest] < torch.tensor([2e-4, 1e-6, 1e-6, 1e-6, 1e-6, 0.02, 1e-6])).all()
         assert spread[nearest, 5] == pytest.approx(0.05, rel=0.2)
         np.testing.assert_allclose(spread[nearest, :5], MIN_SPREAD[:5])
-
-
-def test_few_motions_are_anchors_enough() -> None:
-    rows = np.random.default_rng(1).normal(size=(2, 7)).astype(np.float32)
-    anchors, spread = cluster_motions(rows, 5)
-    assert anchors.shape == spread.shape == (5, 7)
-    assert torch.isfinite(anchors).all()
-    assert (spread >= torch.tensor(MIN_SPREAD)).all()
-
-
-def test_motions_are_those_of_the_dataset(make_anchors: MakeTiny) -> None:
-    *_, dataset = make_anchors()
-    motions = demonstrated_motions(read_recorded_rows(dataset.meta))
-    assert motions.shape == (len(dataset), 7)
-    item = dataset[4]
-    action, state = item[schema.ACTION], item[schema.STATE]
-    frame = matrix_from_rotation_6d(state[3:9].numpy())
-    np.testing.assert_allclose(motions[4, :3], (action[:3] - state[:3]).numpy() @ frame, atol=1e-5)
-    assert motions[4, 6] == action[9]
-
-
-def test_without_data_there_is_nothing_to_train(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors()
-    empty = DP3AdaptivePolicy(policy.config, dataset_stats=dataset.meta.stats)
-    with pytest.raises(ConfigurationError, match="nothing to learn from"):
-        empty.forward(batch_of(dataset, before, 3))
-    dataset.meta.root = Path("nowhere")
-    with pytest.raises(ConfigurationError, match="downloaded"):
-        DP3AdaptivePolicy(policy.config, dataset_meta=dataset.meta)
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"n_obs_steps": 2}, "n_obs_steps"),
-        ({"horizon": 2}, "horizon"),
-        ({"num_anchors": 0}, "num_anchors"),
-    ],
-)
-def test_what_the_head_cannot_do_is_refused(make_anchors: MakeTiny, changes: dict[str, Any], told: str) -> None:
-    with pytest.raises(AdaManipError, match=told):
-        make_anchors(**changes)
+    for part, least in zip(cluster_motions(rows[:2].astype(np.float32), 5), (-1.0, 0.002), strict=True):  # too few
+        assert part.shape == (5, 7)
+        assert (part >= least).all()
 
 
 # Training -----------------------------------------------------------------------------------------------------------
@@ -129,20 +82,6 @@ def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: Ma
     torch.testing.assert_close(drawn, actions, rtol=0, atol=1e-4)
     residuals[0, nearest[0], 0] += 1.0
     assert policy.head.loss(policy.model, window, actions, real)[0][0] > 0.05
-
-
-def test_it_learns_what_it_is_shown(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors(point_noise_std=0.0, training_points=32, num_refinements=0)
-    batch = batch_of(dataset, before, 0, 5, 12)
-    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
-    for _ in range(150):
-        optimizer.zero_grad()
-        policy.forward(batch)[0].backward()
-        optimizer.step()
-    policy.eval()
-    window, actions, _ = policy.training_window(batch)
-    drawn = policy.head.sample(policy.model, window, None)
-    torch.testing.assert_close(drawn, actions, rtol=0, atol=0.02)
 
 
 def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_anchors: MakeTiny, batch_of: Any) -> None:
@@ -236,11 +175,9 @@ def test_training_and_run_time_see_the_same(make_anchors: MakeTiny, batch_of: An
         policy.forward(batch)
         trained = spy.seen.pop()
         policy.select_action(observation_of(dataset, before, index))
-        ran = spy.seen.pop()
-        for one, other in zip(trained, ran, strict=True):
+        for one, other in zip(trained, spy.seen.pop(), strict=True):
             torch.testing.assert_close(other, one, rtol=0, atol=1e-6)
-        # It 'executed' what was recorded.
-        policy._executed[-1] = batch[schema.ACTION]
+        policy.replace_latest(batch[schema.ACTION])  # it executed what was recorded
 
 
 def test_the_first_frame_cannot_see_its_label(make_anchors: MakeTiny, batch_of: Any) -> None:
@@ -248,31 +185,14 @@ def test_the_first_frame_cannot_see_its_label(make_anchors: MakeTiny, batch_of: 
     policy.eval()
     spy = Spy(policy)
     window, labels, real = policy.training_window(batch_of(dataset, before, 0))
+    assert window.observations[schema.POINT_CLOUD].shape == (1, 1, 48, 3)  # the present one alone
+    assert window.observations[schema.STATE].shape == (1, policy.config.n_action_history_steps + 1, 24)
     assert all(torch.equal(padded, labels[0, 0]) for padded in window.history[0])
     for history in (window.history, window.history * 0.5 + 1.0):
         policy.head.loss(policy.model, replace(window, history=history), labels, real)
     first, second = spy.seen
     assert all(torch.equal(one, other) for one, other in zip(first, second, strict=True))
     assert not first[2].any()
-
-
-def test_only_the_latest_cloud_is_read(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors()
-    assert dataset[6][schema.POINT_CLOUD].shape == tuple(dataset.meta.features[schema.POINT_CLOUD]["shape"])
-    window, _, _ = policy.training_window(batch_of(dataset, before, 6))
-    assert window.observations[schema.POINT_CLOUD].shape == (1, 1, 48, 3)
-    assert window.observations[schema.STATE].shape == (1, policy.config.n_action_history_steps + 1, 24)
-
-
-def test_a_loaded_policy_has_its_anchors(make_anchors: MakeTiny, observation_of: Any, tmp_path: Path) -> None:
-    policy, before, _, dataset = make_anchors()
-    policy.update()
-    policy.save_pretrained(tmp_path)
-    loaded = DP3AdaptivePolicy.from_pretrained(tmp_path)
-    assert torch.equal(loaded.ema_model.anchors, policy.model.anchors)
-    observation, noise = observation_of(dataset, before, 5), torch.tensor([[0.9]])
-    policy.eval()
-    assert torch.equal(loaded.select_action(observation, noise=noise), policy.select_action(observation, noise=noise))
 
 
 def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
@@ -310,14 +230,22 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
 Scene = tuple[torch.Tensor, torch.Tensor]
 
 
+def scenes(shape: np.ndarray, draw: np.random.Generator, *, swapped: bool = False) -> Scene:
+    """Clouds of 16 shapes (N, 3) somewhere, and goals at their origins, half of them with swapped fingers."""
+    turns, places = Rotation.random(16, random_state=int(draw.integers(1 << 30))), draw.uniform(-0.5, 0.5, (16, 3))
+    clouds = np.stack([turn.apply(shape) + place for turn, place in zip(turns, places, strict=True)])
+    grasps = turns * Rotation.from_euler("z", np.pi * (draw.integers(2, size=16) * swapped)[:, None])
+    goals = np.c_[places, rotation_6d_from_matrix(grasps.as_matrix()), np.ones(16)]
+    return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
+
+
 def taught(shown: list[Scene], *, steps: int) -> Refiner:
-    """Returns a refiner after training on clouds and goals, 16 of each."""
+    """Returns a refiner after training on scenes."""
     refiner = Refiner(48)
     optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
     for step in range(steps):
-        cloud, goal = shown[step % len(shown)]
         optimizer.zero_grad()
-        refiner.loss(cloud, goal).mean().backward()
+        refiner.loss(*shown[step % len(shown)]).mean().backward()
         optimizer.step()
     return refiner.eval()
 
@@ -328,17 +256,8 @@ def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None
     draw = np.random.default_rng(0)
     side, along = np.meshgrid(np.linspace(-0.006, 0.006, 3), np.linspace(-0.05, 0.05, 16))
     bar = np.c_[along.ravel(), side.ravel(), np.zeros(48)]
-
-    def scenes() -> Scene:
-        turns = Rotation.random(16, random_state=int(draw.integers(1 << 30)))
-        places = draw.uniform(-0.5, 0.5, (16, 3))
-        clouds = np.stack([turn.apply(bar) + place for turn, place in zip(turns, places, strict=True)])
-        grasps = turns * Rotation.from_euler("z", np.pi * draw.integers(2, size=16)[:, None])
-        goals = np.c_[places, rotation_6d_from_matrix(grasps.as_matrix()), np.ones(16)]
-        return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
-
-    refiner = taught([scenes() for _ in range(8)], steps=600)
-    cloud, goal = scenes()
+    refiner = taught([scenes(bar, draw, swapped=True) for _ in range(8)], steps=600)
+    cloud, goal = scenes(bar, draw, swapped=True)
     twist = torch.zeros(16, 7)
     twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
     with torch.no_grad():
@@ -353,20 +272,11 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
     draw = np.random.default_rng(0)
     plane = np.stack(np.meshgrid(np.linspace(0, 0.08, 7), np.linspace(0, 0.05, 6)), axis=-1).reshape(-1, 2)
     wedge = np.concatenate([np.c_[plane, np.zeros(42)], np.c_[plane[:, 0], np.zeros(42), plane[:, 1]]])
-
-    def scenes(count: int) -> Scene:
-        turns = Rotation.random(count, random_state=int(draw.integers(1 << 30)))
-        places = draw.uniform(-0.5, 0.5, (count, 3))
-        clouds = np.stack([turn.apply(wedge) + place for turn, place in zip(turns, places, strict=True)])
-        goals = np.c_[places, rotation_6d_from_matrix(turns.as_matrix()), np.ones(count)]
-        return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
-
-    refiner = taught([scenes(16) for _ in range(4)], steps=400)
-    cloud, goal = scenes(16)
+    refiner = taught([scenes(wedge, draw) for _ in range(4)], steps=400)
+    cloud, goal = scenes(wedge, draw)
     off = torch.cat([torch.from_numpy(draw.normal(scale=0.015, size=(16, 3))).float(), torch.zeros(16, 4)], dim=1)
-    start = pose_after(off, goal)
     with torch.no_grad():
-        ends = [refiner.refined(cloud, start, steps)[:, :3] for steps in (0, 1, 3)]
+        ends = [refiner.refined(cloud, pose_after(off, goal), steps)[:, :3] for steps in (0, 1, 3)]
     missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
     assert missed[0] > 0.015
     assert missed[1] < 0.5 * missed[0]
@@ -385,40 +295,19 @@ def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
     torch.testing.assert_close(anchors._less_turned(grasp, grasp, home), grasp)
 
 
-def test_only_an_open_hand_on_its_way_is_corrected(make_anchors: MakeTiny) -> None:
-    policy, *_ = make_anchors()
-    model = policy.model
-    model.anchors[:] = 0.0
-    model.spread[:] = torch.tensor(MIN_SPREAD)
-    model.anchors[:3, 6] = 1.0  # the fourth is closed
-    model.anchors[[0, 2, 3], 2] = 0.1  # the second stays where it is
-    model.spread[[0, 1, 3], 2] = 0.008  # the third ends where it always does
-    assert model.needs_refinement(torch.arange(6)).tolist() == [True, False, False, False, False, False]
-
-
-def test_rows_that_do_not_aim_count_for_nothing_where_all_are_looked_at(
-    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # As on a GPU, which is not asked how many aim.
-    policy, before, _, dataset = make_anchors()
-    batch = batch_of(dataset, before, 0, 5, 8, 20)
-    policy.model.spread[:] = torch.tensor(MIN_SPREAD)
-    monkeypatch.setattr(anchors, "_rows_to_refine", lambda aims: torch.arange(len(aims)))
-    loss, told = policy.forward(batch)
-    loss.backward()
-    assert told["refinement_loss"] == 0.0
-    refiner = policy.model.refiner
-    assert all(weight.grad is not None and not weight.grad.any() for weight in refiner.parameters())
-
-
 def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
-    make_anchors: MakeTiny, observation_of: Any, monkeypatch: pytest.MonkeyPatch
+    make_anchors: MakeTiny, batch_of: Any, observation_of: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     policy, before, _, dataset = make_anchors()
     policy.eval()
     for model in (policy.model, policy.ema_model):
         model.anchors[:, 6], model.spread[:] = 1.0, torch.tensor(MIN_SPREAD)
         model.spread[::2, 2] = 0.03
+    assert policy.model.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3
+    policy.model.anchors[:4, 6] = torch.tensor([0.0, 1.0, 1.0, 1.0])  # a closed hand
+    policy.model.anchors[2, :3] = 0.0  # and one that stays
+    assert policy.model.needs_refinement(torch.arange(6)).tolist() == [False] * 4 + [True, False]
+    policy.model.anchors.copy_(policy.ema_model.anchors)
     observation = observation_of(dataset, before, *range(20))
     noise = torch.rand(20, 1)
 
@@ -437,3 +326,7 @@ def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
         model.spread[:] = torch.tensor(MIN_SPREAD)
     acted()
     assert len(looked) == 2
+    loss, metrics = policy.train().forward(batch_of(dataset, before, 0, 5, 8, 20))
+    loss.backward()
+    assert metrics["refinement_loss"] == 0.0
+    assert not any(weight.grad.any() for weight in policy.model.refiner.parameters())

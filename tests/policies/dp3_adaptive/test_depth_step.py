@@ -18,7 +18,6 @@ from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_featu
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning
-from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
 from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
@@ -100,14 +99,6 @@ def test_what_has_a_cloud_or_no_depth_passes_as_it_is(depth: Any) -> None:
         assert step(transition) is transition
     alone = {TransitionKey.ACTION: torch.zeros(1, 10)}
     assert step(alone) is alone
-
-
-def test_workspace_and_number_of_points_are_the_steps(session: Any, depth: Any) -> None:
-    narrow = Workspace((0.5, -0.1, 0.48), (0.6, 0.1, 1.05))
-    step = DepthToCloudStep(40, narrow.lower, narrow.upper)
-    cloud = made(step, torch.from_numpy(depth)[None, None])[schema.POINT_CLOUD][0]
-    assert cloud.shape == (40, 3)
-    assert narrow.contains(cloud.numpy()).all()
 
 
 def test_a_file_in_the_configuration_comes_before_the_board(session: Any, depth: Any, tmp_path: Path) -> None:
@@ -192,16 +183,6 @@ def test_a_checkpoint_of_before_loads_without_the_step(make_tiny: Callable[..., 
     one, other = processed
     assert torch.equal(one[schema.POINT_CLOUD], other[schema.POINT_CLOUD])
     assert torch.equal(one[schema.STATE], other[schema.STATE])
-
-
-@pytest.mark.parametrize("policy_type", ["sampling", "vat_mart", "adaafford"])
-def test_the_other_cloud_policies_have_it_too(
-    make_toy_policy: Callable[..., Any], toy_root: Path, adaptive_toy_root: Path, policy_type: str
-) -> None:
-    root = adaptive_toy_root if policy_type == "adaafford" else toy_root  # which learns from tries that failed
-    policy, before, *_ = make_toy_policy(policy_type, root)
-    (step,) = [each for each in before.steps if isinstance(each, DepthToCloudStep)]
-    assert step.num_points == policy.config.num_points
 
 
 def test_lerobots_rollout_engine_acts_from_depth_as_from_the_cloud_of_it(

@@ -12,7 +12,7 @@ import torch
 from lerobot_adamanip.contract import schema
 
 STILL = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0, "history_noise_std": 0.0}
-SHAPES = [(1, 3, 4, 1), (1, 3, 4, 2), (3, 5, 4, 1), (3, 5, 4, 2), (2, 1, 4, 4), (1, 0, 4, 2)]
+SHAPES = [(1, 3, 4, 1), (3, 5, 4, 2), (2, 1, 4, 4), (1, 0, 4, 2)]
 """n_obs_steps, n_action_history_steps, horizon, n_action_steps."""
 MakeTiny = Callable[..., tuple[Any, ...]]
 

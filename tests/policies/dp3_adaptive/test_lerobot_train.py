@@ -39,15 +39,14 @@ COMMON = (
 )
 
 
+def _run(*options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+
 def _train(*options: str) -> str:
     """Runs lerobot-train; returns what it logged."""
-    done = subprocess.run(
-        [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    done = _run(*options)
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout + done.stderr
 
@@ -84,18 +83,9 @@ def test_act_trains_on_the_same_dataset(dataset_root: Path, tmp_path: Path) -> N
     assert (run / "checkpoints" / "000002" / "pretrained_model" / "model.safetensors").is_file()
 
 
-@pytest.mark.parametrize("wrong", ["--policy.num_points=65"])
-def test_too_few_recorded_points_end_a_training_with_one_clear_error(
-    dataset_root: Path, tmp_path: Path, wrong: str
-) -> None:
-    options = (*DP3, *_dataset(dataset_root), "--steps=1", wrong, f"--output_dir={tmp_path / 'run'}")
-    done = subprocess.run(
-        [sys.executable, "-m", "lerobot.scripts.lerobot_train", *options],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+def test_too_few_recorded_points_end_a_training_with_one_clear_error(dataset_root: Path, tmp_path: Path) -> None:
+    options = (*DP3, *_dataset(dataset_root), "--steps=1", "--policy.num_points=65", f"--output_dir={tmp_path / 'run'}")
+    done = _run(*options)
     assert done.returncode != 0
     assert "ConfigurationError" in done.stderr
     assert "(64, 3)" in done.stderr

@@ -15,22 +15,15 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.events import events
-from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import InstructionStep
-from lerobot_policy_adamanip.dp3_adaptive.task_conditioning import (
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import (
     INSTRUCTION,
     INSTRUCTION_DIM,
-    balanced_weights,
+    InstructionStep,
     instruction_vector,
 )
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import balanced_weights
 
 MakeTiny = Callable[..., tuple[Any, ...]]
-HEADS: tuple[dict[str, Any], ...] = (
-    {"preset": "diffusion", "n_obs_steps": 2},
-    {
-        "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
-        "training_points": 24, "coarse_points": 32, "refinement_points": 16, "num_refinements": 1,
-    },
-)  # fmt: skip
 
 
 def test_instructions_are_told_apart_and_the_same_words_are_the_same() -> None:
@@ -43,27 +36,23 @@ def test_instructions_are_told_apart_and_the_same_words_are_the_same() -> None:
     assert not instruction_vector("").any()
 
 
-@pytest.mark.parametrize("task", [None, [], [3]])
-def test_who_is_told_nothing_says_so(task: Any) -> None:
-    batch = {schema.STATE: torch.zeros(1, 24), "task": task}
-    with pytest.raises(ConfigurationError, match="needs an instruction"):
-        InstructionStep()(batch_to_transition(batch))
+def test_one_text_is_a_list_of_one_and_none_is_an_error() -> None:
+    def told(task: Any) -> Any:
+        batch = {schema.STATE: torch.zeros(1, 24), "task": task}
+        return transition_to_batch(InstructionStep()(batch_to_transition(batch)))[INSTRUCTION]
+
+    assert torch.equal(told("open the safe"), told(["open the safe"]))
+    assert told(["open the safe"]).shape == (1, INSTRUCTION_DIM)
+    for task in (None, [], [3]):
+        with pytest.raises(ConfigurationError, match="needs an instruction"):
+            told(task)
 
 
-def test_one_text_and_a_list_of_one_are_the_same() -> None:
-    told = [
-        transition_to_batch(InstructionStep()(batch_to_transition({schema.STATE: torch.zeros(1, 24), "task": task})))
-        for task in ("open the safe", ["open the safe"])
-    ]
-    assert torch.equal(told[0][INSTRUCTION], told[1][INSTRUCTION])
-    assert told[0][INSTRUCTION].shape == (1, INSTRUCTION_DIM)
-
-
-@pytest.mark.parametrize("head", HEADS, ids=["diffusion", "anchors"])
+@pytest.mark.parametrize("head", ["diffusion", "anchors"])
 def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
-    make_tiny: MakeTiny, batch_of: Any, head: dict[str, Any]
+    make_tiny: MakeTiny, heads: dict[str, Any], batch_of: Any, head: str
 ) -> None:
-    policy, before, _, dataset = make_tiny(**head, use_instruction=True)
+    policy, before, _, dataset = make_tiny(**heads[head], use_instruction=True)
     policy.train()
     loss, _ = policy(batch_of(dataset, before, 1, 5, 14))
     loss.backward()
@@ -81,11 +70,6 @@ def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
 
     assert torch.equal(act("open the safe"), act("open the safe"))
     assert not torch.equal(act("open the safe"), act("take the cap off the bottle"))
-
-
-def test_a_policy_that_is_told_nothing_looks_at_no_instruction(make_tiny: MakeTiny, batch_of: Any) -> None:
-    _, before, _, dataset = make_tiny(**HEADS[1])
-    assert INSTRUCTION not in batch_of(dataset, before, 1)
 
 
 # Tasks count alike --------------------------------------------------------------------------------------------------
@@ -106,9 +90,10 @@ def test_rows_of_a_rare_task_weigh_more_and_all_together_as_much_as_before() -> 
     assert float(shares.sum()) == pytest.approx(float(rows.sum()))
 
 
-def test_the_loss_is_weighted_by_task(make_tiny: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(**HEADS[1], balance_tasks=True)
+def test_the_loss_is_weighted_by_task(make_tiny: MakeTiny, heads: dict[str, Any], batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(**heads["anchors"], balance_tasks=True)
     batch = batch_of(dataset, before, 1, 5, 14)
+    assert INSTRUCTION not in batch
     torch.manual_seed(0)
     each, _ = policy(batch, reduction="none")
     each = each.detach()

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from toy_demos import observed, play, record_toy, toy_world, trained
+from toy_demos import observed, play, toy_world, trained
 
 from lerobot_adamanip.contract import schema
 from lerobot_policy_adamanip.affordance.demonstrations import read_demonstrations
@@ -87,20 +86,6 @@ def test_motions_in_contact_are_those_between_closing_and_opening(make: MakePoli
 # Draws --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("direction", [-1, 1])
-def test_both_directions_are_drawn_also_where_one_was_shown(make: MakePolicy, tmp_path: Path, direction: int) -> None:
-    worlds = [toy_world("bottle_000", seed, {"direction": direction}) for seed in range(3)]
-    policy, *_ = make(root=record_toy(tmp_path / "one", worlds, "static"))
-    held = with_opening(observed(worlds[0], np.random.default_rng(0)), 0.3)
-    cloud, pose = policy.observed(held)
-    torch.manual_seed(0)
-    drawn = [policy.draw_macro(cloud[0], pose[0]) for _ in range(300)]
-    motions = motion_between(torch.cat([each for each in drawn if len(each) == 1]), pose)
-    turns = motions[motions[:, 5].abs() > 0.2, 5]
-    assert len(turns) > 60
-    assert 0.35 < (turns > 0).float().mean() < 0.65
-
-
 def test_every_motion_and_taking_hold_anew_are_drawn_alike(make: MakePolicy) -> None:
     policy, *_ = make()
     held = with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3)
@@ -168,15 +153,6 @@ def test_a_macro_action_is_followed_to_its_end(make: MakePolicy) -> None:
     assert torch.equal(acted(policy, [seen, *others]), macro.transpose(0, 1))
 
 
-def test_what_is_hidden_does_not_change_the_draws_before_it_is_felt(make: MakePolicy) -> None:
-    policy, *_ = make()
-    drawn = []
-    for direction in (-1, 1):
-        seen = observed(toy_world("bottle_000", 3, {"direction": direction}), np.random.default_rng(0))
-        drawn.append(acted(policy, [seen] * 3))
-    assert torch.equal(*drawn)
-
-
 def test_episodes_of_a_batch_draw_for_themselves(make: MakePolicy) -> None:
     policy, *_ = make()
     seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
@@ -216,18 +192,6 @@ def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, 
 
 
 # Training -----------------------------------------------------------------------------------------------------------
-
-
-def test_every_weight_learns_also_where_no_row_counts(make: MakePolicy, batch_of: Any) -> None:
-    policy, before, _, dataset = make()
-    for rows in ([], [len(dataset) - 1]):
-        loss, told = policy.forward(batch_of(dataset, before, *rows))
-        assert all(isinstance(value, float) for value in told.values())
-        policy.zero_grad()
-        loss.backward()
-        assert [name for name, weight in policy.model.named_parameters() if weight.grad is None] == []
-        moved = [name for name, weight in policy.model.named_parameters() if weight.grad.any()]
-        assert len(moved) == (0 if rows else len(list(policy.model.parameters())))
 
 
 def test_contacts_can_be_made_while_nothing_has_moved_and_the_hand_is_away(make: MakePolicy) -> None:

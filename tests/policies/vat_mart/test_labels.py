@@ -83,23 +83,12 @@ def share(moved: list[list[float]], needed: list[list[float]], needed_tasks: lis
     return [round(float(value), 6) for value in found]
 
 
-def test_what_an_episode_did_opens_that_episode() -> None:
-    needed = [[0.04, 1.2], [0.04, -0.7], [0.03, 0.0]]
-    for each in needed:
-        assert share([each], [each]) == [1.0]
-
-
-def test_the_other_direction_opens_nothing_and_a_longer_turn_opens_more() -> None:
-    needed = [[0.04, 0.5], [0.04, 1.0], [0.04, 1.5], [0.04, -1.0]]
-    assert share([[0.04, turn] for turn in (0.0, 0.5, 1.0, 2.0, -2.0)], needed) == [0, 0.25, 0.5, 0.75, 0.25]
-    assert share([[0.0, 2.0]], needed) == [0]
-
-
-def test_joints_that_an_episode_did_not_move_may_have_been_moved() -> None:
+def test_a_plan_opens_the_episodes_of_its_task_whose_motions_it_covers() -> None:
+    turns = [[0.04, 0.5], [0.04, 1.0], [0.04, 1.5], [0.04, -1.0]]
+    assert share([[0.04, turn] for turn in (0.0, 0.5, 1.0, 2.0, -2.0)], turns) == [0, 0.25, 0.5, 0.75, 0.25]
+    assert share([[0.0, 2.0]], turns) == [0]
+    # Joints that an episode did not move may have been moved.
     assert share([[0.04, 1.0], [0.04, 0.0]], [[0.04, 0.001], [0.04, 1.0]]) == [1.0, 0.5]
-
-
-def test_only_episodes_of_the_same_task_are_compared() -> None:
     assert share([[0.04, 1.0]], [[0.04, 1.0], [0.04, -1.0]], [0, 1]) == [1.0]
     assert share([[0.04, 1.0]], [[0.04, 1.0]], [1]) == [0.0]
 

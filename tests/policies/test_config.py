@@ -1,0 +1,182 @@
+"""What holds for each policy's configuration, and its optimizer."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_help_text
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
+from lerobot.optim.optimizers import AdamWConfig, OptimizerConfig, load_optimizer_state, save_optimizer_state
+from lerobot.policies.factory import get_policy_class
+from toy_demos import TINY
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_policy_adamanip import AdaAffordConfig, DP3AdaptiveConfig, SamplingConfig, VatMartConfig
+from lerobot_policy_adamanip.common.config import FusedAdamWConfig
+from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
+
+Refuses = Callable[[type[AdaManipError], Callable[[], Any]], str]
+CONFIGS: tuple[Any, ...] = (VatMartConfig, SamplingConfig, AdaAffordConfig, DP3AdaptiveConfig)
+AFFORDANCE = ("vat_mart", "sampling", "adaafford")
+every_method = pytest.mark.parametrize("method", [*AFFORDANCE, "dp3_adaptive"])
+DP3_TINY: dict[str, Any] = {
+    "num_points": 120, "encoder_dims": (16,), "preset": "fast", "device": "cpu", "push_to_hub": False,
+}  # fmt: skip
+MEAN_STD = {"STATE": NormalizationMode.MEAN_STD, "ACTION": NormalizationMode.IDENTITY}
+WRONG: dict[str, list[dict[str, Any]]] = {
+    "affordance": [
+        {"num_points": 0}, {"feature_dim": 0}, {"patch_radius": 0.0}, {"encoder_dims": ()}, {"context_points": 121},
+        {"n_obs_steps": 2}, {"normalization_mapping": MEAN_STD},
+    ],
+    "dp3_adaptive": [
+        {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"kernel_size": 4}, {"down_dims": ()},
+        {"down_dims": (30, 64)}, {"num_points": 0}, {"encoder_dims": ()}, {"num_inference_steps": 101},
+        {"num_inference_steps": 0}, {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
+        {"horizon": 3, "preset": "diffusion"}, {"horizon": 0, "preset": "diffusion"},
+        {"n_action_steps": 5, "preset": "diffusion"},
+        {"down_dims": (32, 32, 64, 64), "preset": "diffusion"},
+        *({name: "nonsense"} for name in ("preset", "encoder", "proprioception", "noise_scheduler_type")),
+    ],
+}  # fmt: skip
+WRONG_FEATURES: list[tuple[dict[str, Any], str]] = [
+    ({"points": (64, 3)}, "120 points"), ({"points": (160, 2)}, "120 points"), ({"points": (190,)}, "120 points"),
+    ({"action": 7}, "no poses"), ({"missing": schema.POINT_CLOUD}, schema.POINT_CLOUD),
+    ({"missing": schema.STATE}, schema.STATE),
+]  # fmt: skip
+
+
+def features(points: tuple[int, ...] = (160, 3), action: int = 10, missing: str | None = None) -> dict[str, Any]:
+    inputs = {
+        schema.POINT_CLOUD: PolicyFeature(FeatureType.STATE, points),
+        schema.STATE: PolicyFeature(FeatureType.STATE, (24,)),
+        schema.FRONT_IMAGE: PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
+    }
+    return {
+        "input_features": {key: value for key, value in inputs.items() if key != missing},
+        "output_features": {schema.ACTION: PolicyFeature(FeatureType.ACTION, (action,))},
+    }
+
+
+def config_of(method: str, **changes: Any) -> Any:
+    options = DP3_TINY if method == "dp3_adaptive" else TINY
+    return PreTrainedConfig.get_choice_class(method)(**{**options, **changes})
+
+
+@pytest.mark.parametrize("kind", CONFIGS)
+def test_every_option_is_explained_and_names_its_presets(kind: Any) -> None:
+    ours = {name for each in kind.__mro__ if "adamanip" in each.__module__ for name in each.__annotations__}
+    for name in ours & {item.name for item in dataclasses.fields(kind)}:
+        told = " ".join(get_preferred_help_text(get_attribute_docstring(kind, name)).split())
+        assert told.endswith((".", "...")), name
+        if kind is DP3AdaptiveConfig and name in PRESETS["fast"]:
+            values = {preset: PRESETS[preset][name] for preset in PRESETS}
+            shown = [
+                f"{key} {' '.join(map(str, value)) if isinstance(value, tuple) else value}"
+                for key, value in values.items()
+            ]
+            assert f"({', '.join(shown)})" in told
+
+
+@every_method
+def test_options_that_cannot_work_are_refused_at_once(refuses: Refuses, method: str) -> None:
+    for wrong in WRONG.get(method, WRONG["affordance"]):
+        assert next(iter(wrong)) in refuses(AdaManipError, lambda wrong=wrong: config_of(method, **wrong)), wrong
+
+
+@every_method
+def test_features_that_it_cannot_use_are_refused(refuses: Refuses, method: str) -> None:
+    for wrong, told in WRONG_FEATURES:
+        config = config_of(method, **features(**wrong))
+        check = config.validate_features
+        if method == "dp3_adaptive" and "action" in wrong:
+            check = lambda config=config: get_policy_class(method)(config)  # noqa: E731
+        message = refuses(AdaManipError, check)
+        assert told in message
+        assert method in message or "points" in message
+
+
+@every_method
+def test_it_looks_at_cloud_and_state_alone(method: str) -> None:
+    config = config_of(method, **features())
+    config.validate_features()
+    assert config.input_features.keys() == {schema.POINT_CLOUD, schema.STATE}
+    assert config.input_features[schema.POINT_CLOUD].type is FeatureType.ENV
+    assert config.normalization_mapping["ENV"] is NormalizationMode.IDENTITY
+
+
+@every_method
+def test_ten_numbers_with_other_names_are_no_pose(method: str) -> None:
+    config, named = config_of(method, **features()), schema.dataset_features(160, images=False)
+    config.set_dataset_feature_metadata(named)
+    assert config.has_pose_layout
+    named[schema.ACTION]["names"] = [f"joint_{index}.pos" for index in range(10)]
+    config.set_dataset_feature_metadata(named)
+    assert not config.has_pose_layout
+
+
+@every_method
+def test_without_data_or_a_cloud_there_is_one_clear_error(refuses: Refuses, method: str) -> None:
+    policy = get_policy_class(method)(config_of(method, **features()))
+    assert "nothing to learn from" in refuses(AdaManipError, lambda: policy.forward({}))
+    seen = {schema.STATE: torch.zeros(1, 24)}
+    assert schema.POINT_CLOUD in refuses(AdaManipError, lambda: policy.select_action(seen))
+
+
+@pytest.mark.parametrize(("trained", "said"), [(None, "--policy.num_points=64"), ("p", "--env.num_points=120")])
+def test_clouds_of_too_few_points_name_the_option_that_helps(refuses: Refuses, trained: str | None, said: str) -> None:
+    """A policy that is to be trained can use fewer; a trained one cannot."""
+    config = config_of("dp3_adaptive", **features(points=(64, 3)))
+    config.pretrained_path = trained
+    assert said in refuses(AdaManipError, config.validate_features).rpartition("try:")[2]
+
+
+# Optimizer -----------------------------------------------------------------------------------------------------------
+
+VALUES = {"lr": 1e-2, "betas": (0.95, 0.999), "weight_decay": 1e-2}
+
+
+def trained(model: torch.nn.Module, optimizer: torch.optim.Optimizer, steps: int, seed: int = 0) -> list[torch.Tensor]:
+    draw = torch.Generator().manual_seed(seed)
+    for _ in range(steps):
+        optimizer.zero_grad()
+        model(torch.randn(16, 5, generator=draw)).square().mean().backward()
+        optimizer.step()
+    return [weight.detach().clone() for weight in model.parameters()]
+
+
+def small_model() -> torch.nn.Module:
+    torch.manual_seed(0)
+    return torch.nn.Sequential(torch.nn.Linear(5, 33), torch.nn.Tanh(), torch.nn.Linear(33, 3))
+
+
+def test_it_is_adamw_up_to_rounding_also_after_a_resume(tmp_path: Path) -> None:
+    one = small_model()
+    other = copy.deepcopy(one)
+    fused, plain = FusedAdamWConfig(**VALUES).build(one.parameters()), AdamWConfig(**VALUES).build(other.parameters())
+    assert fused.defaults["fused"]
+    torch.testing.assert_close(trained(one, fused, 20), trained(other, plain, 20), rtol=1e-4, atol=1e-6)
+    save_optimizer_state(fused, tmp_path)
+    resumed = copy.deepcopy(one)
+    again = load_optimizer_state(FusedAdamWConfig(**VALUES).build(resumed.parameters()), tmp_path)
+    torch.testing.assert_close(trained(resumed, again, 10, 1), trained(one, fused, 10, 1), rtol=1e-5, atol=1e-7)
+
+
+def test_groups_devices_without_the_kernel_and_lerobots_registry_are_served() -> None:
+    model = small_model()
+    groups = [{"params": [weight], "lr": 0.1 * place} for place, weight in enumerate(model.parameters(), 1)]
+    built = [group["lr"] for group in FusedAdamWConfig().build(groups).param_groups]
+    assert built == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert not FusedAdamWConfig().build(model.to("meta").parameters()).defaults["fused"]
+    preset = config_of("dp3_adaptive", optimizer_lr=3e-4).get_optimizer_preset()
+    assert OptimizerConfig.get_choice_class(preset.type) is FusedAdamWConfig
+    assert preset.lr == 3e-4
+    assert asdict(preset).keys() == asdict(AdamWConfig()).keys()
