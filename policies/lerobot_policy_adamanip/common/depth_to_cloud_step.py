@@ -144,21 +144,12 @@ def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:
 
 def _without_channel(depth: np.ndarray[Any, np.dtype[Any]]) -> np.ndarray[Any, np.dtype[Any]]:
     """(..., H, W, 1) or (..., 1, H, W), uint16 or float -> (..., H, W)."""
-    if depth.ndim >= 3 and depth.shape[-1] == 1:
-        depth = depth[..., 0]
-    elif depth.ndim >= 3 and depth.shape[-3] == 1:
-        depth = depth[..., 0, :, :]
-    else:
-        raise _not_depth(depth)
-    if depth.dtype != np.uint16 and depth.dtype.kind != "f":
-        raise _not_depth(depth)
-    return depth
-
-
-def _not_depth(picture: np.ndarray[Any, np.dtype[Any]]) -> ConfigurationError:
-    return ConfigurationError(
+    for axis in (-1, -3):
+        if depth.ndim >= 3 and depth.shape[axis] == 1 and (depth.dtype == np.uint16 or depth.dtype.kind == "f"):
+            return depth.squeeze(axis)
+    raise ConfigurationError(
         "The picture is not depth.",
-        got=f"{picture.dtype} of shape {picture.shape}",
+        got=f"{depth.dtype} of shape {depth.shape}",
         allowed="uint16 or float32 [mm], of shape (H, W, 1) or (1, H, W), with a batch or without",
         hint="a camera with use_depth=true",
     )

@@ -34,7 +34,7 @@ def from_preset() -> Any:
 @PreTrainedConfig.register_subclass("dp3_adaptive")
 @dataclass
 class DP3AdaptiveConfig(CloudPolicyConfig):
-    """Options of ``dp3_adaptive``. One given on the command line wins over the preset. Saved are the values.
+    """Options of ``dp3_adaptive``. An option of the command line overrides the preset; a checkpoint saves the values.
 
     Time axis, for ``n_obs_steps = 2``, ``n_action_history_steps = 3``, ``horizon = 4``, ``n_action_steps = 2``::
 
@@ -47,80 +47,80 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    # Values of the options below that are not given: fast or diffusion (two CPU cores), dp3 or paper (their numbers).
+    # Defaults of the options below: fast or diffusion (for two CPU cores), dp3 or paper (as published).
     preset: str = "fast"
-    # Set automatically: the preset that the values were taken from. A checkpoint keeps its values, so also its preset.
+    # Set automatically: the preset of the values, which a checkpoint keeps.
     values_from: str | None = None
 
-    # What draws the next actions: anchors, typical motions corrected, or diffusion, as in the paper (fast anchors,
-    # diffusion diffusion, dp3 diffusion, paper diffusion).
+    # Head that draws actions: anchors (typical motions, refined) or diffusion, the paper's (fast anchors, diffusion
+    # diffusion, dp3 diffusion, paper diffusion).
     head: str = from_preset()
 
-    # Observed steps, the present one included; the head anchors looks at one (fast 1, diffusion 1, dp3 2, paper 4).
+    # Observed steps, with the present one; 1 for the head anchors (fast 1, diffusion 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
-    # Past actions that the policy is conditioned on; 0 for none (fast 16, diffusion 8, dp3 0, paper 4).
+    # Past actions in the policy's input; 0 for none (fast 16, diffusion 8, dp3 0, paper 4).
     n_action_history_steps: int = from_preset()
     # Actions generated at once (fast 1, diffusion 4, dp3 4, paper 4).
     horizon: int = from_preset()
-    # Of those, executed before the next are generated (fast 1, diffusion 1, dp3 3, paper 2).
+    # Number of them that are executed before the next chunk (fast 1, diffusion 1, dp3 3, paper 2).
     n_action_steps: int = from_preset()
 
-    # Points used: the first of the dataset's, of which any first are a farthest-point sample (fast 1024, diffusion
+    # Points used: the first of each recorded cloud, which is ordered by farthest-point sampling (fast 1024, diffusion
     # 512, dp3 1024, paper 4096).
     num_points: int = from_preset()
-    # Encoder of clouds: mlp, DP3's PointNet, or pointnet2, hierarchical as the paper's (fast mlp, diffusion mlp, dp3
-    # mlp, paper pointnet2).
+    # Encoder of clouds: mlp (DP3's PointNet) or pointnet2 (the paper's) (fast mlp, diffusion mlp, dp3 mlp, paper
+    # pointnet2).
     encoder: str = from_preset()
     # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, dp3 64 128
     # 256, paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
-    # Features that a cloud is condensed to (fast 128, diffusion 128, dp3 64, paper 128).
+    # Features of a cloud (fast 128, diffusion 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
-    # Points also relative to the tool, history and chunk in positions relative to it (fast True, diffusion True, dp3
-    # False, paper False). Takes effect where state and action are poses, named as this project's datasets name them.
+    # Give points also relative to the tool, and positions of actions relative to it (fast True, diffusion True, dp3
+    # False, paper False). Needs states and actions that are poses, by the names of this project's datasets.
     tcp_relative: bool = from_preset()
-    # Proprioception: pose, which is tool pose and gripper, or full, joints too (fast pose, diffusion pose, dp3 full,
+    # Proprioception: pose (tool pose and gripper) or full (joints too) (fast pose, diffusion pose, dp3 full,
     # paper full).
     proprioception: str = from_preset()
-    # Look at the external joint torque too.
+    # Use the external joint torque as an input.
     use_effort: bool = False
 
-    # Be told what to do: the dataset's and the environment's instruction, for one policy of several tasks.
+    # Use the instruction as an input, for one policy of several tasks.
     use_instruction: bool = False
-    # Training only: tasks count alike, however many rows the dataset has of each.
+    # Training only: weight rows so that tasks count alike.
     balance_tasks: bool = False
 
-    # Head anchors: remember what came of past actions, too: what was left undone, and the gripper reached.
+    # Head anchors: remember results of past actions: the motion left undone, and the gripper reached.
     use_feedback: bool = True
-    # Head anchors: typical motions of the demonstrations that are told apart.
+    # Head anchors: number of anchors, typical motions of the demonstrations.
     num_anchors: int = 32
-    # Head anchors: size of what is remembered of the last n_action_history_steps events.
+    # Head anchors: size of the memory of past actions.
     memory_dim: int = 64
-    # Head anchors: width of the layers behind cloud and memory.
+    # Head anchors: width of the layers after cloud and memory.
     trunk_dim: int = 256
-    # Head anchors: points that the choice is made by, the first of each cloud; corrections look at all of them.
+    # Head anchors: first points of each cloud by which an anchor is chosen; refinement uses all points.
     coarse_points: int = 512
-    # Head anchors: how often a pose that an open hand goes to is corrected by the points around it; 0 for never ...
+    # Head anchors: refinement steps of a pose that an open hand approaches; 0 for none.
     num_refinements: int = 3
-    # ... and how many points those are.
+    # Head anchors: nearest points used by a refinement step.
     refinement_points: int = 128
-    # Head anchors, training only: of coarse_points so many are drawn ...
+    # Head anchors, training only: random subset of coarse_points.
     training_points: int = 320
-    # ... and the standard deviation of the noise on them [m].
+    # Head anchors, training only: standard deviation of the noise on points [m].
     point_noise_std: float = 0.002
 
-    # Channels of the U-Net's levels; it halves the chunk between levels (fast 128 256, diffusion 128 256, dp3 512
+    # Channels of the U-Net's levels, between which the chunk is halved (fast 128 256, diffusion 128 256, dp3 512
     # 1024 2048, paper 256 512 1024).
     down_dims: tuple[int, ...] = from_preset()
     # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, dp3 5, paper 5).
     kernel_size: int = from_preset()
-    # Groups of the U-Net's group normalisation; divides every one of down_dims.
+    # Groups of the U-Net's group normalisation; has to divide all down_dims.
     n_groups: int = 8
     # Size of the diffusion step's embedding (fast 64, diffusion 64, dp3 128, paper 256).
     diffusion_step_embed_dim: int = from_preset()
-    # Whether the condition scales features besides shifting them (FiLM).
+    # FiLM with scale: the condition scales features besides shifting them.
     use_film_scale_modulation: bool = True
-    # Compute the U-Net's activations again in the backward pass: less memory, more time.
+    # Recompute the U-Net's activations in the backward pass: less memory, more time.
     gradient_checkpointing: bool = False
 
     # Sampler: DDPM or DDIM (fast DDIM, diffusion DDIM, dp3 DDIM, paper DDPM).
@@ -131,33 +131,33 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     num_inference_steps: int = from_preset()
     # Noise schedule, as diffusers names it.
     beta_schedule: str = "squaredcos_cap_v2"
-    # What the U-Net predicts: epsilon, the noise, or sample, the clean action as in DP3 (fast sample, diffusion
-    # sample, dp3 sample, paper epsilon).
+    # Target of the U-Net: epsilon (the noise) or sample (the clean action) (fast sample, diffusion sample, dp3 sample,
+    # paper epsilon).
     prediction_type: str = from_preset()
-    # Bound of an action while sampling: normalised units, or 0.15 m where tcp_relative holds (fast 6.0, diffusion
+    # Bound of an action while sampling, in normalised units, or in 0.15 m with tcp_relative (fast 6.0, diffusion
     # 6.0, dp3 1.0, paper 1.0).
     clip_sample_range: float = from_preset()
 
-    # The averaged weights' decay at step n is 1 - (1 + n)^-ema_power ...
+    # Decay of the averaged weights at step n: 1 - (1 + n)^-ema_power.
     ema_power: float = 0.75
-    # ... but at most this.
+    # Largest decay of the averaged weights.
     ema_max: float = 0.9999
 
-    # Training only: scenes shift by up to this along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper 0.0) ...
+    # Training only: largest shift of scenes along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper 0.0).
     augmentation_translation: float = from_preset()
-    # ... and turned by up to this about the vertical [rad]; joint positions do not follow (fast 0.0, diffusion 0.1,
-    # dp3 0.0, paper 0.0) ...
+    # Training only: largest turn of scenes about the vertical [rad]; joint positions stay (fast 0.0, diffusion 0.1, dp3
+    # 0.0, paper 0.0).
     augmentation_yaw: float = from_preset()
-    # ... through this point: x, y, z [m], robot base frame.
+    # Point on that vertical: x, y, z [m], robot base frame.
     augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
-    # Training only: share of scenes that are mirrored, left for right; joint positions and torques do not follow. Not
-    # where a direction is the same in all scenes, as for lids and portafilters: it is not, in a mirror.
+    # Training only: share of scenes mirrored, left for right; joint positions and torques stay. Not for objects that
+    # always turn the same way, such as lids and portafilters.
     augmentation_mirror: float = 0.0
-    # Training only: standard deviation of noise on the history, normalised units (fast 0.0, diffusion 0.02, dp3 0.0,
+    # Training only: standard deviation of noise on the history [normalised units] (fast 0.0, diffusion 0.02, dp3 0.0,
     # paper 0.0).
     history_noise_std: float = from_preset()
 
-    # How each kind of feature is normalised. Left open: STATE and ACTION not at all by the head anchors, else MIN_MAX.
+    # Normalisation of each kind of feature. Default: IDENTITY for the head anchors, else MIN_MAX of STATE and ACTION.
     normalization_mapping: dict[str, NormalizationMode] = field(default_factory=dict)
     # Learning rate of AdamW (fast 0.001, diffusion 0.0005, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()

@@ -109,20 +109,3 @@ def test_no_environment_sees_another(make_tiny: MakeTiny, observation_of: Any, s
     together = run([0, 1, 2])
     for rows in ([0], [1], [2], [0, 2], [2, 0, 1]):
         torch.testing.assert_close(run(rows), together[:, rows], rtol=0, atol=1e-5)
-
-
-def test_the_anchors_head_keeps_poses_alone_and_draws_the_same(make_tiny: MakeTiny, observation_of: Any) -> None:
-    options = {"preset": "fast", "num_anchors": 6, "num_points": 48, "training_points": 24, "coarse_points": 32}
-    policy, before, _, dataset = make_tiny(**options, use_effort=True, num_refinements=0)
-    policy.eval()
-    observations = [observation_of(dataset, before, step) for step in range(4)]
-
-    def act() -> torch.Tensor:
-        policy.reset()
-        torch.manual_seed(5)
-        return torch.stack([policy.select_action(observation) for observation in observations])
-
-    actions = act()
-    assert all(set(kept) == {schema.STATE} for kept in policy._observed)
-    policy._kept = lambda observation: observation
-    assert torch.equal(act(), actions)

@@ -11,7 +11,6 @@ import torch
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 VARIANTS: list[dict[str, Any]] = [
@@ -141,20 +140,3 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
     assert not torch.equal(act(cloud + 0.1), full)
     with pytest.raises(ConfigurationError, match="31"):
         act(cloud[:, :31])
-
-
-@pytest.mark.parametrize("changes", [{}, {"preset": "fast", "num_points": 48, "training_points": 24}], ids=str)
-def test_winners_alone_give_a_policy_the_gradient_of_the_plain_way(
-    make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any]
-) -> None:
-    policy, before, _, dataset = make_tiny(**changes)
-    batch = batch_of(dataset, before, *range(0, 28, 3))
-    found: list[dict[str, torch.Tensor]] = []
-    for way in (True, False):
-        monkeypatch.setattr(PointNetEncoder, "winners_only", way)
-        torch.manual_seed(1)
-        policy.zero_grad()
-        policy.forward(batch)[0].backward()
-        found.append({name: weight.grad.clone() for name, weight in policy.model.named_parameters()})
-    for name, plain in found[1].items():
-        assert (found[0][name] - plain).norm() <= 1e-5 * plain.norm() + 1e-9, name
