@@ -35,9 +35,19 @@ Pipelines = tuple[
 """Pre- and postprocessor of a policy."""
 
 
+class SameFeaturesStep(ProcessorStep):
+    """Processor step that leaves a dataset's features as they are."""
+
+    def transform_features(
+        self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
+    ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
+        """Returns them."""
+        return features
+
+
 @ProcessorStepRegistry.register("adamanip_depth_to_cloud")
 @dataclass
-class DepthToCloudStep(ProcessorStep):
+class DepthToCloudStep(SameFeaturesStep):
     """Computes ``observation.point_cloud`` from a camera's depth, and drops the pictures.
 
     Observations with a cloud, or without depth, stay. A checkpoint does not know where a camera stands: the calibration
@@ -129,12 +139,6 @@ class DepthToCloudStep(ProcessorStep):
         """JSON-able options."""
         options = {name: getattr(self, name) for name in ("num_points", "lower", "upper", "camera", "calibration")}
         return {**options, "lower": list(self.lower), "upper": list(self.upper)}
-
-    def transform_features(
-        self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
-    ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
-        """Features stay: datasets have clouds."""
-        return features
 
 
 def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:

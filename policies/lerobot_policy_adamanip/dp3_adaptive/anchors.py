@@ -13,20 +13,10 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, ROTATION_DIMS, STATE
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.encoders import make_encoder
 from lerobot_policy_adamanip.common.events import EventMemory, events
 from lerobot_policy_adamanip.common.losses import valid_rows
-from lerobot_policy_adamanip.common.tool_frame import (
-    MOTION_DIM,
-    MOTION_UNITS,
-    constant,
-    fingers_swapped,
-    motion_between,
-    point_features,
-    points_seen,
-    pose_after,
-    upwards,
-)
 from lerobot_policy_adamanip.common.torch_rotations import angle_between
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, INSTRUCTION_DIM
@@ -52,8 +42,8 @@ class AnchorNetwork(nn.Module):
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         super().__init__()
-        self.register_buffer("anchors", torch.zeros(config.num_anchors, MOTION_DIM))
-        self.register_buffer("spread", torch.zeros(config.num_anchors, MOTION_DIM))
+        self.register_buffer("anchors", torch.zeros(config.num_anchors, tool_frame.MOTION_DIM))
+        self.register_buffer("spread", torch.zeros(config.num_anchors, tool_frame.MOTION_DIM))
         self.encoder = make_encoder(config.encoder, 6, config.encoder_dims, config.encoder_out_dim, config.num_points)
         remembers = config.n_action_history_steps > 0
         self.memory = EventMemory(config.memory_dim) if remembers else None
@@ -63,7 +53,7 @@ class AnchorNetwork(nn.Module):
         width = config.trunk_dim
         self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
-        self.residuals = nn.Linear(width, config.num_anchors * MOTION_DIM)
+        self.residuals = nn.Linear(width, config.num_anchors * tool_frame.MOTION_DIM)
         self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
 
     def forward(self, points: Tensor, body: Tensor, happened: Tensor) -> tuple[Tensor, Tensor]:
@@ -76,7 +66,7 @@ class AnchorNetwork(nn.Module):
 
     def nearest_anchor(self, motion: Tensor) -> Tensor:
         """Motions (B, 7) -> indices (B,) of their anchors."""
-        difference = (motion[:, None] - self.anchors) / constant(MOTION_UNITS, motion)
+        difference = (motion[:, None] - self.anchors) / tool_frame.constant(tool_frame.MOTION_UNITS, motion)
         return difference.square().sum(dim=-1).argmin(dim=-1)
 
     def needs_refinement(self, index: Tensor) -> Tensor:
@@ -106,15 +96,15 @@ class AnchorHead:
         poses = window.observations[STATE][..., :ACTION_DIM]
         if model.training:
             cloud = self._resampled(cloud)
-        points = points_seen(cloud, poses[:, -1])
-        body = [upwards(poses[:, -1]), poses[:, -1, 9:10]]
+        points = tool_frame.points_seen(cloud, poses[:, -1])
+        body = [tool_frame.upwards(poses[:, -1]), poses[:, -1, 9:10]]
         if self.config.use_effort:
             body.append(window.observations[EFFORT][:, -1] / EFFORT_UNIT)
         if self.config.use_instruction:
             body.append(window.observations[INSTRUCTION][:, -1])
         steps = self.config.n_action_history_steps
         happened = events(window.history, poses[:, -steps - 1 :], window.valid, feedback=self.config.use_feedback)
-        features = point_features(points, POINT_UNIT, DIRECTION_SCALE)
+        features = tool_frame.point_features(points, POINT_UNIT, DIRECTION_SCALE)
         predicted: tuple[Tensor, Tensor] = model(features, torch.cat(body, dim=-1), happened)
         return predicted
 
@@ -144,7 +134,7 @@ class AnchorHead:
             )
         self._fitted = model  # reading the buffer synchronises with a GPU: once is enough
         tool, goal = window.observations[STATE][:, -1, :ACTION_DIM], actions[:, 0]
-        motion = motion_between(goal, tool)
+        motion = tool_frame.motion_between(goal, tool)
         index = model.nearest_anchor(motion)
         logits, residuals = self.predict(model, window)
         choice = F.cross_entropy(logits, index, reduction="none")
@@ -174,7 +164,7 @@ class AnchorHead:
         residual = residuals[torch.arange(len(index), device=index.device), index].float()
         motion = model.anchors[index] + residual * model.spread[index]
         motion = torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1)
-        pose = pose_after(motion, tool)
+        pose = tool_frame.pose_after(motion, tool)
         if model.refiner is not None:
             pose = self._refined(model, model.refiner, window, pose, index)
         return pose[:, None]
@@ -203,7 +193,7 @@ def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
         rotation = pose[:, ROTATION_DIMS]
         return angle_between(rotation, chosen[:, ROTATION_DIMS]) + angle_between(rotation, tool[:, ROTATION_DIMS])
 
-    swapped = fingers_swapped(refined)
+    swapped = tool_frame.fingers_swapped(refined)
     return torch.where((turn(swapped) < turn(refined))[:, None], swapped, refined)
 
 

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 import torch
-from lerobot.configs.types import PipelineFeatureType, PolicyFeature
 from lerobot.lerobot_types import EnvTransition, TransitionKey
 from lerobot.processor import (
     ProcessorStep,
@@ -23,14 +22,13 @@ from torch import Tensor
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep, Pipelines
+from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep, Pipelines, SameFeaturesStep
 from lerobot_policy_adamanip.common.tool_frame import mirrored_poses
 from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 INSTRUCTION = "observation.instruction"
 INSTRUCTION_DIM = 64
-Features = dict[PipelineFeatureType, dict[str, PolicyFeature]]
 SCENE_MOTION = "scene_motion"
 """Key of an augmented batch: its `SceneMotion`, by which history and labels are moved too."""
 
@@ -84,7 +82,7 @@ class SceneMotion:
 
 @ProcessorStepRegistry.register("adamanip_rigid_augmentation")
 @dataclass
-class RigidAugmentationStep(ProcessorStep):
+class RigidAugmentationStep(SameFeaturesStep):
     """Moves a sample's whole scene in training: cloud, tool pose and action, in metres. Joint positions stay.
 
     Each sample has its own draw, which the batch keeps under `SCENE_MOTION` for the columns that the policy looks up.
@@ -135,14 +133,10 @@ class RigidAugmentationStep(ProcessorStep):
         """JSON-able options."""
         return {**asdict(self), "center": list(self.center)}
 
-    def transform_features(self, features: Features) -> Features:
-        """Shapes stay."""
-        return features
-
 
 @ProcessorStepRegistry.register("adamanip_orthonormalise")
 @dataclass
-class OrthonormaliseStep(ProcessorStep):
+class OrthonormaliseStep(SameFeaturesStep):
     """Orthonormalises the rotation 6D of an action (..., 10), by Gram-Schmidt, and clips the gripper to [0, 1]."""
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
@@ -156,10 +150,6 @@ class OrthonormaliseStep(ProcessorStep):
         )
         pose = torch.cat([action[..., schema.POSITION_DIMS], rotation, gripper], dim=-1)
         return cast(EnvTransition, {**transition, TransitionKey.ACTION: pose})
-
-    def transform_features(self, features: Features) -> Features:
-        """Shapes stay."""
-        return features
 
 
 @functools.cache
@@ -176,7 +166,7 @@ def instruction_vector(text: str) -> Tensor:
 
 @ProcessorStepRegistry.register("adamanip_instruction")
 @dataclass
-class InstructionStep(ProcessorStep):
+class InstructionStep(SameFeaturesStep):
     """Adds the instruction as `instruction_vector` to the observation, (B, 64)."""
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
@@ -193,10 +183,6 @@ class InstructionStep(ProcessorStep):
         vectors = torch.stack([instruction_vector(text) for text in texts])
         observation = {**(transition.get(TransitionKey.OBSERVATION) or {}), INSTRUCTION: vectors}
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: observation})
-
-    def transform_features(self, features: Features) -> Features:
-        """Shapes stay."""
-        return features
 
 
 def _about_z(angle: Tensor) -> Tensor:

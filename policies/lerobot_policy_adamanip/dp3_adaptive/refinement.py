@@ -11,14 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.encoders import make_encoder
-from lerobot_policy_adamanip.common.tool_frame import (
-    constant,
-    motion_between,
-    point_features,
-    points_seen,
-    pose_after,
-)
 from lerobot_policy_adamanip.common.torch_rotations import SMALL, matrix_from_rotation_vector
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
@@ -52,27 +46,27 @@ class Refiner(nn.Module):
 
     def forward(self, cloud: Tensor, pose: Tensor) -> Tensor:
         """Clouds (B, N, 3) [m], proposed poses (B, 10) -> (B, 7) in `CORRECTION_UNITS`."""
-        points = points_seen(cloud, pose)
-        distance = (points - constant(CENTRE, points)).norm(dim=-1)
+        points = tool_frame.points_seen(cloud, pose)
+        distance = (points - tool_frame.constant(CENTRE, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
             points = points + POINT_NOISE_M * torch.randn_like(points)
-        correction: Tensor = self.out(self.encoder(point_features(points, POINT_UNIT, DIRECTION_SCALE)))
+        correction: Tensor = self.out(self.encoder(tool_frame.point_features(points, POINT_UNIT, DIRECTION_SCALE)))
         return correction
 
     def loss(self, cloud: Tensor, goal: Tensor) -> Tensor:
         """Returns the mean error (B,) of corrections from proposals around the demonstrated goals (B, 10)."""
         cloud, goal = (part.repeat_interleave(PROPOSALS_PER_GOAL, dim=0) for part in (cloud, goal))
-        proposed = pose_after(sample_proposals(goal), goal)
-        target = _correction(goal, proposed) / constant(CORRECTION_UNITS, goal)
+        proposed = tool_frame.pose_after(sample_proposals(goal), goal)
+        target = _correction(goal, proposed) / tool_frame.constant(CORRECTION_UNITS, goal)
         error = F.smooth_l1_loss(self(cloud, proposed).float(), target, reduction="none").mean(dim=-1)
         return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1)
 
     def refined(self, cloud: Tensor, pose: Tensor, steps: int) -> Tensor:
         """Returns poses (B, 10) after ``steps`` corrections; the gripper stays as it is."""
         for _ in range(steps):
-            pose = _corrected(pose, self(cloud, pose).float() * constant(CORRECTION_UNITS, pose))
+            pose = _corrected(pose, self(cloud, pose).float() * tool_frame.constant(CORRECTION_UNITS, pose))
         return pose
 
 
@@ -91,12 +85,12 @@ def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
     Two swapped fingers hold alike. So the turn is given by cosine and sine of its doubled angle, equal for both grasps
     and without a jump. An angle would be learnt as the mean of a quarter turn to either side.
     """
-    motion = motion_between(goal, proposed)
+    motion = tool_frame.motion_between(goal, proposed)
     turned = matrix_from_rotation_vector(motion[:, 3:6])
     approach = turned[:, :, 2]
     across = approach[:, :2].norm(dim=-1, keepdim=True)
     angle = torch.atan2(across, approach[:, 2:])
-    tilt = approach[:, [1, 0]] * constant((-1.0, 1.0), goal) * angle / across.clamp(min=SMALL)
+    tilt = approach[:, [1, 0]] * tool_frame.constant((-1.0, 1.0), goal) * angle / across.clamp(min=SMALL)
     left = matrix_from_rotation_vector(F.pad(tilt, (0, 1))).transpose(1, 2) @ turned
     twice = 2 * torch.atan2(left[:, 1, :1], left[:, 0, :1])
     return torch.cat([motion[:, :3], tilt, twice.cos(), twice.sin()], dim=-1)
@@ -107,5 +101,5 @@ def _corrected(pose: Tensor, correction: Tensor) -> Tensor:
     way, twice = correction[:, :5], correction[:, 5:]
     turn = torch.atan2(twice[:, 1:], twice[:, :1]) / 2
     gripper = pose[:, 9:10]
-    tilted = pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
-    return pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)
+    tilted = tool_frame.pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
+    return tool_frame.pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)
