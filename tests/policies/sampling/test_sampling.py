@@ -33,10 +33,11 @@ def make(make_toy_policy: MakePolicy) -> MakePolicy:
     return build
 
 
-def with_opening(observation: Observation, opening: float) -> Observation:
-    state = observation[schema.STATE].clone()
-    state[:, schema.GRIPPER_DIM] = opening
-    return {**observation, schema.STATE: state}
+def seen_by(opening: float) -> Observation:
+    """An observation of a bottle by a hand of this opening."""
+    observation = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
+    observation[schema.STATE][:, schema.GRIPPER_DIM] = opening
+    return observation
 
 
 def acted(policy: Any, observations: list[Observation], seed: int = 5) -> torch.Tensor:
@@ -88,7 +89,7 @@ def test_motions_in_contact_are_those_between_closing_and_opening(make: MakePoli
 
 def test_every_motion_and_taking_hold_anew_are_drawn_alike(make: MakePolicy) -> None:
     policy, *_ = make()
-    held = with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3)
+    held = seen_by(0.3)
     cloud, pose = policy.observed(held)
     known = pose_after(policy.model.motions, pose.expand(6, 10))
     torch.manual_seed(0)
@@ -102,11 +103,10 @@ def test_every_motion_and_taking_hold_anew_are_drawn_alike(make: MakePolicy) -> 
 def test_an_empty_hand_takes_hold_and_a_closed_one_lets_go_first(make: MakePolicy) -> None:
     policy, *_ = make()
     policy.eval()
-    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
-    cloud, pose = policy.observed(with_opening(seen, 1.0))
+    cloud, pose = policy.observed(seen_by(1.0))
     macro = policy.draw_macro(cloud[0], pose[0])
     torch.testing.assert_close(macro, approach(macro[1]), rtol=0, atol=1e-6)
-    cloud, pose = policy.observed(with_opening(seen, 0.0))
+    cloud, pose = policy.observed(seen_by(0.0))
     macro = policy.draw_macro(cloud[0], pose[0])
     torch.testing.assert_close(macro[:2], let_go(pose[0]), rtol=0, atol=1e-6)
     torch.testing.assert_close(macro[2:], approach(macro[3]), rtol=0, atol=1e-6)
@@ -115,7 +115,7 @@ def test_an_empty_hand_takes_hold_and_a_closed_one_lets_go_first(make: MakePolic
 def test_a_push_includes_a_motion_since_nothing_is_held_then(make: MakePolicy) -> None:
     policy, *_ = make()
     policy.eval()
-    cloud, pose = policy.observed(observed(toy_world("bottle_000", 1), np.random.default_rng(0)))
+    cloud, pose = policy.observed(seen_by(1.0))
     closed = pose.clone()
     closed[:, schema.GRIPPER_DIM] = 0.0
     policy.model.draw_grasps = lambda cloud: closed
@@ -129,11 +129,10 @@ def test_a_push_includes_a_motion_since_nothing_is_held_then(make: MakePolicy) -
 def test_what_was_tried_and_felt_changes_no_draw(make: MakePolicy) -> None:
     """After whatever has happened, the same observation and the same draw give the same macro action."""
     policy, *_ = make()
-    seen = with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3)
+    seen = seen_by(0.3)
     random = [{key: torch.rand_like(value) for key, value in seen.items()} for _ in range(4)]
-    last = with_opening(seen, 0.3)
     torch.manual_seed(11)
-    alone = policy.eval().predict_action_chunk(last)[0]
+    alone = policy.eval().predict_action_chunk(seen)[0]
     for history in ([], random, random[::-1]):
         policy.reset()
         for observation in history:
@@ -141,12 +140,12 @@ def test_what_was_tried_and_felt_changes_no_draw(make: MakePolicy) -> None:
         while not policy._plans.finished(1):
             policy._plans.pop()
         torch.manual_seed(11)
-        assert torch.equal(policy.select_action(last)[0], alone[0])
+        assert torch.equal(policy.select_action(seen)[0], alone[0])
 
 
 def test_a_macro_action_is_followed_to_its_end(make: MakePolicy) -> None:
     policy, *_ = make()
-    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
+    seen = seen_by(1.0)
     others = [{key: torch.randn_like(value) for key, value in seen.items()} for _ in range(2)]
     torch.manual_seed(5)
     macro = policy.eval().predict_action_chunk(seen)
@@ -155,8 +154,8 @@ def test_a_macro_action_is_followed_to_its_end(make: MakePolicy) -> None:
 
 def test_episodes_of_a_batch_draw_for_themselves(make: MakePolicy) -> None:
     policy, *_ = make()
-    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
-    batch = {key: torch.cat([value, with_opening(seen, 0.3)[key]]) for key, value in seen.items()}
+    seen = seen_by(1.0)
+    batch = {key: torch.cat([value, seen_by(0.3)[key]]) for key, value in seen.items()}
     actions = acted(policy, [batch] * 4)
     assert actions.shape == (4, 2, 10)
     assert (actions[:2, 0, schema.GRIPPER_DIM] == 1).all()
@@ -171,7 +170,7 @@ def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, 
     """
     policy, *_ = make()
     policy.eval()
-    cloud, pose = policy.observed(with_opening(observed(toy_world("bottle_000", 1), np.random.default_rng(0)), 0.3))
+    cloud, pose = policy.observed(seen_by(0.3))
     policy.model.draw_grasps = lambda cloud: pose * torch.cat([torch.ones(9), torch.zeros(1)]) + torch.eye(10)[9]
     episodes, motions = 300, len(policy.model.motions)
     opening = pose_after(policy.model.motions[2:3], pose)
