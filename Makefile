@@ -1,6 +1,6 @@
-# Each target does all set-up it needs, in .venv. `PYTHON=/path/to/python3.12 make setup` chooses the interpreter.
-# Where rendering or the browser for one test needs packages of the system, they are named and then installed if this user
-# may; `NO_SYSTEM=1 make ...` installs none and says what to install.
+# Each target sets up what it needs in .venv. `PYTHON=/path/to/python3.12 make setup` chooses the interpreter.
+# Rendering, and the browser of one nightly test, may need system packages: they are named, then installed if this user has
+# the right to. `NO_SYSTEM=1 make ...` installs none and prints what to install.
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
@@ -12,14 +12,14 @@ BIN := .venv/bin
 JOBS ?= $(shell n=$$(nproc 2>/dev/null || echo 1); echo $$((n > 4 ? 4 : n + 1)))
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-help:  ## this list
+help:  ## print this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/make \1\t\2/' | expand -t 16
 
 setup: .venv/.simulates  ## create .venv and install everything
 
-pictures: .venv/.renders  ## see to a Vulkan device, for pictures; clouds do without
+pictures: .venv/.renders  ## set up a Vulkan device, for images; clouds need none
 
-# Several stamps: a machine that only lacks Vulkan does not install Python packages again.
+# Several stamp files: a machine that only lacks Vulkan does not install the Python packages again.
 .venv/.installed: pyproject.toml constraints.txt scripts/setup_python.sh
 	bash scripts/setup_python.sh
 	@touch $@
@@ -32,7 +32,7 @@ pictures: .venv/.renders  ## see to a Vulkan device, for pictures; clouds do wit
 	bash scripts/setup_vulkan.sh
 	@touch $@
 
-# For one test; `make setup` alone does without.
+# For one nightly test; `make setup` does not install it.
 .venv/.browser: .venv/.installed scripts/setup_browser.sh
 	bash scripts/setup_browser.sh
 
@@ -48,7 +48,7 @@ LEROBOT ?= main
 lerobot: .venv/.installed  ## tests without the simulator against another LeRobot: `make lerobot LEROBOT=main`, or a release
 	JOBS=$(JOBS) bash scripts/test_lerobot.sh "$(LEROBOT)"
 
-nightly: pictures .venv/.browser  ## what takes long: long tests, every expert, hidden states, robustness; an hour or more
+nightly: pictures .venv/.browser  ## long forms of tests, every expert, hidden states, robustness: about an hour on two cores
 	bash scripts/nightly.sh
 
 check: .venv/.installed  ## format, lint, types, layers
@@ -57,15 +57,15 @@ check: .venv/.installed  ## format, lint, types, layers
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-format: .venv/.installed  ## rewrite the files as `make check` wants them
+format: .venv/.installed  ## format the files and fix what ruff can fix
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-docs: .venv/.installed  ## the documentation as a site, in outputs/site
+docs: .venv/.installed  ## build the documentation site in outputs/site
 	$(BIN)/python -m mkdocs build --strict
 
-# What the workflow of a release does, up to the upload, on the packages of .venv instead of downloaded ones.
-release: .venv/.simulates  ## wheel and source archive in dist/, tried in an environment of their own
+# As the release workflow up to the upload, with the packages of .venv instead of downloaded ones.
+release: .venv/.simulates  ## build wheel and source archive in dist/, test them in a new environment
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation --outdir dist
 	$(BIN)/python scripts/smoke_test_release.py dist --share-packages

@@ -44,7 +44,7 @@ rm -rf "$out/eval" "$out/eval.jsonl"
     --env.observe_images=false --env.episode_log="$out/eval.jsonl" \
     --eval.n_episodes="$evaluate" --eval.batch_size=2 --output_dir="$out/eval"
 
-say "5/5  What came of it"
+say "5/5  Results"
 "$bin/adamanip" report "$out/eval.jsonl" --out "$out/success.png"
 "$bin/adamanip" report "$out/eval.jsonl" --json > "$out/report.json"
 cat <<END

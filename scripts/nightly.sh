@@ -1,18 +1,17 @@
 #!/usr/bin/env bash
-# What takes too long for every change: tests marked nightly, experts on fresh scenes, hidden states, nonsense sent to every
-# environment. Runs all parts and ends with status 1 if one failed. WORKERS=2 EPISODES=20 bash scripts/nightly.sh
+# Long checks: tests marked nightly, experts on fresh scenes, hidden states, random actions in every environment. Runs all parts and ends with status 1 if one failed. WORKERS=2 EPISODES=20 bash scripts/nightly.sh
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 out=${OUT:-outputs/nightly} workers=${WORKERS:-$(nproc)} episodes=${EPISODES:-20}
 python=.venv/bin/python
-# Scenes of the day: an expert that only knows the scenes it was tuned on is found out sooner or later.
+# Other scenes each day, so that experts do not only pass on the scenes they were tuned on.
 first_seed=${FIRST_SEED:-$((12000000 + 10#$(date -u +%j) * 10000))}
 export OMP_NUM_THREADS=1 PYTHONUNBUFFERED=1
 failed=()
 mkdir -p "$out"
 
-# Runs "$2"... as part "$1", and goes on whatever comes of it.
+# Runs the command "$2"... as part "$1" and notes its failure.
 part() {
     local name=$1 began=$SECONDS
     shift

@@ -1,13 +1,12 @@
 #!/usr/bin/env bash
-# Sees to a Chromium for the test of the annotation page. Does nothing where there is one; installs the distribution's as
-# root on Debian, else Playwright's own into the user's cache. Without any, that one test is skipped (and fails where CI is
-# set): told, not fatal. NO_SYSTEM=1 installs none.
+# Installs Chromium for the test of the annotation page, unless there is one: Debian's package, else Playwright's download
+# in the user's cache. Without any, that test is skipped, or fails if CI is set. NO_SYSTEM=1 installs none.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 source scripts/setup_common.sh
 
-# Asked for its version: Ubuntu has a command of that name that only says which snap to install.
+# Runs it, because Ubuntu's command of that name only prints which snap to install.
 found() {
     local candidate
     for candidate in chromium chromium-browser google-chrome google-chrome-stable; do

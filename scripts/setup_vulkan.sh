@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Sees to a Vulkan device SAPIEN can render with: a GPU's, else Mesa's lavapipe (on the CPU; Mesa >= 24.3).
-# With the argument "libraries", only to what SAPIEN and OpenCV need to be imported: clouds take no Vulkan device.
-# Does nothing where that works. Installs packages on Debian and Ubuntu as root, after saying which; with NO_SYSTEM=1,
-# and elsewhere, it says what to install.
+# Sets up a Vulkan device for SAPIEN: a GPU's, else Mesa's lavapipe (on the CPU; Mesa >= 24.3). With the argument
+# "libraries", only what SAPIEN and OpenCV need to be imported: clouds need no Vulkan device.
+# Installs packages on Debian and Ubuntu as root, after naming them; with NO_SYSTEM=1, and elsewhere, it prints them.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
