@@ -18,9 +18,9 @@ import pytest
 from arm_helpers import LOCKSTEP, eventually, fake_arm, pose_ahead
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.hardware.arm import Execution
+from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
+from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, ServerOptions
 from lerobot_adamanip.util.errors import RobotError
 
 
@@ -30,21 +30,40 @@ def arm() -> Iterator[ArmClient]:
         yield client
 
 
+def read(status: ArmStatus) -> ArmReading:
+    assert status.reading is not None
+    return status.reading
+
+
 def position(client: ArmClient) -> float:
-    reading = client.status().reading
-    assert reading is not None
-    return float(reading.tcp_in_base[0, 3])
+    return float(read(client.status()).tcp_in_base[0, 3])
 
 
-def test_a_key_frame_is_reached_and_its_status_tells_what_was_sent(arm: ArmClient) -> None:
-    pose = pose_ahead(arm, 0.05, gripper=0.0)
-    ended = arm.wait(arm.send(pose, Execution.KEYFRAME), 20)
-    assert ended.reading is not None
-    assert ended.sent is not None
-    assert ended.reading.outcome is Outcome.REACHED
-    assert (ended.sent == pose).all()
-    assert ended.reading.tcp_in_base[0, 3] == pytest.approx(pose[0], abs=1e-6)
-    assert ended.reading.gripper == 0.0
+def play(client: ArmClient, x: float, gripper: float = 1.0) -> ArmReading:
+    """Plays a key frame ``x`` ahead."""
+    return read(client.wait(client.send(pose_ahead(client, x, gripper), Execution.KEYFRAME), 20))
+
+
+def inject(client: ArmClient, kind: str, **values: Any) -> None:
+    client.request("inject", {"kind": kind, **values})
+
+
+def fault_of(client: ArmClient) -> str:
+    fault = eventually(client, lambda status: status.fault is not None).fault
+    assert fault is not None
+    return fault
+
+
+def test_a_key_frame_is_reached_and_a_wall_ends_it_in_a_stall() -> None:
+    with fake_arm(wall=0.55) as arm:
+        reached = play(arm, 0.03, gripper=0.0)
+        assert (reached.outcome, reached.gripper) == (Outcome.REACHED, 0.0)
+        assert reached.tcp_in_base[0, 3] == pytest.approx(0.53, abs=1e-6)
+        stalled = play(arm, 0.2)
+        assert stalled.outcome is Outcome.STALLED
+        assert stalled.tcp_in_base[0, 3] == pytest.approx(0.55)
+        assert stalled.effort[0] > 20  # it leans
+        assert play(arm, -0.05).outcome is Outcome.REACHED
 
 
 def test_the_newest_of_a_stream_wins_and_a_stream_that_ends_is_held() -> None:
@@ -63,82 +82,42 @@ def test_the_newest_of_a_stream_wins_and_a_stream_that_ends_is_held() -> None:
         eventually(arm, lambda status: position(arm) > stands)
 
 
-def test_a_wall_ends_a_key_frame_in_a_stall() -> None:
-    with fake_arm(wall=0.55) as arm:
-        ended = arm.wait(arm.send(pose_ahead(arm, 0.2), Execution.KEYFRAME), 20)
-        assert ended.reading is not None
-        assert ended.reading.outcome is Outcome.STALLED
-        assert ended.reading.tcp_in_base[0, 3] == pytest.approx(0.55)
-        assert ended.reading.effort[0] > 20  # it leans
-        back = arm.wait(arm.send(pose_ahead(arm, -0.05), Execution.KEYFRAME), 20)
-        assert back.reading is not None
-        assert back.reading.outcome is Outcome.REACHED
-
-
 def test_a_reflex_names_its_flags_and_nothing_is_accepted_until_recovery(arm: ArmClient) -> None:
     arm.send(pose_ahead(arm, 1.0), Execution.STREAM)
     eventually(arm, lambda status: status.accepted == 1)
-    arm.request("inject", {"kind": "reflex", "flags": ["cartesian_reflex", "joint_reflex"]})
-    eventually(arm, lambda status: status.fault is not None)
-    with pytest.raises(RobotError, match=r"(?s)reflex\): cartesian_reflex, joint_reflex.*recover"):
+    inject(arm, "reflex", flags=["cartesian_reflex", "joint_reflex"], refuses=1)
+    with contextlib.suppress(RobotError):
+        arm.send(pose_ahead(arm, 0.1), Execution.STREAM)  # by a recorder that has not seen the fault yet
+    assert "reflex): cartesian_reflex, joint_reflex" in fault_of(arm)
+    with pytest.raises(RobotError, match=r"(?s)joint_reflex.*recover"):
         arm.send(pose_ahead(arm, 0.1), Execution.STREAM)
-    assert len(arm.request("targets")["targets"]) == 1
+    with pytest.raises(RobotError, match="does not recover"):
+        arm.request("recover")
     stood = position(arm)
     arm.request("recover")
     time.sleep(0.1)
-    status = arm.healthy()
-    assert status.faults == 1
-    assert position(arm) == stood  # the target of before is not taken up again
-    arm.wait(arm.send(pose_ahead(arm, 0.01), Execution.KEYFRAME), 20)
+    assert arm.healthy().faults == 1
+    assert position(arm) == stood  # no target of before is executed
+    assert len(arm.request("targets")["targets"]) == 1
+    play(arm, 0.01)
     assert len(arm.request("targets")["targets"]) == 2
 
 
-def test_a_target_sent_during_a_fault_is_not_executed_after_it(arm: ArmClient) -> None:
-    """Written by a recorder that has not seen the fault yet."""
-    arm.request("inject", {"kind": "reflex", "flags": ["joint_reflex"]})
-    pose = pose_ahead(arm, 0.1)
-    with contextlib.suppress(RobotError):
-        arm.send(pose, Execution.STREAM)
-    eventually(arm, lambda status: status.fault is not None)
-    arm.request("recover")
-    time.sleep(0.1)
-    assert arm.request("targets") == {"targets": []}
-
-
-def test_a_recovery_that_fails_says_so(arm: ArmClient) -> None:
-    arm.request("inject", {"kind": "reflex", "flags": ["joint_reflex"], "refuses": 1})
-    eventually(arm, lambda status: status.fault is not None)
-    with pytest.raises(RobotError, match="does not recover"):
-        arm.request("recover")
-    with pytest.raises(RobotError, match="joint_reflex"):
-        arm.healthy()
-    arm.request("recover")
-    arm.healthy()
-
-
-def test_a_clock_that_stands_still_is_a_fault() -> None:
+@pytest.mark.parametrize("stop_takes", [0.0, 3.0])
+def test_a_clock_that_stands_still_is_a_fault_published_before_the_arm_is_stopped(stop_takes: float) -> None:
     with fake_arm(ServerOptions(state_age=1.0)) as arm:
-        arm.request("inject", {"kind": "freeze"})
+        inject(arm, "freeze", seconds=stop_takes)
         began = time.perf_counter()
-        fault = eventually(arm, lambda status: status.fault is not None).fault
-        assert fault is not None
-        assert "s old, more than 1 s" in fault
+        assert "s old, more than 1 s" in fault_of(arm)  # a status older than 1 s would be an error
         assert time.perf_counter() - began > 0.9
-        arm.request("inject", {"kind": "thaw"})
-        arm.request("recover")
-        arm.healthy()
+        if not stop_takes:
+            inject(arm, "thaw")
+            arm.request("recover")
+            arm.healthy()
 
 
-def test_a_fault_is_told_before_an_arm_that_does_not_answer_is_stopped() -> None:
-    with fake_arm(ServerOptions(state_age=1.0)) as arm:
-        arm.request("inject", {"kind": "freeze", "seconds": 3.0})
-        fault = eventually(arm, lambda status: status.fault is not None).fault  # a status older than 1 s is an error
-        assert fault is not None
-        assert "s old, more than 1 s" in fault
-
-
-def test_a_lost_connection_is_mended_by_connecting_only(arm: ArmClient) -> None:
-    arm.request("inject", {"kind": "lost"})
+def test_a_lost_connection_is_repaired_by_connecting_only(arm: ArmClient) -> None:
+    inject(arm, "lost")
     eventually(arm, lambda status: status.lost)
     with pytest.raises(RobotError, match=r"(?s)lost.*connect anew"):
         arm.healthy()
@@ -150,12 +129,7 @@ def test_a_lost_connection_is_mended_by_connecting_only(arm: ArmClient) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({2: np.nan}, "no pose"),
-        ({3: 0.5}, "rotation is none"),
-        ({0: 0.71}, "outside the box"),
-    ],
+    ("values", "message"), [({2: np.nan}, "no pose"), ({3: 0.5}, "rotation is none"), ({0: 0.71}, "outside the box")]
 )
 def test_a_target_that_no_filter_lets_through_is_a_fault(values: dict[int, float], message: str) -> None:
     box = ServerOptions(state_age=5.0, box_lower=(0.3, -0.3, 0.2), box_upper=(0.7, 0.3, 0.6))
@@ -163,9 +137,7 @@ def test_a_target_that_no_filter_lets_through_is_a_fault(values: dict[int, float
         pose = pose_ahead(arm, 0.1)
         pose[list(values)] = list(values.values())
         arm.send(pose, Execution.STREAM)
-        eventually(arm, lambda status: status.fault is not None)
-        with pytest.raises(RobotError, match=message):
-            arm.healthy()
+        assert message in fault_of(arm)
         assert arm.request("targets") == {"targets": []}
 
 
@@ -205,7 +177,6 @@ def test_unknown_requests_are_refused(arm: ArmClient) -> None:
         arm.request("dance")
     with pytest.raises(RobotError, match="lockstep"):
         arm.request("step")
-    assert arm.request("reset", {"seed": 7}) == {"seed": 7}
 
 
 def test_in_lockstep_each_target_takes_its_share_of_time_and_nothing_else_does() -> None:
@@ -213,36 +184,28 @@ def test_in_lockstep_each_target_takes_its_share_of_time_and_nothing_else_does()
         goal = pose_ahead(arm, 1.0)
         for count in range(1, 31):
             arm.send(goal, Execution.STREAM)
-            reading = arm.status().reading
-            assert reading is not None
-            assert abs(reading.robot_time - count / 30) < 0.02  # less than a tick, and never growing
-        assert reading.robot_time == pytest.approx(1.0)
+            now = read(arm.status()).robot_time
+            assert abs(now - count / 30) < 0.02  # less than a tick, and never growing
+        assert now == pytest.approx(1.0)
         time.sleep(0.1)
-        assert arm.status().reading.robot_time == reading.robot_time  # type: ignore[union-attr]
-        ended = arm.wait(arm.send(pose_ahead(arm, -0.1), Execution.KEYFRAME), 1.0)
-        assert ended.reading is not None
-        assert ended.reading.outcome is Outcome.REACHED
+        assert read(arm.status()).robot_time == now
+        assert play(arm, -0.1).outcome is Outcome.REACHED
 
 
 def test_in_lockstep_a_reset_is_seen_at_once_and_begins_time_anew() -> None:
     """Nothing ticks between a reset and the next observation; and steps before it leave no part of a tick behind."""
     with fake_arm(LOCKSTEP, speed=1.0) as arm:
-        start = arm.status().reading
-        assert start is not None
+        start = read(arm.status()).tcp_in_base
         for steps_before in (1, 2, 3):
             for _ in range(steps_before):
                 arm.send(pose_ahead(arm, 0.2), Execution.STREAM)
-            moved = arm.status().reading
-            assert moved is not None
-            assert moved.tcp_in_base[0, 3] > start.tcp_in_base[0, 3] + 0.01
-            arm.request("reset", {"seed": 7})
-            again = arm.status().reading
-            assert again is not None
-            np.testing.assert_array_equal(again.tcp_in_base, start.tcp_in_base)
+            assert position(arm) > start[0, 3] + 0.01
+            assert arm.request("reset", {"seed": 7}) == {"seed": 7}
+            again = read(arm.status())
+            np.testing.assert_array_equal(again.tcp_in_base, start)
             arm.send(pose_ahead(arm, 0.2), Execution.STREAM)
-            stepped = arm.status().reading
-            assert stepped is not None
-            assert stepped.robot_time - again.robot_time == pytest.approx(0.02)  # one tick of the 33 ms, 13 are owed
+            passed = read(arm.status()).robot_time - again.robot_time
+            assert passed == pytest.approx(0.02)  # one tick of the 33 ms, 13 are owed
             arm.request("reset", {"seed": 7})
 
 
@@ -250,7 +213,7 @@ RECORDER = """
 import sys, time
 sys.path.insert(0, {helpers!r})
 from arm_helpers import fake_arm, pose_ahead
-from lerobot_adamanip.hardware.arm import Execution
+from lerobot_adamanip.hardware.arm import ArmReading, Execution
 arm = fake_arm(speed=0.05, log={log!r}, connect_takes={takes})
 arm.connect()
 goal = pose_ahead(arm, 1.0)

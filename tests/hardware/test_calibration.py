@@ -181,16 +181,12 @@ def test_a_folder_of_an_older_board_is_told_how_to_be_read(tmp_path: Path, capsy
     assert "No picture" not in capsys.readouterr().err
 
 
-def test_folders_of_before_patterns_were_told_are_read(tmp_path: Path) -> None:
-    write_views(tmp_path, truth(0, 1))
+def test_older_folders_are_read_and_a_missing_picture_is_named(tmp_path: Path) -> None:
+    folder = write_views(tmp_path, truth(0, 2))
     told = json.loads((tmp_path / "views.json").read_text())
-    del told["board"]["legacy"]
+    del told["board"]["legacy"]  # as older folders lack it
     (tmp_path / "views.json").write_text(json.dumps(told))
     assert ViewFolder.open(tmp_path).board == BOARD
-
-
-def test_a_missing_picture_is_named(tmp_path: Path) -> None:
-    folder = write_views(tmp_path, truth(0, 2))
     (tmp_path / "view_001.png").unlink()
     with pytest.raises(ConfigurationError, match=r"view_001\.png"):
         folder.views()

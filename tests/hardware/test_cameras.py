@@ -79,11 +79,7 @@ def test_a_frozen_camera_is_named_and_its_last_frame_never_given(camera: Scripte
     assert camera.async_read(timeout_ms=100)[0, 0, 0] == 1  # not read this way before
     with pytest.raises(RobotError, match=r"bench.*frozen"):
         camera.async_read(timeout_ms=100)
-    camera.disconnect()
-
-
-def test_an_exposure_long_ago_is_stale_even_if_it_arrived_just_now(camera: ScriptedCamera) -> None:
-    now = time.perf_counter()
+    now = time.perf_counter()  # exposed long ago, and arrived just now
     late = numbered_frame(7, now - MAX_AGE - 1)
     camera.frames.put(Frame(late.stamp, now, late.color, late.depth, 7))
     with pytest.raises(RobotError, match="frozen"):
@@ -231,20 +227,6 @@ def test_lerobot_makes_the_replay_camera_and_it_keeps_the_rate(tmp_path: Path) -
         assert frame.depth[0, 0] == 500 + frame.number % 10  # plays round and round, whatever was dropped
         assert frame.stamp - start.stamp == pytest.approx((frame.number - start.number) / 50, abs=1e-6)
     assert [f.number for f in frames] == sorted({f.number for f in frames})
-
-
-def test_a_recording_that_ends_is_a_frozen_camera(tmp_path: Path) -> None:
-    write_numbered(tmp_path / "left", 3, fps=30)
-    camera = AdamanipReplay(AdamanipReplayConfig(path=tmp_path / "left", loop=False))
-    camera.connect()
-
-    def play() -> None:
-        for _ in range(4):
-            camera.frame_after(time.perf_counter(), 0.3)
-
-    with pytest.raises(RobotError, match="Camera left: It is frozen"):
-        play()
-    camera.disconnect()
 
 
 def test_another_rate_or_what_was_not_recorded_is_refused(tmp_path: Path) -> None:

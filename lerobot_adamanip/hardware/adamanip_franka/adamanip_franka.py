@@ -16,7 +16,6 @@ from lerobot.robots.robot import Robot
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.hardware.adamanip_franka.loop_warnings import SlowLoopFilter
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules, action_vector
 from lerobot_adamanip.hardware.adamanip_franka.observed import SkewWatch, camera_features, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading
@@ -35,6 +34,14 @@ MAX_LEADS = 2.0
 """Multiple of the filter's lead that the arm's process allows: its reading is a newer one."""
 
 _logger = logging.getLogger(__name__)
+
+
+class SlowLoopFilter(logging.Filter):
+    """Drops LeRobot's warning of a slow loop (0.6.1, and later ones), which means nothing in lockstep."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Returns whether a record is written."""
+        return not str(record.msg).startswith(("Record loop is running slower", "Control loop is running slower"))
 
 
 class AdamanipFranka(Robot):
@@ -132,7 +139,8 @@ class AdamanipFranka(Robot):
         assert self._client is not None
         if (fps := self._client.server.lockstep_fps) is not None:
             self._session.details[LOCKSTEP_DT] = 1 / fps
-            self._slow_loop.install()
+            for handler in logging.getLogger().handlers:
+                handler.addFilter(self._slow_loop)
         rules = MotionRules(self.config.execution, self.config.auto_recover, self.config.motion_time)
         self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), rules)
         self._driver.anchor()
@@ -181,7 +189,8 @@ class AdamanipFranka(Robot):
         if client is None:
             return
         client.close()
-        self._slow_loop.remove()
+        for handler in logging.getLogger().handlers:
+            handler.removeFilter(self._slow_loop)
         ROBOTS.close(self._registry_id)
         for key, camera in self.cameras.items():
             if self._skews[key].skewed:

@@ -17,10 +17,7 @@ EXECUTIONS = ("auto", "keyframe", "stream")
 @RobotConfig.register_subclass("adamanip_franka")
 @dataclass(kw_only=True)
 class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
-    """A Franka with its hand: what it is, where it may go, how an action is executed. See docs/robot.md.
-
-    What has no default has to be given: nobody else knows it.
-    """
+    """A Franka with its hand, see docs/robot.md. Address, model and box have to be given."""
 
     box_lower: tuple[float, float, float] | None = None
     """Lowest corner [m, base frame] of the box; its z is the floor. Targets, and the way of a key frame, keep the tool

@@ -112,23 +112,21 @@ def solve(views: Sequence[View], intrinsics: Intrinsics, mounting: Mounting) -> 
     _require_agreement(views, problem.rms_of_views(*found))
     rms = float(np.sqrt(np.mean(np.square(problem.errors(*found)))))
     camera, board = found
-    positions, angles = _left_out(problem, camera, board)
+    fewer = [problem.refined(camera, board, problem.view != index)[0] for index in range(len(views))]
+    positions, angles = zip(*(_apart(other, camera) for other in fewer), strict=True)
     expected = np.linalg.inv(camera) @ moved @ board
     each = zip(views, problem.rms_of_views(*found), seen, expected, strict=True)
-    residuals = tuple(
-        Residual(
-            view.name,
-            float(pixels),
-            float(np.linalg.norm(alone[:3, 3] - together[:3, 3])),
-            angle_between(alone[:3, :3], together[:3, :3]),
-        )
-        for view, pixels, alone, together in each
-    )
-    return HandEye(mounting, camera, board, rms, residuals, float(max(positions)), float(max(angles)))
+    residuals = tuple(Residual(view.name, float(pixels), *_apart(alone, both)) for view, pixels, alone, both in each)
+    return HandEye(mounting, camera, board, rms, residuals, max(positions), max(angles))
+
+
+def _apart(first: Array, second: Array) -> tuple[float, float]:
+    """Returns the distance of two (4, 4) poses [m, rad]."""
+    return float(np.linalg.norm(first[:3, 3] - second[:3, 3])), angle_between(first[:3, :3], second[:3, :3])
 
 
 class _Problem:
-    """All corners of all views, and where two poses would have them seen."""
+    """Least-squares problem over all corners of all views."""
 
     def __init__(self, views: Sequence[View], moved: Array, intrinsics: Intrinsics) -> None:
         self.moved, self.intrinsics = moved, intrinsics
@@ -138,19 +136,19 @@ class _Problem:
         self.pixels = np.concatenate([view.pixels for view in views])
 
     def errors(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> Array:
-        """(K, 2) [px] of all corners, or of those ``kept``."""
+        """Returns the errors (K, 2) [px] of all corners, or of those ``kept``."""
         chosen = slice(None) if kept is None else kept
         board_in_camera = np.linalg.inv(camera) @ self.moved @ board
         points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
         return _project(points[:, :3], self.intrinsics) - self.pixels[chosen]
 
     def rms_of_views(self, camera: Array, board: Array) -> Array:
-        """(V,) [px]."""
+        """Returns the errors (V,) [px] of the views."""
         squares = np.square(self.errors(camera, board)).mean(axis=1)
         return np.asarray(np.sqrt(np.bincount(self.view, squares) / np.bincount(self.view)))
 
     def refined(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-        """Returns both poses where all errors together are least; far ones count less (soft L1)."""
+        """Returns the poses of least error; far corners count less (soft L1)."""
         from scipy.optimize import least_squares
 
         def poses(step: Array) -> tuple[Array, Array]:
@@ -183,7 +181,6 @@ def _small(step: Array) -> Array:
 
 
 def _board_in_camera(view: View, intrinsics: Intrinsics) -> Array:
-    """The board's pose from one view alone."""
     import cv2
 
     _, turn, position = cv2.solvePnP(view.points, view.pixels, intrinsics.matrix, intrinsics.distortion)
@@ -191,7 +188,7 @@ def _board_in_camera(view: View, intrinsics: Intrinsics) -> Array:
 
 
 def _best_start(problem: _Problem, moved: Array, seen: Array) -> tuple[Array, Array]:
-    """Of solutions of all views and of small subsets, that which most views agree with."""
+    """Returns the solution, of all views or a small subset, with the least median error."""
     rng = np.random.default_rng(0)
     subsets = [np.arange(len(moved)), *(rng.choice(len(moved), _DRAWN, replace=False) for _ in range(_DRAWS))]
     starts = [found for subset in subsets if (found := _park(moved[subset], seen[subset])) is not None]
@@ -199,7 +196,7 @@ def _best_start(problem: _Problem, moved: Array, seen: Array) -> tuple[Array, Ar
 
 
 def _park(moved: Array, seen: Array) -> tuple[Array, Array] | None:
-    """Park & Martin's solution, the board where the views say in the middle; None where there is no finite one."""
+    """Returns Park & Martin's solution with the median board pose; None if it is not finite."""
     import cv2
 
     hand = np.linalg.inv(moved)  # OpenCV's "gripper to base" of a camera on the gripper
@@ -227,7 +224,7 @@ def _require_variety(views: Sequence[View], moved: Array) -> None:
             allowed=f"at least {FEWEST_VIEWS}; 20 are better",
             hint="more poses, board whole in the picture and lit evenly",
         )
-    spread = rotation_spread(moved)
+    spread = _rotation_spread(moved)
     if spread[1] < LEAST_SPREAD:
         degrees = ", ".join(f"{each:.0f}" for each in np.rad2deg(spread))
         raise ConfigurationError(
@@ -238,11 +235,8 @@ def _require_variety(views: Sequence[View], moved: Array) -> None:
         )
 
 
-def rotation_spread(poses: Array) -> Array:
-    """How far poses (V, 4, 4) are turned from end to end about three axes, the largest first (3,) [rad].
-
-    About their own principal axes, so that it does not matter how the base is turned.
-    """
+def _rotation_spread(poses: Array) -> Array:
+    """Returns the range of the turns of poses (V, 4, 4) about their principal axes, the largest first (3,) [rad]."""
     left, _, right = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
     middle = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     turns = np.stack([rotation_vector_from_matrix(middle.T @ pose[:3, :3]) for pose in poses])
@@ -251,7 +245,7 @@ def rotation_spread(poses: Array) -> Array:
 
 
 def _require_agreement(views: Sequence[View], rms: Array) -> None:
-    """Names views that contradict the others, and refuses a fit that is none."""
+    """Raises `ConfigurationError` with the views that contradict the others, or for a bad fit."""
     wrong = np.flatnonzero(rms > max(3 * WORST_RMS, 5 * float(np.median(rms))))
     if len(wrong):
         named = ", ".join(f"{views[index].name} ({rms[index]:.1f} px)" for index in wrong)
@@ -269,13 +263,3 @@ def _require_agreement(views: Sequence[View], rms: Array) -> None:
             allowed=f"at most {WORST_RMS:.0f} px",
             hint="measure the printed squares; hold the board flat; rest at each pose; is the mounting right?",
         )
-
-
-def _left_out(problem: _Problem, camera: Array, board: Array) -> tuple[list[float], list[float]]:
-    """How far the camera moves and turns if each view in turn is left out [m, rad]."""
-    positions, angles = [], []
-    for index in range(len(problem.moved)):
-        other, _ = problem.refined(camera, board, problem.view != index)
-        positions.append(float(np.linalg.norm(other[:3, 3] - camera[:3, 3])))
-        angles.append(angle_between(other[:3, :3], camera[:3, :3]))
-    return positions, angles
