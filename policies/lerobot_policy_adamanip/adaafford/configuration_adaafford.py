@@ -29,9 +29,9 @@ class AdaAffordConfig(AffordanceConfig):
 
     # Motions proposed for a held part.
     held_proposals: int = 48
-    # Points proposed to take hold of ...
+    # Points of a new contact that are compared.
     contact_points: int = 8
-    # ... and actions at each; in training so many at each of two points.
+    # Actions proposed at each of them, and in training at each of two points.
     contact_proposals: int = 8
     # Number of first interactions that are also chosen for their information.
     explorations: int = 4

@@ -84,7 +84,7 @@ class DepthToCloudStep(SameFeaturesStep):
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: kept})
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
-        """Depth (..., H, W, 1) or (..., 1, H, W) [mm] -> (..., N, 3) [m], with a batch of one where it has none."""
+        """Depth (..., H, W, 1) or (..., 1, H, W) [mm] -> (..., N, 3) [m], with a batch dimension added if missing."""
         from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # brings scipy's rotations
 
         depth = _without_channel(picture.detach().cpu().numpy())

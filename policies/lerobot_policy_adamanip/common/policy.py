@@ -157,7 +157,7 @@ def log_training_objects(checkpoint: Path) -> None:
 
 
 class ChunkGuard:
-    """Refuses chunks of a policy with a history that is not told which actions were executed.
+    """Refuses chunks of a policy with a history that does not know which actions were executed.
 
     `select_action` remembers the action that it returns. LeRobot's asynchronous policy server calls
     `predict_action_chunk` alone, so that the history would stay empty.
@@ -176,7 +176,7 @@ class ChunkGuard:
         latest = self._predicted or observation
         if any(not torch.equal(latest[key], observation[key]) for key in (POINT_CLOUD, STATE)):
             raise ConfigurationError(
-                f"{self._policy_type} has a history, and is not told which actions were executed.",
+                f"{self._policy_type} has a history, and does not know which actions were executed.",
                 got="predict_action_chunk for another observation, without select_action since the first",
                 allowed="select_action for each observation; reset() where another episode begins",
                 hint="lerobot-rollout --inference.type=sync, instead of rtc or the asynchronous policy server",

@@ -18,9 +18,9 @@ class VatMartConfig(AffordanceConfig):
     waypoints: int = 8
     # Trajectories proposed at a contact point; the best is executed.
     proposals: int = 100
-    # Training only: proposals at a point, whose actionability is the mean score ...
+    # Training only: proposals at a point, from which its actionability is learnt.
     training_proposals: int = 20
-    # ... of this many of the best.
+    # Training only: number of best proposals whose mean score is the actionability.
     best_proposals: int = 2
     # Size of the latent vector of trajectories at a point.
     latent_dim: int = 8
