@@ -6,11 +6,13 @@ Nothing of those collections is shipped: whoever has them points ``--env.assets=
 
 from __future__ import annotations
 
-from lerobot_adamanip.assets.loading import PlacementCheck, load_object
-from lerobot_adamanip.assets.names import asset_id, is_asset_id, parse_asset_id
-from lerobot_adamanip.assets.source import AssetReport, AssetSource, asset_objects, load_asset
+from lerobot_adamanip.assets.source import (
+    AssetReport,
+    AssetSource,
+    PlacementCheck,
+    is_asset_id,
+    load_object,
+    parse_asset_id,
+)
 
-__all__ = [
-    "AssetReport", "AssetSource", "PlacementCheck", "asset_id", "asset_objects", "is_asset_id", "load_asset",
-    "load_object", "parse_asset_id",
-]  # fmt: skip
+__all__ = ["AssetReport", "AssetSource", "PlacementCheck", "is_asset_id", "load_object", "parse_asset_id"]

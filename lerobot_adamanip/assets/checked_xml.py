@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 import math
 from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.util.errors import ConfigurationError
 
+logger = logging.getLogger(__name__)
+
 HUGE = 1e4
 """No number in the description of a household object is larger."""
 
 
 def broken(
-    path: Path, what: str, *, got: object, allowed: object, hint: str = "the file as it was published"
+    path: Path, what: str, got: object, allowed: object, *, hint: str = "the file as it was published"
 ) -> Exception:
     """Returns the error for a file that cannot be used."""
     return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
+
+
+@functools.cache
+def warn_once(text: str) -> None:
+    """Logs a warning, the first time only: objects are loaded again and again."""
+    logger.warning("%s", text)
 
 
 def parse_xml(path: Path, text: bytes) -> Any:
@@ -30,12 +40,12 @@ def parse_xml(path: Path, text: bytes) -> Any:
         raise broken(
             path,
             "has a document type or entities, which are not read.",
-            got=type(error).__name__,
-            allowed="plain XML",
+            type(error).__name__,
+            "plain XML",
             hint="a file without <!DOCTYPE ...>",
         ) from error
     except (ParseError, ValueError, LookupError, RecursionError) as error:
-        raise broken(path, "not XML.", got=error, allowed="well-formed XML") from error
+        raise broken(path, "not XML.", error, "well-formed XML") from error
 
 
 def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
@@ -46,9 +56,6 @@ def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
         values = ()
     if len(values) != count or not all(math.isfinite(v) and abs(v) < HUGE for v in values):
         raise broken(
-            path,
-            f"{what} is not {count} finite number(s).",
-            got=repr(text[:80]),
-            allowed=f"{count} number(s) below {HUGE:g}",
+            path, f"{what} is not {count} finite number(s).", repr(text[:80]), f"{count} number(s) below {HUGE:g}"
         )
     return values

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice
 from lerobot_adamanip.assets.checked_xml import broken
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame, posed
-from lerobot_adamanip.assets.meshes import Surface, convex_parts
+from lerobot_adamanip.assets.meshes import convex_parts
 from lerobot_adamanip.assets.plausible import check_meshes, left_out, tell_left_out
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.upstream import check_kind, find_annotation
-from lerobot_adamanip.assets.urdf import Urdf, read_urdf
+from lerobot_adamanip.assets.urdf import URDF_NAME, Urdf, read_urdf
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.mechanisms.table import GOAL_MARGIN, infeasible
 from lerobot_adamanip.objects.base import (
@@ -31,6 +31,7 @@ from lerobot_adamanip.objects.base import (
 )
 
 Array = NDArray[np.float64]
+Color = tuple[float, float, float]
 
 NEAR = 0.15
 """A grasp further than this outside of the object holds nothing [m]."""
@@ -39,18 +40,9 @@ ROOT_MASS, FINAL_MASS, KEY_MASS = 10.0, 2.0, 0.1
 MASSES = (0.005, 200.0)
 
 
-def convert_asset(folder: Path, category: str) -> ArticulatedObject:
-    """Reads a folder and builds its object; see `load_object`."""
-    return _converted(folder, category, solid=True)
-
-
-def inspect_asset(folder: Path, category: str) -> ArticulatedObject:
-    """Reads a folder and builds its object without collision shapes, which may take long; all else is checked."""
-    return _converted(folder, category, solid=False)
-
-
-def _converted(folder: Path, category: str, *, solid: bool) -> ArticulatedObject:
-    urdf = read_urdf(folder / "mobility.urdf")
+def convert_asset(folder: Path, category: str, solid: bool = True) -> ArticulatedObject:
+    """Reads a folder and builds its object; without collision shapes, which may take long, unless ``solid``."""
+    urdf = read_urdf(folder / URDF_NAME)
     annotation = find_annotation(urdf, category)
     return assemble(urdf, annotation, posed(urdf, annotation), solid=solid)
 
@@ -83,8 +75,8 @@ def assemble(
         raise broken(
             urdf.path,
             f"a {annotation.category} like this can never be opened.",
-            got=reason,
-            allowed=f"joints that go {GOAL_MARGIN:g} times as far as the goal, or farther",
+            reason,
+            f"joints that go {GOAL_MARGIN:g} times as far as the goal, or farther",
             hint=f"adamanip annotate {urdf.path.parent.name}, and set how far the joint goes",
         )
     tell_left_out(found)
@@ -99,8 +91,8 @@ def check_joints(urdf: Urdf, annotation: Annotation) -> None:
         raise broken(
             urdf.path,
             "the annotation's joints are not two of its own.",
-            got=chosen,
-            allowed=list(by_name),
+            chosen,
+            list(by_name),
             hint=f"adamanip annotate {urdf.path.parent.name}",
         )
     for role in roles.joints:
@@ -110,8 +102,8 @@ def check_joints(urdf: Urdf, annotation: Annotation) -> None:
             raise broken(
                 urdf.path,
                 f"joint {joint.name!r} cannot be the {role.name}: it does not move by itself.",
-                got=f"it follows joint {joint.mimic.leader!r} (mimic)",
-                allowed=", ".join(each.name for each in urdf.leading) or "a joint that follows none",
+                f"it follows joint {joint.mimic.leader!r} (mimic)",
+                ", ".join(each.name for each in urdf.leading) or "a joint that follows none",
                 hint=f"adamanip annotate {urdf.path.parent.name}, and choose the joint",
             )
 
@@ -170,9 +162,9 @@ class _Assembly:
         into = transform(-self.origins[name]) @ self.to_object
         shapes: list[Shape] = []
         for member in members:
-            shapes += [_visual(surface, into) for surface in self.found.visuals[member]]
+            shapes += [_mesh(each.vertices, each.faces, into, each.color) for each in self.found.visuals[member]]
             for surface in self.found.collisions[member] if self.solid else ():
-                shapes += [_solid(vertices, faces, into) for vertices, faces in convex_parts(surface)]
+                shapes += [_mesh(vertices, faces, into, None) for vertices, faces in convex_parts(surface)]
         mass = sum(self.urdf.links[member].mass or 0.0 for member in members)
         above = self.urdf.joint_above(name)
         if above is None:
@@ -202,8 +194,8 @@ class _Assembly:
             raise broken(
                 where,
                 f"the {role.name} is annotated on a link that does not exist.",
-                got=repr(choice.link),
-                allowed=", ".join(self.leaders),
+                repr(choice.link),
+                ", ".join(self.leaders),
             )
         grasp = choice.grasp
         if choice.frame == "link":
@@ -215,8 +207,8 @@ class _Assembly:
             raise broken(
                 where,
                 f"the {role.name} is not where, or on what, a {self.annotation.category} has it.",
-                got=f"moves with {', '.join(sorted(carried)) or 'nothing'}, {max(away, 0):.2f} m outside of the object",
-                allowed=f"moves with {', '.join(role.joints)}, {NEAR} m outside at most",
+                f"moves with {', '.join(sorted(carried)) or 'nothing'}, {max(away, 0):.2f} m outside of the object",
+                f"moves with {', '.join(role.joints)}, {NEAR} m outside at most",
                 hint=f"adamanip annotate {where.parent.name}",
             )
         return part
@@ -236,27 +228,8 @@ def _joint(role: JointRole, choice: JointChoice, axis: Array, origin: Array, sca
     return Joint(role.name, role.kind, (x, y, z), (a, b, c), limits, role.damping)
 
 
-def _visual(surface: Surface, into: Pose) -> Shape:
-    vertices = surface.vertices @ into[:3, :3].T + into[:3, 3]
-    return Shape(
-        "mesh",
-        (),
-        np.eye(4),
-        Material(surface.color),
-        collides=False,
-        vertices=np.ascontiguousarray(vertices, np.float32),
-        faces=np.ascontiguousarray(surface.faces, np.int32),
-    )
-
-
-def _solid(vertices: Array, faces: NDArray[np.int64], into: Pose) -> Shape:
-    moved = vertices @ into[:3, :3].T + into[:3, 3]
-    return Shape(
-        "mesh",
-        (),
-        np.eye(4),
-        Material((0.5, 0.5, 0.5)),
-        visible=False,
-        vertices=np.ascontiguousarray(moved, np.float32),
-        faces=np.ascontiguousarray(faces, np.int32),
-    )
+def _mesh(vertices: Array, faces: NDArray[np.int64], into: Pose, color: Color | None) -> Shape:
+    """A mesh in its link's frame: seen, if it has a colour, or solid."""
+    moved = np.ascontiguousarray(vertices @ into[:3, :3].T + into[:3, 3], np.float32)
+    look, seen = Material(color or (0.5, 0.5, 0.5)), color is not None
+    return Shape("mesh", (), np.eye(4), look, not seen, moved, np.ascontiguousarray(faces, np.int32), seen)

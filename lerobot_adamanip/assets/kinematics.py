@@ -47,23 +47,19 @@ class Posed:
         """Returns the corners (3,), (3,) of the box around what is seen of the links (all if None)."""
         points = [s.vertices for name, found in self.visuals.items() if links is None or name in links for s in found]
         if not points:
-            raise broken(self.urdf.path, "has nothing to be seen.", got="no visual shapes", allowed="a visual mesh")
+            raise broken(self.urdf.path, "has nothing to be seen.", "no visual shapes", "a visual mesh")
         every = np.concatenate(points)
         return every.min(axis=0), every.max(axis=0)
 
 
-@dataclass(frozen=True)
-class _Described:
-    """What a link's visual or collision elements come to, and the meshes they name that are not there."""
+Described = tuple[tuple[Surface, ...], tuple[str, ...]]
+"""What a link's visual or collision elements come to, and the meshes they name that are not there."""
 
-    surfaces: tuple[Surface, ...]
-    missing: tuple[str, ...]
 
-    def or_else(self, other: _Described) -> tuple[Surface, ...]:
-        """A link may be described by one of the two alone, or by one of them alone without a gap."""
-        if not self.surfaces or (self.missing and other.surfaces and not other.missing):
-            return other.surfaces
-        return self.surfaces
+def _or_else(own: Described, other: Described) -> tuple[Surface, ...]:
+    """A link may be described by one of the two alone, or by one of them alone without a gap."""
+    gap_elsewhere_only = bool(own[1]) and bool(other[0]) and not other[1]
+    return other[0] if not own[0] or gap_elsewhere_only else own[0]
 
 
 def posed(urdf: Urdf, annotation: Annotation) -> Posed:
@@ -72,7 +68,7 @@ def posed(urdf: Urdf, annotation: Annotation) -> Posed:
     poses = link_poses(urdf, rest, annotation.scale)
     folder, scale = urdf.path.parent, annotation.scale
 
-    def described(name: str, elements: tuple[Geometry, ...]) -> _Described:
+    def described(name: str, elements: tuple[Geometry, ...]) -> Described:
         found: list[Surface] = []
         missing: list[str] = []
         to_root = poses[name]
@@ -84,16 +80,16 @@ def posed(urdf: Urdf, annotation: Annotation) -> Posed:
                 ]
             except MissingFileError:
                 missing.append(element.mesh)
-        return _Described(tuple(found), tuple(missing))
+        return tuple(found), tuple(missing)
 
     seen = {name: described(name, link.visuals) for name, link in urdf.links.items()}
     solid = {name: described(name, link.collisions) for name, link in urdf.links.items()}
-    missing = {name: tuple(dict.fromkeys(seen[name].missing + solid[name].missing)) for name in urdf.links}
+    missing = {name: tuple(dict.fromkeys(seen[name][1] + solid[name][1])) for name in urdf.links}
     return Posed(
         urdf,
         poses,
-        {name: seen[name].or_else(solid[name]) for name in urdf.links},
-        {name: solid[name].or_else(seen[name]) for name in urdf.links},
+        {name: _or_else(seen[name], solid[name]) for name in urdf.links},
+        {name: _or_else(solid[name], seen[name]) for name in urdf.links},
         {name: names for name, names in missing.items() if names},
     )
 

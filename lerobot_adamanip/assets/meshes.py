@@ -81,8 +81,8 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
         raise broken(
             path,
             "not a mesh that can be read.",
-            got=f"{path.suffix}, {path.stat().st_size} bytes",
-            allowed=f"{', '.join(MESH_KINDS)} up to {MAX_BYTES} bytes",
+            f"{path.suffix}, {path.stat().st_size} bytes",
+            f"{', '.join(MESH_KINDS)} up to {MAX_BYTES} bytes",
             hint="convert it to .obj",
         )
     data = path.read_bytes()
@@ -94,10 +94,7 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     except Exception as error:
         raise broken(
-            path,
-            "cannot be read as a mesh.",
-            got=f"{type(error).__name__}: {error}",
-            allowed=f"a valid {path.suffix} file",
+            path, "cannot be read as a mesh.", f"{type(error).__name__}: {error}", f"a valid {path.suffix} file"
         ) from error
     for mesh in meshes if unit != 1.0 else ():
         mesh.vertices = np.asarray(mesh.vertices) * unit
@@ -105,8 +102,8 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
         raise broken(
             path,
             "has too many faces, or vertices that are not finite.",
-            got=f"{len(meshes)} meshes",
-            allowed=f"finite vertices, {MAX_FACES} faces",
+            f"{len(meshes)} meshes",
+            f"finite vertices, {MAX_FACES} faces",
         )
     if not meshes:
         logger.warning("%s has no triangles: left out", path)
@@ -119,15 +116,15 @@ def _collada_unit(path: Path, data: bytes) -> float:
     stated = next((child for child in asset if child.tag.rpartition("}")[2] == "unit"), None)
     unit = 1.0 if stated is None else numbers(path, stated.get("meter", "1"), 1, "the unit of length")[0]
     if unit <= 0:
-        raise broken(path, "the unit of length is no length.", got=unit, allowed="metres per unit, above 0")
+        raise broken(path, "the unit of length is no length.", unit, "metres per unit, above 0")
     try:
         import collada  # noqa: F401
     except ModuleNotFoundError as error:
         raise broken(
             path,
             "Collada needs a package that is not installed.",
-            got="no module collada",
-            allowed="pycollada",
+            "no module collada",
+            "pycollada",
             hint="pip install 'lerobot_env_adamanip[assets]'",
         ) from error
     return unit

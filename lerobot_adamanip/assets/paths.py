@@ -7,7 +7,6 @@ import posixpath
 import unicodedata
 from pathlib import Path, PurePosixPath
 from typing import Any
-from urllib.parse import unquote
 
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -24,16 +23,19 @@ def inside(folder: Path, name: str) -> Path:
 
     Args:
         folder: of the object.
-        name: relative to the folder; ``package://name/rest`` is looked for as ``rest`` and ``name/rest``. A path or
-            ``file://`` address that leads into the folder is read, and so is a name in other letters' case, as file
-            systems of other machines read it, if it fits one file.
+        name: relative to the folder; ``package://name/rest`` is looked for as ``rest`` and ``name/rest``. A name in
+            other letters' case, as file systems of other machines read it, is read if it fits one file.
 
     Raises:
         MissingFileError: no such file.
         ConfigurationError: the path leads elsewhere (``..``, absolute, another scheme, a link).
     """
-    root = folder.resolve()
-    path = next((path for each in _relative(folder, name) if (path := present(root, each)) is not None), None)
+    root, text = folder.resolve(), name.strip().replace("\\", "/")
+    rest = text.removeprefix("package://")
+    tries = [posixpath.normpath(each) for each in ([rest] if rest == text else [rest.partition("/")[2], rest]) if each]
+    if "://" in rest or any(map(_leads_out, tries)):
+        raise _refused(folder, name, "a file outside its folder, which is not read")
+    path = next((path for each in tries if (path := present(root, each)) is not None), None)
     if path is None:
         raise missing_file(folder, name)
     if not path.resolve().is_relative_to(root):
@@ -41,11 +43,9 @@ def inside(folder: Path, name: str) -> Path:
     return path.resolve()
 
 
-def missing_file(folder: Path, name: str) -> MissingFileError:
+def missing_file(folder: Path, name: str) -> ConfigurationError:
     """Returns the error for a file that is named but is not in the folder."""
-    error = _refused(folder, name, "a file that is missing", MissingFileError)
-    assert isinstance(error, MissingFileError)
-    return error
+    return _refused(folder, name, "a file that is missing", MissingFileError)
 
 
 def present(root: Path, relative: str) -> Path | None:
@@ -54,9 +54,9 @@ def present(root: Path, relative: str) -> Path | None:
         return root / relative
     here = root
     for part in PurePosixPath(relative).parts:
-        if not here.resolve().is_relative_to(root):
+        if not here.resolve().is_relative_to(root) or not here.is_dir():
             return None
-        alike = [each for each in _listed(here) if _folded(each) == _folded(part)]
+        alike = [each for each in os.listdir(here) if _folded(each) == _folded(part)]
         if part not in alike and len(alike) != 1:
             return None
         here = here / (part if part in alike else alike[0])
@@ -69,10 +69,7 @@ def resolver(folder: Path, base: Path) -> Any:
 
     root = folder.resolve()
 
-    class Inside(trimesh.resolvers.Resolver):
-        def __init__(self) -> None:
-            """Nothing to prepare; trimesh asks for a constructor."""
-
+    class Inside(trimesh.resolvers.FilePathResolver):
         def get(self, name: str) -> bytes:
             text = str(name).strip().replace("\\", "/")
             relative = posixpath.normpath(posixpath.join(base.relative_to(root).as_posix(), text))
@@ -81,51 +78,11 @@ def resolver(folder: Path, base: Path) -> Any:
                 raise FileNotFoundError(f"{name} is not inside {root}")
             return path.read_bytes()
 
-        def keys(self) -> Any:
-            return ()
-
-        def namespaced(self, namespace: str) -> Any:
-            raise FileNotFoundError(namespace)
-
-        def write(self, name: str, data: Any) -> None:
-            raise PermissionError(name)
-
-    return Inside()
-
-
-def _relative(folder: Path, name: str) -> list[str]:
-    """The relative paths that a name may stand for; refused if it leads out of the folder."""
-    text = name.strip().replace("\\", "/")
-    rest = text.removeprefix("package://")
-    tries = [rest] if rest == text else [rest.partition("/")[2], rest]
-    if text.lower().startswith("file:/"):
-        tries = [unquote(text[len("file://") :] if text[5:].startswith("//") else text[len("file:") :])]
-    if "\0" in text or any("://" in each for each in tries):
-        raise _refused(folder, name, "a file outside its folder, which is not read")
-    found = [_into(folder, each) for each in tries if each]
-    if any(_leads_out(each) for each in found):
-        raise _refused(folder, name, "a file outside its folder, which is not read")
-    return found
-
-
-def _into(folder: Path, path: str) -> str:
-    """The path relative to the folder; it starts with ``..`` or ``/`` if it leads out."""
-    if not posixpath.isabs(path) or "\0" in path:
-        return posixpath.normpath(path)
-    real = Path(os.path.realpath(path))
-    root = folder.resolve()
-    return real.relative_to(root).as_posix() if real.is_relative_to(root) else path
+    return Inside(str(base))
 
 
 def _leads_out(relative: str) -> bool:
     return relative == ".." or relative.startswith(("../", "/")) or "\0" in relative
-
-
-def _listed(folder: Path) -> list[str]:
-    try:
-        return os.listdir(folder)
-    except OSError:
-        return []
 
 
 def _folded(name: str) -> str:
@@ -135,19 +92,15 @@ def _folded(name: str) -> str:
 def _refused(
     folder: Path, name: str, what: str, kind: type[ConfigurationError] = ConfigurationError
 ) -> ConfigurationError:
+    last = _folded(name.replace("\\", "/").rpartition("/")[2].strip())
+    root = folder.resolve()
+    alike = sorted(each for each in root.rglob("*") if last and _folded(each.name) == last and not each.is_symlink())
+    hint = "unpack the whole archive, or copy the file into the folder and name it relative to the folder"
+    if alike:
+        hint = f"name it {alike[0].relative_to(root).as_posix()!r}, where the folder has such a file"
     return kind(
         f"{folder / 'mobility.urdf'}: names {what}.",
         got=repr(name[:120]),
         allowed=f"files inside {folder.name}/, named relative to it",
-        hint=_advice(folder, name),
+        hint=hint,
     )
-
-
-def _advice(folder: Path, name: str) -> str:
-    """Where a file of that name lies in the folder; else what to do about one that is not there."""
-    last = _folded(unquote(name).replace("\\", "/").rpartition("/")[2].strip())
-    root = folder.resolve()
-    alike = sorted(each for each in root.rglob("*") if last and _folded(each.name) == last and not each.is_symlink())
-    if alike:
-        return f"name it {alike[0].relative_to(root).as_posix()!r}, where the folder has such a file"
-    return "unpack the whole archive, or copy the file into the folder and name it relative to the folder"

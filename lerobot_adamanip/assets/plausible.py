@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, PartChoice
-from lerobot_adamanip.assets.checked_xml import broken
+from lerobot_adamanip.assets.checked_xml import broken, warn_once
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame
 from lerobot_adamanip.assets.meshes import Surface
-from lerobot_adamanip.assets.notices import warn_once
 from lerobot_adamanip.assets.paths import missing_file
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import Urdf
@@ -99,8 +98,8 @@ def _require_size(urdf: Urdf, what: str, longest: float, least: float, most: flo
         raise broken(
             urdf.path,
             what,
-            got=f"{longest:.3g} m along its longest side",
-            allowed=f"{least:.2g} ... {most:.2g} m",
+            f"{longest:.3g} m along its longest side",
+            f"{least:.2g} ... {most:.2g} m",
             hint=f"see which unit its meshes state, or adamanip annotate {urdf.path.parent.name}, and set the scale",
         )
 

@@ -1,24 +1,120 @@
-"""External assets: which ones a folder holds, which of them can be used, and loading them by id."""
+"""External assets: which ones a folder holds, which of them can be used, and loading them by id, ``safe:sa1``."""
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lerobot_adamanip.assets.annotation.file import ANNOTATION_NAME
-from lerobot_adamanip.assets.loading import PlacementCheck, inspect_object, load_object, problem_of
-from lerobot_adamanip.assets.names import asset_id, name_problem, parse_asset_id, shown_name
-from lerobot_adamanip.assets.notices import warn_once
+from lerobot_adamanip.assets.checked_xml import warn_once
 from lerobot_adamanip.assets.roles import ROLES
+from lerobot_adamanip.assets.urdf import URDF_NAME
 from lerobot_adamanip.objects.base import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
-URDF_NAME = "mobility.urdf"
-"""What every layout calls its description."""
+PlacementCheck = Callable[[ArticulatedObject], str]
+"""Says why an object cannot be placed before the arm; an empty text if it can. The simulator's package has one."""
+MAX_NAME_BYTES = 100
+"""An id is part of a file's name, and has to stay shorter than a dataset's limit for ids."""
+ALLOWED_NAMES = f"letters, digits, spaces and _ . + -, no dot or space first, no space last, {MAX_NAME_BYTES} bytes"
+
+
+def is_asset_id(identifier: str) -> bool:
+    """Whether an id names an external asset (``safe:sa1``) rather than a generated one (``safe_001``)."""
+    return ":" in identifier
+
+
+def parse_asset_id(identifier: str) -> tuple[str, str]:
+    """Returns ("safe", "sa1") for ``safe:sa1``; raises `ConfigurationError` for anything else."""
+    category, colon, name = identifier.partition(":")
+    if not colon or category not in ROLES or name_problem(name):
+        raise ConfigurationError(
+            "Unknown object id.",
+            got=repr(identifier),
+            allowed=f"<category>:<folder>, category one of {', '.join(ROLES)}; folder of {ALLOWED_NAMES}",
+            hint="safe:sa1, with --env.assets=DIR and DIR/safe/sa1/mobility.urdf",
+        )
+    return category, name
+
+
+def name_problem(name: str) -> str:
+    """Returns why a folder with this name cannot be an object; an empty text if it can.
+
+    Separators of paths, ids and selections are refused: an id can be a file's name, and cannot leave its directory.
+    """
+    if len(name.encode(errors="surrogatepass")) <= MAX_NAME_BYTES and re.fullmatch(r"[\w+-]([\w.+ -]*[\w.+-])?", name):
+        return ""
+    return f"a folder with this name cannot be an object ({name[:40]!a}; {ALLOWED_NAMES}): rename the folder"
+
+
+def load_object(folder: str | Path, category: str, *, solid: bool = True) -> ArticulatedObject:
+    """Loads ``folder/mobility.urdf`` and its annotation as an object of ``category``, in our object frame.
+
+    Joints and parts get the category's own names (`ROLES`); joints that play no role are frozen at zero. The grasp
+    comes from ``adamanip.json`` or, if there is none, from AdaManip's or UniDoorManip's annotated point. What has not
+    changed on disk is not read again.
+
+    Args:
+        folder: of one object.
+        category: that it is of.
+        solid: with the shapes it collides as, which may take long to make.
+
+    Raises:
+        ConfigurationError: anything is missing, broken, or not allowed; the message says what to do.
+    """
+    path = _named(Path(folder))
+    return _load_cached(path, require_choice("category", category, ROLES), solid, _stamps(path))
+
+
+Stamps = tuple[tuple[str, int, int], ...]
+"""Name, time [ns] and size [bytes] of every file under a folder: an edited one makes another object."""
+
+
+def _stamps(folder: Path) -> Stamps:
+    files = [(file, file.stat()) for file in sorted(folder.rglob("*")) if file.is_file()]
+    return tuple((str(file.relative_to(folder)), stat.st_mtime_ns, stat.st_size) for file, stat in files)
+
+
+@functools.lru_cache(maxsize=64)
+def _load_cached(folder: Path, category: str, solid: bool, stamps: Stamps) -> ArticulatedObject:
+    from lerobot_adamanip.assets.convert import convert_asset
+
+    return convert_asset(folder, category, solid)
+
+
+@functools.lru_cache(maxsize=1024)
+def _problem_cached(placement_problem: PlacementCheck | None, folder: Path, category: str, stamps: Stamps) -> str:
+    try:
+        obj = _load_cached(folder, category, False, stamps)
+    except (ConfigurationError, OSError) as error:
+        told = str(error).replace(f"{folder}/", "").replace(f"{folder.resolve()}/", "").splitlines()
+        facts = [line.split(":", 1)[1].strip() for line in told[1:] if line.strip().startswith("got:")]
+        return " ".join([told[0], *(f"({fact})" for fact in facts)])
+    return "" if placement_problem is None else placement_problem(obj)
+
+
+def _named(folder: Path) -> Path:
+    """The absolute path that keeps the folder's own name: a link's object is called as the link is."""
+    return folder.resolve() if folder.name in ("", "..") else folder.absolute()
+
+
+@dataclass(frozen=True)
+class AssetReport:
+    """What a check of one folder found: the asset's id, and what keeps it from being used (empty: nothing)."""
+
+    asset_id: str
+    problem: str
+    folder: Path
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing keeps it from being used."""
+        return not self.problem
 
 
 @dataclass(frozen=True)
@@ -45,8 +141,7 @@ class AssetSource:
             ConfigurationError: no such directory, or no object of that category in it.
         """
         found = self._found(category)
-        named = tuple(asset_id(category, each.name) for each in found if not each.problem)
-        return named or self._usable(category, found)
+        return tuple(each.asset_id for each in found if each.usable) or self._usable(category, found)
 
     def folder(self, identifier: str) -> Path:
         """Returns the folder of an object.
@@ -57,22 +152,19 @@ class AssetSource:
         category, name = parse_asset_id(identifier)
         folders = _folders(Path(self.directory), category)
         for each in folders:
-            if each.name == name:
+            if each.folder.name == name:
                 return each.folder
+        names = [each.folder.name for each in folders if each.usable]
         raise ConfigurationError(
             f"There is no object {identifier!r} under {self.directory}.",
             got=identifier,
-            allowed=_some(each.name for each in folders if not each.problem),
+            allowed=", ".join(names[:10]) + (f", ... ({len(names)})" if len(names) > 10 else "") or "none",
             hint=f"the id {category}:<folder> of a folder with a {URDF_NAME}",
         )
 
-    def load(self, identifier: str) -> ArticulatedObject:
+    def load(self, identifier: str, *, solid: bool = True) -> ArticulatedObject:
         """Loads an object by id; see `load_object`."""
-        return load_object(self.folder(identifier), parse_asset_id(identifier)[0])
-
-    def inspect(self, identifier: str) -> ArticulatedObject:
-        """Loads an object without the shapes it collides as: quick, to look at it; errors as `load_object`."""
-        return inspect_object(self.folder(identifier), parse_asset_id(identifier)[0])
+        return load_object(self.folder(identifier), parse_asset_id(identifier)[0], solid=solid)
 
     def select(self, category: str, selection: str) -> tuple[str, ...]:
         """Returns ids for ``seen`` or ``all`` (every folder), ``0:4`` (a range of them, sorted), or ``id,id``.
@@ -88,7 +180,7 @@ class AssetSource:
             return self._usable(category, self._found(category))
         chosen: tuple[str, ...] = ()
         if match := re.fullmatch(r"(\d+):(\d+)", selection):
-            named = [each for each in self._found(category) if not each.problem]
+            named = [each for each in self._found(category) if each.usable]
             if within := named[int(match[1]) : int(match[2])]:
                 return self._usable(category, within)
         elif selection not in ("unseen", "novel"):
@@ -116,20 +208,26 @@ class AssetSource:
         """
         return tuple(self._report(category, each) for each in self._found(category))
 
-    def _report(self, category: str, found: _Folder) -> AssetReport:
-        problem = found.problem or problem_of(found.folder, category, self.placement_problem)
-        return AssetReport(f"{category}:{shown_name(found.name)}", problem)
+    def _report(self, category: str, found: AssetReport) -> AssetReport:
+        path = _named(found.folder)
+        problem = found.problem or _problem_cached(self.placement_problem, path, category, _stamps(path))
+        return replace(found, problem=problem)
 
-    def _of_category(self, category: str) -> list[_Folder]:
+    def _of_category(self, category: str) -> list[AssetReport]:
         folders = _folders(Path(self.directory), require_choice("category", category, ROLES))
         return [each for each in folders if _category_of(each.folder) in (None, category)]
 
-    def _found(self, category: str) -> list[_Folder]:
+    def _found(self, category: str) -> list[AssetReport]:
         if found := self._of_category(category):
             return found
-        raise _nothing_found(Path(self.directory), category)
+        raise ConfigurationError(
+            f"No {category} found.",
+            got=str(self.directory),
+            allowed=f"folders with a {URDF_NAME} in DIR or in DIR/{' or DIR/'.join(ROLES[category].folders)}",
+            hint="the folder into which you unpacked the assets",
+        )
 
-    def _usable(self, category: str, found: Sequence[_Folder]) -> tuple[str, ...]:
+    def _usable(self, category: str, found: Sequence[AssetReport]) -> tuple[str, ...]:
         reports = [self._report(category, each) for each in found]
         usable = tuple(report.asset_id for report in reports if report.usable)
         listed = "\n".join(f"  {report.asset_id}: {report.problem}" for report in reports if not report.usable)
@@ -147,40 +245,8 @@ class AssetSource:
         return usable
 
 
-@dataclass(frozen=True)
-class AssetReport:
-    """What a check of one folder found: the asset's id, and what keeps it from being used (empty: nothing)."""
-
-    asset_id: str
-    problem: str
-
-    @property
-    def usable(self) -> bool:
-        """Whether nothing keeps it from being used."""
-        return not self.problem
-
-
-def asset_objects(directory: str | Path, category: str) -> tuple[str, ...]:
-    """Returns the ids of the objects of a category under a directory; see `AssetSource.ids`."""
-    return AssetSource(Path(directory)).ids(category)
-
-
-def load_asset(directory: str | Path, identifier: str) -> ArticulatedObject:
-    """Loads an object of a directory by its id; see `load_object`."""
-    return AssetSource(Path(directory)).load(identifier)
-
-
-@dataclass(frozen=True)
-class _Folder:
-    """A folder with a URDF: its name, where it is, and why the name cannot be an id (empty: it can)."""
-
-    name: str
-    folder: Path
-    problem: str = ""
-
-
-def _folders(directory: Path, category: str) -> list[_Folder]:
-    """The object folders in ``directory/<category>``, else in ``directory``; sorted by name."""
+def _folders(directory: Path, category: str) -> list[AssetReport]:
+    """The object folders in ``directory/<category>``, else in ``directory``, sorted by name; checked by name alone."""
     if not directory.is_dir():
         raise ConfigurationError(
             "The folder of external assets does not exist.",
@@ -189,20 +255,18 @@ def _folders(directory: Path, category: str) -> list[_Folder]:
             hint="--env.assets=DIR",
         )
     inner = [directory / name for name in ROLES[category].folders if (directory / name).is_dir()]
-    found: list[_Folder] = []
-    for place in inner or [directory]:
-        for folder in place.iterdir():
-            if not folder.name.startswith(".") and os.path.isfile(folder / URDF_NAME):
-                found.append(_Folder(folder.name, folder, _name_problem(folder, [each.folder for each in found])))
-    return sorted(found, key=lambda each: (each.name, bool(each.problem)))
-
-
-def _name_problem(folder: Path, others: Iterable[Path]) -> str:
-    """Why a folder's name cannot be an id: an id stands for one folder."""
-    same = next((other for other in others if other.name == folder.name), None)
-    if same is None:
-        return name_problem(folder.name)
-    return f"{same.parent.name}/ has a folder of the same name, which is used: rename this one in {folder.parent.name}/"
+    used: dict[str, Path] = {}
+    found = []
+    for folder in (folder for place in inner or [directory] for folder in place.iterdir()):
+        if folder.name.startswith(".") or not os.path.isfile(folder / URDF_NAME):
+            continue
+        problem, other = name_problem(folder.name), used.setdefault(folder.name, folder).parent.name
+        if used[folder.name] != folder:
+            problem = f"{other}/ has a folder of the same name, which is used: rename this one in {folder.parent.name}/"
+        # What cannot be printed is escaped.
+        shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in folder.name)
+        found.append(AssetReport(f"{category}:{shown}", problem, folder))
+    return sorted(found, key=lambda each: (each.folder.name, not each.usable))
 
 
 def _category_of(folder: Path) -> str | None:
@@ -223,17 +287,3 @@ def _json_value(path: Path, key: str) -> object:
     except (OSError, ValueError):
         return None
     return value.get(key) if isinstance(value, dict) else None
-
-
-def _some(names: Iterable[str], count: int = 12) -> str:
-    listed = list(names)
-    return ", ".join(listed[:count]) + (f", ... ({len(listed)})" if len(listed) > count else "") or "none"
-
-
-def _nothing_found(directory: Path, category: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"No {category} found.",
-        got=str(directory),
-        allowed=f"folders with a {URDF_NAME} in DIR or in DIR/{' or DIR/'.join(ROLES[category].folders)}",
-        hint="the folder into which you unpacked the assets",
-    )

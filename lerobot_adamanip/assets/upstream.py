@@ -74,8 +74,8 @@ def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
         raise broken(
             urdf.path,
             f"a {category} needs two joints that move.",
-            got=list(moving) or "none",
-            allowed=" and ".join(f"{r.name} ({r.kind})" for r in roles.joints),
+            list(moving) or "none",
+            " and ".join(f"{r.name} ({r.kind})" for r in roles.joints),
         )
     for role, joint in zip(roles.joints, chosen, strict=True):
         check_kind(urdf, role, joint)
@@ -89,8 +89,8 @@ def check_kind(urdf: Urdf, role: JointRole, joint: UrdfJoint) -> None:
         raise broken(
             urdf.path,
             f"joint {joint.name!r} cannot be the {role.name}.",
-            got=joint.kind,
-            allowed=role.kind,
+            joint.kind,
+            role.kind,
             hint=f"adamanip annotate {urdf.path.parent.name}, and choose the joint",
         )
 
@@ -130,7 +130,7 @@ def read_point(path: Path) -> NDArray[np.float64]:
         ConfigurationError: anything else, pickled objects above all (nothing is unpickled).
     """
     if path.stat().st_size > MAX_POINT_BYTES:
-        raise broken(path, "too large for a point.", got=f"{path.stat().st_size} bytes", allowed="3 numbers")
+        raise broken(path, "too large for a point.", f"{path.stat().st_size} bytes", "3 numbers")
     readers: dict[bool, Callable[[Path], Any]] = {True: _point_in_json, False: _point_in_array}
     try:
         value = np.asarray(readers[path.suffix == ".json"](path), dtype=np.float64).reshape(-1)
@@ -138,11 +138,11 @@ def read_point(path: Path) -> NDArray[np.float64]:
         raise broken(
             path,
             "holds no point that is safe to read.",
-            got=f"{type(error).__name__}: {error}"[:300],
-            allowed="a tensor or an array of 3 numbers",
+            f"{type(error).__name__}: {error}"[:300],
+            "a tensor or an array of 3 numbers",
         ) from error
     if value.shape != (3,) or not np.isfinite(value).all() or np.abs(value).max() > HUGE:
-        raise broken(path, "not a point.", got=value[:6], allowed="3 finite numbers [m]")
+        raise broken(path, "not a point.", value[:6], "3 finite numbers [m]")
     return value
 
 

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml
-from lerobot_adamanip.assets.notices import warn_once
+from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml, warn_once
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import Pose
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -19,6 +18,8 @@ from lerobot_adamanip.util.errors import ConfigurationError
 UrdfJointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 GeometryKind = Literal["box", "cylinder", "sphere", "mesh"]
 JOINT_KINDS: tuple[UrdfJointKind, ...] = ("fixed", "revolute", "continuous", "prismatic")
+URDF_NAME = "mobility.urdf"
+"""What every layout calls its description."""
 MAX_BYTES = 8_000_000
 MAX_LINKS = 1000
 RGBA = 4
@@ -105,17 +106,13 @@ def read_urdf(path: Path) -> Urdf:
     """
     if not path.is_file():
         raise broken(
-            path,
-            "no such file.",
-            got="nothing",
-            allowed="a folder with a mobility.urdf in it",
-            hint="the folder of one object",
+            path, "no such file.", "nothing", "a folder with a mobility.urdf in it", hint="the folder of one object"
         )
     if path.stat().st_size > MAX_BYTES:
-        raise broken(path, "too large.", got=f"{path.stat().st_size} bytes", allowed=f"{MAX_BYTES} bytes")
+        raise broken(path, "too large.", f"{path.stat().st_size} bytes", f"{MAX_BYTES} bytes")
     robot = parse_xml(path, path.read_bytes())
     if robot.tag != "robot":
-        raise broken(path, "not a URDF.", got=f"<{robot.tag}>", allowed="<robot> as its root")
+        raise broken(path, "not a URDF.", f"<{robot.tag}>", "<robot> as its root")
     colors = {
         str(m.get("name")): color
         for m in robot.findall("material")
@@ -153,7 +150,7 @@ def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
 def _name(path: Path, element: Any, what: str) -> str:
     name: str = element.get("name", "")
     if not name:
-        raise broken(path, f"a {what} has no name.", got=f"<{element.tag}>", allowed=f"a name for every {what}")
+        raise broken(path, f"a {what} has no name.", f"<{element.tag}>", f"a name for every {what}")
     return name
 
 
@@ -186,26 +183,24 @@ def _geometry(path: Path, element: Any, link: str, colors: dict[str, tuple[float
         raise broken(
             path,
             f"{where} has no shape that can be used.",
-            got="nothing" if shape is None else shape.tag,
-            allowed=", ".join(readers),
+            "nothing" if shape is None else shape.tag,
+            ", ".join(readers),
         )
     size = readers[shape.tag]()
     if (not all(value > 0 for value in size) and shape.tag != "mesh") or not all(size):
-        raise broken(path, f"{where} has no extent.", got=size, allowed="positive sizes")
+        raise broken(path, f"{where} has no extent.", size, "positive sizes")
     return Geometry(shape.tag, size, pose, shape.get("filename", ""), color)
 
 
 def _joint(path: Path, element: Any) -> UrdfJoint:
     name, kind = _name(path, element, "joint"), element.get("type", "")
     if kind not in JOINT_KINDS:
-        raise broken(
-            path, f"joint {name!r} has a type that is not known here.", got=repr(kind), allowed=", ".join(JOINT_KINDS)
-        )
+        raise broken(path, f"joint {name!r} has a type that is not known here.", repr(kind), ", ".join(JOINT_KINDS))
     ends = [element.find(end).get("link", "") if element.find(end) is not None else "" for end in ("parent", "child")]
     written = element.find("axis")
     axis = np.array((1.0, 0.0, 0.0) if written is None else numbers(path, written.get("xyz", ""), 3, f"axis of {name}"))
     if kind != "fixed" and np.linalg.norm(axis) < 1e-6:
-        raise broken(path, f"the axis of {name!r} has no direction.", got=axis, allowed="a vector that is not zero")
+        raise broken(path, f"the axis of {name!r} has no direction.", axis, "a vector that is not zero")
     unit = axis / max(float(np.linalg.norm(axis)), 1e-12)
     limits, limit = None, element.find("limit")
     if limit is not None and kind in ("revolute", "prismatic"):
@@ -227,23 +222,20 @@ def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ..
         raise broken(
             path,
             "link names are not unique, or none or too many.",
-            got=f"{len(names)} links",
-            allowed=f"1 to {MAX_LINKS} links, each with a name of its own",
+            f"{len(names)} links",
+            f"1 to {MAX_LINKS} links, each with a name of its own",
         )
     if len({joint.name for joint in joints}) != len(joints):
         raise broken(
-            path,
-            "joint names are not unique.",
-            got=[joint.name for joint in joints],
-            allowed="a name of its own for each",
+            path, "joint names are not unique.", [joint.name for joint in joints], "a name of its own for each"
         )
     for joint in joints:
         if joint.parent not in names or joint.child not in names:
             raise broken(
                 path,
                 f"joint {joint.name!r} names a link that does not exist.",
-                got=f"{joint.parent!r} -> {joint.child!r}",
-                allowed=", ".join(names[:20]),
+                f"{joint.parent!r} -> {joint.child!r}",
+                ", ".join(names[:20]),
             )
     parents = {joint.child: joint.parent for joint in joints}
     roots = [name for name in names if name not in parents]
@@ -254,7 +246,7 @@ def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ..
         raise broken(
             path,
             "the links are not one tree.",
-            got=f"roots {roots}, {len(joints)} joints",
-            allowed="one root, and one joint above every other link",
+            f"roots {roots}, {len(joints)} joints",
+            "one root, and one joint above every other link",
         )
     return roots[0]

@@ -9,9 +9,8 @@ import numpy as np
 
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
 from lerobot_adamanip.experts import lamp, microwave, safe, turn_to_open
-from lerobot_adamanip.experts.belief import Belief
-from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
-from lerobot_adamanip.experts.primitives import Hand, Parts
+from lerobot_adamanip.experts.belief import Belief, Hidden, Knowledge, Parts
+from lerobot_adamanip.experts.primitives import Hand
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, fixed_direction
 from lerobot_adamanip.objects import PartAnnotation

@@ -1,4 +1,4 @@
-"""What the tries so far tell of the hidden state, whoever made them: an expert, a policy, or a person.
+"""What an expert knows: part poses, and what the tries so far tell of the hidden state, whoever made them.
 
 A belief is nothing but the tries and what was felt of each. Everything hidden is one of a few possibilities (a
 direction, a mode, locked or not), and a try that failed rules some of them out until something else has changed.
@@ -12,8 +12,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import KeyFrameLabels
+from lerobot_adamanip.objects import PartAnnotation
 
+Parts = Mapping[str, PartAnnotation]
 Positions = Mapping[str, float]
+Hidden = Mapping[str, bool | int | float]
+"""A hidden state by name, as `Mechanism.hidden` returns it."""
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What an adaptive expert knows at the start: nothing that a policy could not learn from demonstrations.
+
+    Attributes:
+        parts: annotated part poses, robot base frame, joints at zero.
+        direction: the one way the key turns in every episode of the category; None where it is drawn per episode.
+    """
+
+    parts: Parts
+    direction: int | None = None
 
 
 @dataclass(frozen=True)

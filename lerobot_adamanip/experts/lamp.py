@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import FOLLOWED, KeyFrames, Phase
-from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
-from lerobot_adamanip.experts.primitives import MAX_GRIPS, Attempt, Hand, Parts
+from lerobot_adamanip.experts.belief import Hidden, Knowledge, Parts
+from lerobot_adamanip.experts.primitives import MAX_GRIPS, Attempt, Hand
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.018

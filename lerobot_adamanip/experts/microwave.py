@@ -6,9 +6,9 @@ Pull the door. If that fails, push the button, then pull again.
 from __future__ import annotations
 
 from lerobot_adamanip.contract.keyframes import KeyFrames, Phase
+from lerobot_adamanip.experts.belief import Hidden, Knowledge, Parts
 from lerobot_adamanip.experts.doors import MAX_ROUNDS, open_by_trial, pull_door
-from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
-from lerobot_adamanip.experts.primitives import Frames, Hand, Opening, Parts
+from lerobot_adamanip.experts.primitives import Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.03

@@ -21,7 +21,7 @@ from lerobot_adamanip.contract.keyframes import (
     Phase,
 )
 from lerobot_adamanip.contract.rotations import angle_between, transform
-from lerobot_adamanip.experts.belief import Belief
+from lerobot_adamanip.experts.belief import Belief, Parts
 from lerobot_adamanip.objects import PartAnnotation
 
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
@@ -52,7 +52,6 @@ MAX_PULLS = 8
 MAX_GRIPS = 4
 """Times a part is taken hold of to open it, until an expert goes about it otherwise."""
 
-Parts = Mapping[str, PartAnnotation]
 Frames = Generator[Goal, Feedback, None]
 Attempt = Generator[Goal, Feedback, bool]
 

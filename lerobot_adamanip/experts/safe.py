@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import FOLLOWED, KeyFrames, Phase
+from lerobot_adamanip.experts.belief import Hidden, Knowledge, Parts
 from lerobot_adamanip.experts.doors import MAX_ROUNDS, open_by_trial, pull_door
-from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
-from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening, Parts
+from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 TURN_STEP = np.deg2rad(40.0)

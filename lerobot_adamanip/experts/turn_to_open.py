@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import FOLLOWED, KeyFrames, Phase
-from lerobot_adamanip.experts.hidden_knowledge import Hidden, Knowledge
-from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening, Parts
+from lerobot_adamanip.experts.belief import Hidden, Knowledge, Parts
+from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 MAX_MOTIONS = 30

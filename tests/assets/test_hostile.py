@@ -14,7 +14,7 @@ import pytest
 import torch
 from asset_folders import adamanip_bottle, adamanip_safe, joint, link, partnet_safe, safe_annotation, write_urdf
 
-from lerobot_adamanip.assets import asset_objects, load_object
+from lerobot_adamanip.assets import AssetSource, load_object
 from lerobot_adamanip.assets.annotation.file import save_annotation
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -67,9 +67,9 @@ def test_a_circle_of_links(tmp_path: Path) -> None:
 def test_no_urdf_and_no_directory(tmp_path: Path) -> None:
     refused(tmp_path, "no such file")
     with pytest.raises(ConfigurationError, match="does not exist"):
-        asset_objects(tmp_path / "nowhere", "safe")
+        AssetSource(tmp_path / "nowhere").ids("safe")
     with pytest.raises(ConfigurationError, match="Unknown category"):
-        asset_objects(tmp_path, "teapot")
+        AssetSource(tmp_path).ids("teapot")
 
 
 @pytest.mark.parametrize(
@@ -238,4 +238,4 @@ def test_a_save_that_fails_keeps_the_old_file(tmp_path: Path, monkeypatch: pytes
 def test_a_folder_whose_name_cannot_be_an_id(tmp_path: Path, name: str) -> None:
     adamanip_safe(tmp_path / name)
     with pytest.raises(ConfigurationError, match="rename"):
-        asset_objects(tmp_path, "safe")
+        AssetSource(tmp_path).ids("safe")

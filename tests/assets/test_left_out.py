@@ -197,7 +197,7 @@ def test_a_name_that_cannot_be_an_id_costs_its_folder_alone(
     assert bad.asset_id in told
     told.encode()  # what cannot be printed is escaped
     if name == DECOMPOSED:
-        assert "U+0308 COMBINING DIAERESIS" in bad.problem
+        assert "u0308" in bad.problem, "seen although it is drawn into the letter before it"
     with pytest.raises(ConfigurationError):
         source.load(f"safe:{name}")
 
@@ -225,7 +225,7 @@ def test_links_have_ids_of_their_own(tmp_path: Path) -> None:
     source = AssetSource(tmp_path)
     assert source.select("safe", "all") == ("safe:one", "safe:two")
     assert [source.load(name).object_id for name in source.ids("safe")] == ["safe:one", "safe:two"]
-    assert [source.inspect(name).object_id for name in source.ids("safe")] == ["safe:one", "safe:two"]
+    assert [source.load(name, solid=False).object_id for name in source.ids("safe")] == ["safe:one", "safe:two"]
 
 
 def test_an_id_stands_for_one_folder(tmp_path: Path) -> None:
@@ -299,10 +299,6 @@ Written = Callable[[Path], str]
 @pytest.mark.parametrize(
     "written",
     [
-        lambda folder: str(folder / "knob.obj"),
-        lambda folder: (folder / "knob.obj").as_uri(),
-        lambda folder: f"file://{folder}/knob.obj",
-        lambda folder: "file:knob.obj".replace("file:", "file://"),
         lambda folder: "KNOB.OBJ",
         lambda folder: ".\\Knob.obj",
         lambda folder: "package://Sa 1/Knob.obj",

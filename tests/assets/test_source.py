@@ -11,7 +11,7 @@ import pytest
 from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, unidoormanip_door, write_box
 from solids import face_planes, solid
 
-from lerobot_adamanip.assets import AssetSource, asset_objects, is_asset_id, load_asset, load_object
+from lerobot_adamanip.assets import AssetSource, is_asset_id, load_object
 from lerobot_adamanip.assets.annotation.file import read_annotation, save_annotation
 from lerobot_adamanip.assets.annotation.session import Draft
 from lerobot_adamanip.assets.meshes import Surface, cache_folder, convex_parts
@@ -151,10 +151,10 @@ def test_a_directory_is_listed_by_category(tmp_path: Path) -> None:
     adamanip_safe(tmp_path / "safe" / "sa1")
     adamanip_bottle(tmp_path / "bottle" / "b1")
     (tmp_path / "safe" / ".hidden").mkdir()
-    assert asset_objects(tmp_path, "safe") == ("safe:sa1", "safe:sa2")
-    assert asset_objects(tmp_path, "bottle") == ("bottle:b1",)
-    assert asset_objects(tmp_path / "safe", "safe") == ("safe:sa1", "safe:sa2"), "one category's folder alone"
-    assert load_asset(tmp_path, "safe:sa2").object_id == "safe:sa2"
+    assert AssetSource(tmp_path).ids("safe") == ("safe:sa1", "safe:sa2")
+    assert AssetSource(tmp_path).ids("bottle") == ("bottle:b1",)
+    assert AssetSource(tmp_path / "safe").ids("safe") == ("safe:sa1", "safe:sa2"), "one category's folder alone"
+    assert AssetSource(tmp_path).load("safe:sa2").object_id == "safe:sa2"
     source = AssetSource(tmp_path)
     assert source.select("safe", "all") == source.select("safe", "seen") == ("safe:sa1", "safe:sa2")
     assert source.select("safe", "1:5") == source.select("safe", "safe:sa2") == ("safe:sa2",)
@@ -164,9 +164,9 @@ def test_a_directory_is_listed_by_category(tmp_path: Path) -> None:
 
 def test_partnet_s_mixed_directory_is_sorted_by_what_the_folders_say(tmp_path: Path) -> None:
     partnet_safe(tmp_path / "101564")
-    assert asset_objects(tmp_path, "safe") == ("safe:101564",)
+    assert AssetSource(tmp_path).ids("safe") == ("safe:101564",)
     with pytest.raises(ConfigurationError, match="No lamp found"):
-        asset_objects(tmp_path, "lamp")
+        AssetSource(tmp_path).ids("lamp")
 
 
 @pytest.mark.parametrize(

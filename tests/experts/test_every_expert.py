@@ -160,7 +160,7 @@ def test_fingers_open_and_close_where_the_hand_is(category: str, data: st.DataOb
     "options",
     [
         {"kind": "adaptive", "hidden": {"locked": True, "direction": 1, "turn_range": 1.0, "mode": 0}},
-        {"kind": "static"}, {"kind": "adaptive", "trials": 0}, {"kind": "adaptive", "preset": "author"},
+        {"kind": "static"}, {"kind": "adaptive", "trials": 0}, {"kind": "adaptive", "strategy": "author"},
         {"kind": "clairvoyant"},
     ],
 )  # fmt: skip

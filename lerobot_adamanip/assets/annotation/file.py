@@ -68,7 +68,7 @@ def read_annotation(path: Path, category: str) -> Annotation:
     """Reads ``adamanip.json``; `ConfigurationError` if it is of another category or anything in it is wrong."""
 
     def wrong(what: str, got: object, allowed: str) -> Exception:
-        return broken(path, what, got=got, allowed=allowed, hint=f"adamanip annotate {path.parent.name}")
+        return broken(path, what, got, allowed, hint=f"adamanip annotate {path.parent.name}")
 
     try:
         found: Any = json.loads(path.read_text(encoding="utf-8"))

@@ -118,8 +118,8 @@ def _largest(found: Posed, role: JointRole, joints: Sequence[UrdfJoint]) -> Urdf
         raise broken(
             found.urdf.path,
             f"no joint can be the {role.name}.",
-            got=[f"{joint.name} ({joint.kind})" for joint in joints] or "none",
-            allowed=role.kind,
+            [f"{joint.name} ({joint.kind})" for joint in joints] or "none",
+            role.kind,
             hint="another category",
         )
 

@@ -18,9 +18,9 @@ from lerobot_adamanip.assets.annotation.file import (
 from lerobot_adamanip.assets.annotation.proposal import propose, propose_part
 from lerobot_adamanip.assets.convert import assemble
 from lerobot_adamanip.assets.kinematics import Posed, object_frame, posed
-from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
+from lerobot_adamanip.assets.roles import JointRole, PartRole
 from lerobot_adamanip.assets.upstream import default_choice, upstream_annotation
-from lerobot_adamanip.assets.urdf import Urdf, read_urdf
+from lerobot_adamanip.assets.urdf import URDF_NAME, Urdf, read_urdf
 from lerobot_adamanip.objects.base import TWO_FINGERS, ArticulatedObject, Pose, any_roll
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -45,7 +45,7 @@ class Draft:
             ConfigurationError: the URDF, a mesh, or an annotation that is there cannot be read. Nothing is overwritten.
         """
         self.folder, self.category = folder, category
-        self.urdf: Urdf = read_urdf(folder / "mobility.urdf")
+        self.urdf: Urdf = read_urdf(folder / URDF_NAME)
         self.annotation, self.origin = self._found()
         self.changed = False
         self._place()
@@ -166,8 +166,3 @@ class Draft:
         (self.folder / DRAFT_NAME).unlink(missing_ok=True)
         self.changed, self.origin = False, "saved annotation"
         return path
-
-
-def roles_of(category: str) -> tuple[tuple[JointRole, JointRole], tuple[PartRole, ...]]:
-    """Returns the joints and parts a category needs."""
-    return ROLES[category].joints, ROLES[category].parts

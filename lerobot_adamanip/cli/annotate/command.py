@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from lerobot_adamanip.assets.source import URDF_NAME, AssetSource
+from lerobot_adamanip.assets import AssetSource
+from lerobot_adamanip.assets.urdf import URDF_NAME
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice

@@ -79,7 +79,7 @@ class Objects:
             return [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)], []
         source = checked_source(self.assets)
         reports = [report for each in wanted for report in self._reports(source, each)]
-        usable = [source.inspect(report.asset_id) for report in reports if report.usable]
+        usable = [source.load(report.asset_id, solid=False) for report in reports if report.usable]
         return usable, [report for report in reports if not report.usable]
 
     def _reports(self, source: AssetSource, category: str) -> tuple[AssetReport, ...]:

@@ -11,8 +11,7 @@ import numpy as np
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
 from lerobot_adamanip.objects.coffee_maker import looks
 from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign, draw_design, draw_novel_design
-from lerobot_adamanip.objects.geometry.revolved import revolved
-from lerobot_adamanip.objects.geometry.rounded import bar, upright
+from lerobot_adamanip.objects.geometry.rounded import bar, revolved, upright
 from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
 
 PORTAFILTER_RANGE = 0.80

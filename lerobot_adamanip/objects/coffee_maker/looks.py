@@ -6,8 +6,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign
-from lerobot_adamanip.objects.geometry.revolved import revolved
-from lerobot_adamanip.objects.geometry.rounded import round_cornered, upright
+from lerobot_adamanip.objects.geometry.rounded import revolved, round_cornered, upright
 from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
 
 GLASS = Material((0.01, 0.012, 0.015), 0.12)

@@ -21,8 +21,7 @@ from lerobot_adamanip.objects.base import (
     any_roll,
     from_above,
 )
-from lerobot_adamanip.objects.geometry.revolved import revolved
-from lerobot_adamanip.objects.geometry.rounded import slab
+from lerobot_adamanip.objects.geometry.rounded import revolved, slab
 from lerobot_adamanip.objects.geometry.shapes import box, rod, without_collision
 from lerobot_adamanip.objects.lamp.heads import BRASS, HAND_CLEARANCE, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lerobot_adamanip.contract.rotations import rotation_with_x_along, transform
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.geometry.revolved import revolved, shell
+from lerobot_adamanip.objects.geometry.rounded import revolved, shell
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh, rod
 
 HAND_CLEARANCE = 0.135

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Material, Shape
-from lerobot_adamanip.objects.geometry.revolved import revolved
+from lerobot_adamanip.objects.geometry.rounded import revolved
 from lerobot_adamanip.objects.geometry.shapes import rod
 from lerobot_adamanip.objects.lamp.generator import LampDesign, build_lamp, draw_design
 from lerobot_adamanip.objects.lamp.heads import HAND_CLEARANCE, METALS, Head, Place

@@ -7,14 +7,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, annotate, from_above
+from lerobot_adamanip.contract.rotations import transform
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.geometry.rounded import SMOOTH, bar, revolved, upright
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
 from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign, draw_design, draw_novel_design
-from lerobot_adamanip.objects.pressure_cooker.parts import LOOP_DEPTH, lid_shapes, pot_shapes, seal_shapes
 
 LID_RANGE = 0.824
 """Nominal turn of the lid to either side [rad] (paper code)."""
 LIFT_UPPER = 0.05
 """How far the lid lifts [m] (paper code)."""
+GAP = 0.0015
+"""Between the pot's rim and what turns on it [m]."""
+LOOP_DEPTH = 0.045
+HANDLE_GAP = 0.010
+"""Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
 
 
 def make_pressure_cooker(number: int) -> ArticulatedObject:
@@ -51,3 +58,181 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
         (2 * design.radius, depth, design.height + design.lid_rise + 0.035),
         f"{design.body_style} pot, {design.lid_style} lid, {design.valve_style} valve, {design.handle_style} handle",
     )
+
+
+def pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    """The pot with its handle and helper loop."""
+    r, h, axis = design.radius, design.height, (design.axis_x, 0.0, 0.0)
+    outlines = {
+        "straight": [(r - 0.006, 0.004), (r, 0.012), (r, h)],
+        "bellied": [(0.86 * r, 0.004), (0.95 * r, 0.14 * h), (r, 0.32 * h), (r, 0.62 * h), (0.985 * r, 0.85 * h),
+                    (0.97 * r, h)],
+        "tapered": [(0.82 * r, 0.004), (0.86 * r, 0.012), (r, 0.8 * h), (r, h)],
+        "bowl": [(0.52 * r, 0.004), (0.74 * r, 0.10 * h), (0.90 * r, 0.30 * h), (0.98 * r, 0.62 * h), (r, h)],
+        "chamfered": [(0.74 * r, 0.004), (r, 0.26 * h), (r, 0.80 * h), (0.95 * r, h)],
+    }  # fmt: skip
+    outline = outlines[design.body_style]
+    base = outline[0][0] - 0.004
+    dark = Material((0.02, 0.02, 0.022), 0.8)
+    shapes = [
+        revolved(axis, outline, design.body, sides=SMOOTH),
+        revolved(axis, [(base, 0.0), (base + 0.003, 0.006)], design.steel, sides=SMOOTH, collides=False),
+        upright((axis[0], 0, h), 0.93 * r, 0.0006, dark, collides=False),
+        revolved(axis, [(r + 0.0015, h - 0.012), (r + 0.0015, h - 0.0005)], design.steel, sides=SMOOTH, collides=False),
+    ]
+    if design.band:
+        level = 0.68 * h
+        band = [(r + 0.001, level), (r + 0.001, level + 0.004)]
+        shapes.append(revolved(axis, band, design.steel, sides=SMOOTH, collides=False))
+    shapes += _pot_handle_shapes(design)
+    if design.helper_loop:
+        shapes += _loop_shapes(design)
+    return tuple(shapes)
+
+
+def _pot_handle_shapes(design: PressureCookerDesign) -> list[Shape]:
+    """The lower handle, a shade thicker than the lid's, on a bracket below the rim."""
+    half_width, half_height = design.handle_half[0] + 0.001, design.handle_half[1] + 0.002
+    z = design.handle_z - design.handle_half[1] - HANDLE_GAP - half_height
+    length = design.handle_length - 0.004
+    shapes = _grip_shapes(design, (0.020, length), z, (half_width, half_height), droop=0.006)
+    bracket = chamfered_box((0.008, 0, z), (0.016, 0.75 * half_width, 0.7 * half_height), 0.002, design.steel)
+    return [*shapes, bracket]
+
+
+def _loop_shapes(design: PressureCookerDesign) -> list[Shape]:
+    z, back = 0.72 * design.height, 2 * design.axis_x
+    out = back - LOOP_DEPTH + 0.012
+    radius, half = 0.009, 0.036
+    ends = [(out, -half, z), (out, half, z)]
+    shapes = [rod(ends[0], ends[1], radius, design.plastic)]
+    for side, end in zip((-1, 1), ends, strict=True):
+        shapes.append(rod(end, (back + 0.008, side * (half + 0.004), z), radius * 0.85, design.plastic))
+        shapes.append(box((back - 0.003, side * (half + 0.004), z), (0.006, 0.010, 0.011), design.steel))
+    return shapes
+
+
+def seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    """The gasket under the lid: it lifts with the lid and does not turn."""
+    rubber = Material((0.30, 0.30, 0.31), 0.9)
+    r = 0.93 * design.radius
+    profile = [(r - 0.004, -0.006), (r, -0.003), (r, 0.0008)]
+    return (revolved((0, 0, 0), profile, rubber, sides=SMOOTH, collides=False),)
+
+
+def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
+    """The lid about its axis, z from the rim."""
+    r, rise = design.radius + 0.004, design.lid_rise
+    edge = 0.011
+    outlines = {
+        "dome": [(r, edge)] + [(r * np.sin(a), edge + (rise - edge) * np.cos(a)) for a in np.linspace(1.25, 0.12, 6)],
+        "stepped": [(r, edge), (r - 0.004, edge + 0.003), (0.80 * r, rise - 0.005), (0.74 * r, rise - 0.001),
+                    (0.66 * r, rise)],
+        "cone": [(r, edge), (0.55 * r, 0.62 * rise), (0.16 * r, rise)],
+        "plateau": [(r, edge), (0.90 * r, 0.92 * rise), (0.84 * r, rise)],
+        "flat": [(r, edge), (0.96 * r, edge + 0.004), (0.90 * r, 0.66 * rise), (0.45 * r, 0.72 * rise)],
+    }  # fmt: skip
+    outline = outlines[design.lid_style]
+    top = outline[-1][1]
+    shapes = [
+        # What is seen reaches down over the rim; what collides stays above it.
+        revolved((0, 0, 0), [(r, -0.010), *outline], design.lid, sides=SMOOTH, collides=False),
+        upright((0, 0, (GAP + edge) / 2), r, (edge - GAP) / 2, design.lid),
+        revolved((0, 0, 0), [(0.97 * r, edge), *((0.98 * a, b - 0.001) for a, b in outline[1:])], design.lid, sides=20),
+        revolved((0, 0, 0), [(r + 0.001, -0.011), (r + 0.001, -0.008)], design.steel, sides=SMOOTH, collides=False),
+    ]
+    if design.lid_style == "stepped":
+        shapes.append(upright((0, 0, rise), 0.5 * r, 0.0008, design.steel, collides=False))
+    return tuple(shapes + _valve_shapes(design, top) + _lid_handle_shapes(design, edge, top))
+
+
+def _safety_plug(design: PressureCookerDesign, low: float) -> list[Shape]:
+    """The small plug beside the valve; it stands at the height ``low`` [m]."""
+    along, side = 0.05 * design.radius, -0.42 * design.radius
+    return [
+        upright((along, side, low), 0.009, 0.007, design.accent),
+        upright((along, side, low + 0.007), 0.0045, 0.002, design.steel, collides=False),
+    ]
+
+
+def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
+    black, steel = Material((0.02, 0.02, 0.022), 0.5), design.steel
+    shapes = _safety_plug(design, top - 0.004)
+    if design.valve_style == "bell":
+        shapes += [
+            upright((0, 0, top), 0.006, 0.008, steel),
+            revolved((0, 0, top + 0.006), [(0.022, 0), (0.019, 0.008), (0.010, 0.018), (0.003, 0.021)], design.accent),
+        ]
+    elif design.valve_style == "twin":
+        for along, size in ((0.018, 0.008), (-0.016, 0.011)):
+            shapes += [
+                upright((along, 0, top + 0.006), size, 0.010, black),
+                upright((along, 0, top + 0.017), 0.7 * size, 0.002, design.accent, collides=False),
+            ]
+    elif design.valve_style == "weight":
+        shapes += [
+            upright((0, 0, top), 0.0045, 0.010, steel),
+            revolved((0, 0, top + 0.008), [(0.011, 0), (0.014, 0.003), (0.014, 0.017), (0.010, 0.021)], black),
+            upright((0, 0, top + 0.030), 0.006, 0.002, steel, collides=False),
+        ]
+    elif design.valve_style == "indicator":
+        shapes += [
+            revolved((0, 0, top - 0.002), [(0.026, 0), (0.024, 0.007), (0.018, 0.009)], black),
+            upright((0, 0, top + 0.014), 0.0075, 0.008, design.accent),
+            *(
+                upright((0, 0, top + z), 0.0078, 0.0009, Material((0.9, 0.9, 0.9), 0.5), collides=False)
+                for z in (0.012, 0.017)
+            ),
+        ]
+    else:
+        shapes += [
+            revolved((0, 0, top - 0.002), [(0.030, 0), (0.030, 0.008), (0.027, 0.011)], steel),
+            revolved((0, 0, top + 0.008), [(0.024, 0), (0.021, 0.013), (0.018, 0.015)], black),
+            box((0.010, 0, top + 0.0235), (0.008, 0.0018, 0.0012), design.accent, collides=False),
+        ]
+    return shapes
+
+
+def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) -> list[Shape]:
+    """The upper handle: a bracket on the dome and the grip beyond the rim."""
+    r, z = design.radius, design.handle_z - design.height
+    half_width, half_height = design.handle_half
+    start = r + 0.007
+    shapes = _grip_shapes(design, (start, r + design.handle_length), z, design.handle_half)
+    saddle = [(0.62 * r, top - 0.001, 0.8 * half_width, 0.004), (0.70 * r, top + 0.001, half_width, 0.006),
+              (r + 0.012, z, half_width + 0.001, half_height)]  # fmt: skip
+    shapes.append(bar(saddle, design.plastic, squareness=0.5, collides=False))
+    shapes.append(chamfered_box((r - 0.004, 0, edge + 0.004), (0.014, half_width, 0.006), 0.002, design.plastic))
+    shapes.append(box((r + 0.028, 0, z + half_height), (0.011, 0.005, 0.002), design.accent, collides=False))
+    return shapes
+
+
+def _eyelet(design: PressureCookerDesign, end: float, z: float) -> Shape:  # the rivet of the ring a cooker hangs by
+    return Shape("capsule", (0.0025, 0.004), transform((end, 0, z)), design.steel, False)
+
+
+def _grip_shapes(
+    design: PressureCookerDesign, ends: tuple[float, float], z: float, half: tuple[float, float], droop: float = 0.0
+) -> list[Shape]:
+    """A handle along x between two ``ends``: parallel sides where fingers close, shape where they do not."""
+    (start, end), (w, h), plastic = ends, half, design.plastic
+    tail = end - 0.022
+    low = z - droop
+    if design.handle_style == "straight":
+        stations = [(start, z, w, h), (tail, z, w, h), (end - 0.003, low, w, 0.9 * h), (end, low, 0.8 * w, 0.7 * h)]
+        return [bar(stations, plastic, squareness=0.45), _eyelet(design, end, low)]
+    if design.handle_style == "banded":
+        stations = [(start, z, w, h), (tail, z, w, h), (end, low, w, 0.95 * h)]
+        rings = [
+            box((at, 0, z), (0.0022, w + 0.0004, h + 0.0004), design.accent, collides=False)
+            for at in (tail, end - 0.006)
+        ]
+        return [bar(stations, plastic, squareness=0.9), *rings]
+    if design.handle_style == "tapered":
+        stations = [(start, z, w, h), (tail, z, w, 0.92 * h), (end, low, 0.72 * w, 0.62 * h)]
+        return [bar(stations, plastic, squareness=0.6), _eyelet(design, end, low)]
+    # Moulded: a hump in front of the fingers and a bulb behind them.
+    grip = [(start, z, w, h), (end, low, w, 0.85 * h)]
+    hump = [(start, z, w + 0.004, h), (start + 0.018, z, w + 0.005, h), (start + 0.030, z, w, 0.9 * h)]
+    bulb = [(tail, z, w, 0.85 * h), (end - 0.006, low, w + 0.003, h), (end + 0.002, low, 0.8 * w, 0.75 * h)]
+    return [bar(each, plastic, squareness=0.7) for each in (grip, hump, bulb)]

@@ -1,0 +1,139 @@
+"""Experts at safes and microwaves: pull, unlock if that is blocked, pull again; straight there if they see the lock."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kinematic import KinematicWorld, adaptive, as_bytes, object_names, run, static
+
+from lerobot_adamanip.contract.rotations import pose_from_vector, rotation_about, transform
+from lerobot_adamanip.experts import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.experts.doors import PULL_ANGLES
+
+fast = settings(max_examples=12, deadline=None)
+seeds = st.integers(0, 2**31 - 1)
+directions = st.sampled_from([-1, 1])
+every_door = pytest.mark.parametrize("category", ["safe", "microwave"])
+OPEN = 0.95 * PULL_ANGLES[-1]
+
+
+def hidden(category: str, locked: bool, direction: int = 1) -> dict[str, Any]:
+    return {"locked": locked, **({"direction": direction} if category == "safe" else {})}
+
+
+@every_door
+@fast
+@given(st.data(), st.booleans(), directions, seeds)
+def test_it_pulls_first_and_unlocks_only_what_is_locked(
+    category: str, data: st.DataObject, locked: bool, direction: int, seed: int
+) -> None:
+    world = KinematicWorld(data.draw(object_names(category)), hidden(category, locked, direction), layout=seed)
+    episode = run(world, adaptive(world, seed))
+    assert episode.opened > OPEN
+    assert episode.failed_pulls() == locked == (Phase.UNLOCK in episode.phases)
+    assert episode.phases[:4] == [Phase.APPROACH, Phase.APPROACH, Phase.GRASP, Phase.TRY]
+    assert episode.phases[-1] is Phase.OPEN
+    for before, goal in zip(episode.felt, episode.goals[1:], strict=False):
+        if category == "safe" and goal.phase in (Phase.RELEASE, Phase.APPROACH):
+            assert goal.gripper == 1.0
+        if goal.phase is Phase.GRASP or (goal.phase is Phase.RELEASE and goal.gripper == 1.0 and before.gripper < 0.5):
+            moved = np.linalg.norm(goal.tcp_in_base[:3, 3] - before.tcp_in_base[:3, 3])
+            assert moved < 1e-9, "fingers open and close where the hand is"
+
+
+@every_door
+@fast
+@given(st.data(), st.booleans(), directions, st.tuples(seeds, seeds))
+def test_sight_of_the_lock_goes_straight_there_and_leaves_the_approach_alone_to_chance(
+    category: str, data: st.DataObject, locked: bool, direction: int, both: tuple[int, int]
+) -> None:
+    name, draw = data.draw(object_names(category)), hidden(category, locked, direction)
+    kept = []
+    for each in both:
+        world = KinematicWorld(name, draw)
+        episode = run(world, static(world, each))
+        assert episode.opened > OPEN
+        assert episode.failed_pulls() == 0
+        assert {move.joint for move in episode.moves} == ({world.final, world.key} if locked else {world.final})
+        if category == "safe":
+            assert {sign for sign, _ in episode.turns()} == ({direction} if locked else set())
+        kept.append(as_bytes([goal for goal in episode.goals if goal.phase is not Phase.APPROACH]))
+    assert kept[0] == kept[1]
+
+
+@every_door
+@fast
+@given(st.integers(1, 6), seeds)
+def test_as_many_failed_pulls_come_before_the_key_as_asked_for(category: str, trials: int, seed: int) -> None:
+    world = KinematicWorld(f"{category}_011", hidden(category, True))
+    episode = run(world, adaptive(world, seed, trials))
+    before_key = episode.phases[: episode.phases.index(Phase.RELEASE)]
+    assert before_key.count(Phase.TRY) == trials == episode.failed_pulls()
+    assert episode.phases.count(Phase.TRY) == trials + 1
+    assert episode.opened > OPEN
+    unlocked = KinematicWorld(f"{category}_011", hidden(category, False))
+    assert run(unlocked, adaptive(unlocked, seed, trials)).phases.count(Phase.TRY) == 1, "what gives is pulled once"
+
+
+@every_door
+@fast
+@given(st.booleans(), seeds, st.integers(1, 2))
+def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(category: str, locked: bool, seed: int, torn: int) -> None:
+    world = KinematicWorld(f"{category}_020", hidden(category, locked), torn=torn)
+    episode = run(world, adaptive(world, seed))
+    first_pull = episode.phases.index(Phase.TRY)
+    assert episode.felt[first_pull].outcome is Outcome.REACHED
+    assert episode.phases[first_pull + 1] is Phase.RELEASE, "an empty hand that got there has opened nothing"
+    assert episode.opened > OPEN
+
+
+@fast
+@given(object_names("safe"), directions, seeds)
+def test_a_direction_that_failed_is_not_tried_again(name: str, direction: int, seed: int) -> None:
+    world = KinematicWorld(name, hidden("safe", True, direction))
+    turns = run(world, adaptive(world, seed)).turns()
+    signs, wrong = [sign for sign, _ in turns], [stalled for sign, stalled in turns if sign != direction]
+    assert wrong in ([], [True])
+    assert sum(a != b for a, b in pairwise(signs)) == len(wrong)
+    assert signs[-1] == direction
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_which_direction_comes_first_is_left_to_chance_and_not_to_the_truth(direction: int) -> None:
+    firsts = []
+    for seed in range(200):
+        world = KinematicWorld("safe_005", hidden("safe", True, direction))
+        firsts.append(run(world, adaptive(world, seed), until="knob").turns()[0][0])
+    assert np.mean(np.array(firsts) == 1) == pytest.approx(0.5, abs=0.12)
+
+
+@fast
+@given(object_names("microwave"), seeds)
+def test_a_button_is_pushed_with_a_closed_hand_until_it_stops(name: str, seed: int) -> None:
+    world = KinematicWorld(name, {"locked": True})
+    episode = run(world, adaptive(world, seed))
+    push = episode.phases.index(Phase.UNLOCK)
+    move = world.moves[push]
+    assert move is not None
+    assert (move.joint, move.stalled, move.end) == ("button", True, world.obj.joint("button").limits[1])
+    assert [goal.gripper for goal in episode.goals[push - 2 : push + 2]] == [0.0] * 4
+    away = np.linalg.norm(episode.felt[push + 1].tcp_in_base[:3, 3] - episode.felt[push].tcp_in_base[:3, 3])
+    assert away == pytest.approx(0.1), "it backs off before it goes anywhere else"
+
+
+def test_a_goal_says_its_pose_in_the_contract_s_words() -> None:
+    pose = transform((0.4, -0.1, 0.6), rotation_about((1, 2, 3), 0.7))
+    action = Goal(pose, 0.5, Phase.TRY).action()
+    back, gripper = pose_from_vector(action)
+    assert (action.shape, action.dtype, gripper) == ((10,), np.float32, 0.5)
+    np.testing.assert_allclose(back, pose, atol=1e-6)
+
+
+@pytest.mark.parametrize("outcome", [None, *Outcome])
+def test_only_arriving_and_not_having_gone_are_no_failure(outcome: Outcome | None) -> None:
+    assert Feedback(np.eye(4), 1.0, outcome).failed == (outcome not in (None, Outcome.REACHED))
