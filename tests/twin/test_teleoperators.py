@@ -210,7 +210,7 @@ def test_the_gripper_toggles_and_keys_reach_the_robot(robot: Robot, stick: Stick
 
 
 def test_without_a_robot_or_a_connection_it_says_so(stick: Stick) -> None:
-    with pytest.raises(RobotError, match="knows no robot"):
+    with pytest.raises(RobotError, match="finds no robot"):
         stick.get_action()
     stick.disconnect()
     stick.disconnect()

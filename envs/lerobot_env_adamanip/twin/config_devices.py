@@ -26,8 +26,8 @@ FRONT = "front"
 class AdamanipTwinConfig(CameraConfig):
     """The front camera of the twin's scene, colour and depth of one moment. Its size is the robot's to say.
 
-    ``fps`` is how often it looks where time passes by itself (default 10: a picture takes some 50 ms of a processor);
-    in lockstep it looks once per observation. ``width`` and ``height`` are the twin's; others are refused.
+    ``fps`` is its rate in real time (default 10: a picture takes some 50 ms of a processor); in lockstep it takes
+    one per observation. ``width`` and ``height`` are the twin's; others are refused.
     """
 
     use_rgb: bool = True
@@ -97,8 +97,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     """Of the first episode; episode k of a recording has seed + k."""
 
     clock: str = "realtime"
-    """realtime: time passes by itself. lockstep: each action is 1/fps of time, and nothing else is: the same data on
-    every machine, however slow."""
+    """realtime: the machine's clock. lockstep: each action advances time by 1/fps: the same data on every machine."""
 
     fps: float = 30.0
     """Of the command's loop, in lockstep: what a step is one part of."""

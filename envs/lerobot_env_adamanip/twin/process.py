@@ -1,4 +1,4 @@
-"""What the twin's process is told, and its mailboxes: known to both sides, free of the simulator."""
+"""Options and mailboxes of the twin's process, free of the simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The twin's camera: asks the twin's process for pictures while somebody reads them."""
+"""The twin's camera: asks the twin's process for pictures while they are read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES
 
 CAMERA_HZ = 10
-"""Default rate where time passes by itself."""
+"""Default rate in real time."""
 WANTED_FOR = 1.0
 """After so long without a reader the camera takes no more pictures [s]."""
 LOOK_TIME = 120.0
@@ -26,7 +26,7 @@ LOOK_TIME = 120.0
 class AdamanipTwin(ThreadedCamera):
     """The front camera of the twin.
 
-    Where time passes by itself, its thread takes pictures at ``fps``. In lockstep a picture is taken where it is read,
+    In real time its thread takes pictures at ``fps``. In lockstep a picture is taken where it is read,
     once per step, so that equal steps give equal data.
     """
 
@@ -58,7 +58,7 @@ class AdamanipTwin(ThreadedCamera):
         """Notes that a frame is wanted."""
         self._wanted = time.perf_counter()
         if self._lockstep and self.is_connected:
-            self._look_anew(force=False)
+            self._refresh(force=False)
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
         """As of every camera; in lockstep, the frame of this step."""
@@ -67,17 +67,17 @@ class AdamanipTwin(ThreadedCamera):
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
         """As of every camera; in lockstep it is taken now."""
         if self._lockstep and self.is_connected:
-            self._look_anew(force=True)
+            self._refresh(force=True)
             stamp = float("-inf")
         return super().frame_after(stamp, timeout)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
         """As of every camera; in lockstep it is taken now."""
         if self._lockstep and self.is_connected:
-            self._look_anew(force=True)
+            self._refresh(force=True)
         return super().async_read(timeout_ms)
 
-    def _look_anew(self, *, force: bool) -> None:
+    def _refresh(self, *, force: bool) -> None:
         """Takes a picture of this step, unless there is one."""
         assert self._client is not None
         reading = self._client.status().reading

@@ -47,7 +47,7 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
     """Likewise [rad]."""
 
     auto_recover: int = 0
-    """Reflexes in a row that are recovered from by itself, at half dynamics; the next one ends with an error."""
+    """Reflexes in a row that are recovered from automatically, at half dynamics; the next one is an error."""
 
     state_age: float = 0.2
     """The arm's state may be this old [s]; then it is stopped, and that is an error. From 1 s up a connection that

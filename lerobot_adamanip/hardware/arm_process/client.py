@@ -160,7 +160,7 @@ class ArmClient:
                 "The arm's process publishes no state any more; the arm is asked to stop.",
                 got=f"a state that is {age:.2f} s old",
                 allowed=f"{self.server.state_age:g} s",
-                hint="is the robot reachable, and the machine not overloaded? Disconnect and connect anew",
+                hint="is the robot reachable, and the machine not overloaded? Disconnect and connect again",
             )
         return status
 
@@ -168,7 +168,7 @@ class ArmClient:
         """Returns the newest status of a healthy arm. Raises `RobotError`, as `status` and for a fault."""
         status = self.status()
         if status.fault is not None:
-            hint = "disconnect and connect anew" if status.lost else "see to the arm, then recover it"
+            hint = "disconnect and connect again" if status.lost else "see to the arm, then recover it"
             mode = "no state" if status.reading is None else status.reading.mode.name
             raise RobotError(status.fault, got=mode, allowed="no fault: nothing is accepted until then", hint=hint)
         return status
@@ -203,7 +203,7 @@ class ArmClient:
             if status.accepted >= number and status.reading is not None and status.reading.outcome is not None:
                 return status
             time.sleep(POLL)
-        self.tell("stop")
+        self.post("stop")
         raise RobotError("A key frame does not end.", got=f"{time_limit:g} s", allowed="the backend's own time limit")
 
     # Requests --------------------------------------------------------------------------------------------------------
@@ -219,7 +219,7 @@ class ArmClient:
             self._write(Request(self._asked, ask, dict(values or {})))
             return self._receive(self._asked, time_limit, ask)
 
-    def tell(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
+    def post(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
         """Sends a request without waiting for an answer; nothing happens if the process has ended."""
         with self._lock, contextlib.suppress(RobotError):
             self._write(Request(0, ask, dict(values or {})))

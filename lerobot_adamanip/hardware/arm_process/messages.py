@@ -17,7 +17,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 COMMAND, STATUS = "command", "status"
 """Mailboxes that there always are: an `ArmTarget`, an `ArmStatus`. Others are the backend's."""
 RESET = "reset"
-"""Request that puts scene and arm up anew: what is measured after it depends on nothing before it."""
+"""Request that resets scene and arm; later measurements do not depend on earlier ones."""
 MAX_TEXT = 2000
 """Characters of an error that are kept."""
 
@@ -29,7 +29,7 @@ class ServerOptions:
     Attributes:
         state_age: a state that stands still for longer is a fault, which stops the arm [s].
         command_age: a stream without a new target for longer is stopped [s]. The next target moves it on.
-        lockstep_fps: None: time passes by itself. A number: only targets advance the backend, each by 1/fps seconds, a
+        lockstep_fps: None: real time. A number: only targets advance the backend, each by 1/fps seconds, a
             key frame to its end. For twins.
         box_lower, box_upper: a target whose tool or hand is outside is a fault [m, base frame]; None checks nothing.
         jump, angular_jump: a streamed target farther from the measured pose is a fault [m, rad]; None checks nothing.
@@ -57,7 +57,7 @@ class Start:
     Attributes:
         factory: ``module:function`` that makes a `Served` of options and mailboxes.
         options: of the backend.
-        server: what is watched.
+        server: watchdogs and clock.
         capacities: name -> bytes of every mailbox, in their order in memory.
     """
 
@@ -78,7 +78,7 @@ class ArmStatus:
         sent: (10,) float32, that target; None before the first.
         holding: the arm was stopped: targets of a stream did not come, or `stop` was asked for.
         fault: why no target is accepted until `recover`; None if all is well.
-        lost: the fault is a lost connection: connect anew.
+        lost: the fault is a lost connection: connect again.
         faults: how many there were since the process began.
     """
 

@@ -207,7 +207,7 @@ class ArmServer:
     def _recover(self, _: dict[str, Any]) -> dict[str, Any]:
         """Clears a fault; targets from before it are not executed."""
         if self._lost:
-            raise RobotError("The connection to the arm is lost, which recovering does not repair: connect anew.")
+            raise RobotError("The connection to the arm is lost, which recovering does not repair: connect again.")
         self._backend.recover()
         self._fault, self._holding, self._target = None, True, None
         self._accepted = self._command.number
@@ -221,7 +221,7 @@ class ArmServer:
         """Takes the newest target and advances time by its share."""
         fps = self._options.lockstep_fps
         if fps is None:
-            raise RobotError("Time passes by itself here; steps are for lockstep.")
+            raise RobotError("Time advances in real time here; steps are for lockstep.")
         self._accept()
         period = self._backend.period
         if self._target is not None and self._target.execution is Execution.KEYFRAME:

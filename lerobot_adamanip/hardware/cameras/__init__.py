@@ -1,1 +1,1 @@
-"""Depth cameras that tell when a picture was taken; each class stands beside its light configuration."""
+"""Depth cameras with stamps; each class is beside its light configuration."""

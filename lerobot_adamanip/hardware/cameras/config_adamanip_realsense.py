@@ -29,7 +29,7 @@ class AdamanipRealsenseConfig(CameraConfig):
     """Frames are taken and dropped for so long after connecting [s], so that the exposure settles."""
 
     exposure: int | None = None
-    """Of the colour imager, fixed; by itself if not given."""
+    """Fixed exposure of the colour imager; automatic if not given."""
 
     gain: int | None = None
     """Likewise."""

@@ -27,7 +27,7 @@ LOST_AFTER_S = 1.0
 
 
 class StaleInputWatch:
-    """Detects a device that has stopped reporting, of which the library repeats the last value.
+    """Detects a device that has stopped reporting while its library repeats the last value.
 
     Args:
         device: its name, for the error.
@@ -161,7 +161,7 @@ class TcpTeleop(Teleoperator):
         session = ROBOTS.find(self.config.robot_id)
         if session is None or session.reading is None:
             raise RobotError(
-                f"Teleoperator {self.name} knows no robot.",
+                f"Teleoperator {self.name} finds no robot.",
                 got=f"robot_id={self.config.robot_id!r}",
                 allowed="a connected robot of this plugin, which has been observed once",
                 hint="--robot.type=adamanip_franka or adamanip_franka_sim; with several robots --teleop.robot_id=ID",

@@ -1,4 +1,4 @@
-"""A motion that runs to its end by itself, taken one tick at a time."""
+"""A blocking motion in slices of one tick."""
 
 from __future__ import annotations
 
