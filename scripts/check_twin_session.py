@@ -76,33 +76,29 @@ def lines_of(log: Path) -> list[dict[str, Any]]:
 def record(session: Session, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Records episodes and returns the twin's log of them."""
     root = session.out / "recorded"
-    session.run(
-        "lerobot-record", *TWIN, LOCKSTEP, QUIET, DATASET, f"--robot.seed={options.seed}",
-        f"--robot.image_size={options.image_size}", "--teleop.type=adamanip_scripted", f"--dataset.root={root}",
-        f"--dataset.num_episodes={options.episodes}", f"--dataset.episode_time_s={ENDLESS}",
-        "--dataset.reset_time_s=0", "--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false",
-    )  # fmt: skip
+    robot = (*TWIN, LOCKSTEP, f"--robot.seed={options.seed}", f"--robot.image_size={options.image_size}")
+    data = (DATASET, f"--dataset.root={root}", f"--dataset.num_episodes={options.episodes}")
+    times = (f"--dataset.episode_time_s={ENDLESS}", "--dataset.reset_time_s=0")
+    rest = ("--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false", QUIET)
+    session.run("lerobot-record", *robot, "--teleop.type=adamanip_scripted", *data, *times, *rest)
     return lines_of(root.with_name("recorded.episodes.jsonl"))
 
 
 def teleoperate(session: Session, options: argparse.Namespace) -> float:
     """Drives the twin in real time; returns the seconds that passed in it."""
     log = session.out / "teleoperated.jsonl"
-    session.run(
-        "lerobot-teleoperate", *TWIN, f"--robot.seed={options.seed}", f"--robot.episode_log={log}",
-        "--teleop.type=adamanip_scripted", "--fps=30", f"--teleop_time_s={options.teleoperate}",
-    )  # fmt: skip
+    robot = (*TWIN, f"--robot.seed={options.seed}", f"--robot.episode_log={log}")
+    teleop = ("--teleop.type=adamanip_scripted", "--fps=30", f"--teleop_time_s={options.teleoperate}")
+    session.run("lerobot-teleoperate", *robot, *teleop)
     return float(lines_of(log)[-1]["seconds"])
 
 
 def replay(session: Session, options: argparse.Namespace, episode: int) -> bool:
     """Replays a recorded episode in its scene; returns whether the door opened."""
     log = session.out / "replayed.jsonl"
-    session.run(
-        "lerobot-replay", *TWIN, LOCKSTEP, QUIET, DATASET, "--robot.camera=false", f"--robot.episode_log={log}",
-        f"--robot.seed={options.seed + episode}", f"--dataset.root={session.out / 'recorded'}",
-        f"--dataset.episode={episode}",
-    )  # fmt: skip
+    robot = (*TWIN, LOCKSTEP, f"--robot.seed={options.seed + episode}", f"--robot.episode_log={log}")
+    data = (DATASET, f"--dataset.root={session.out / 'recorded'}", f"--dataset.episode={episode}")
+    session.run("lerobot-replay", *robot, "--robot.camera=false", *data, QUIET)
     return bool(lines_of(log)[-1]["success"])
 
 
@@ -110,17 +106,15 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
     """Plays each seed with a policy: by `lerobot-rollout` on the twin, and by `lerobot-eval`."""
     log, evaluated, won = session.out / "rolled_out.jsonl", session.out / "evaluated.jsonl", 0
     for seed in range(options.seed, options.seed + options.seeds):
-        session.run(
-            "lerobot-rollout", *TWIN, LOCKSTEP, QUIET, "--robot.execution=keyframe", "--robot.end_when_done=true",
-            f"--robot.seed={seed}", f"--robot.episode_log={log}", f"--policy.path={options.policy}",
-            "--task=Open the microwave.", f"--duration={ENDLESS}", "--return_to_initial_position=false",
-        )  # fmt: skip
+        robot = (*TWIN, LOCKSTEP, f"--robot.seed={seed}", f"--robot.episode_log={log}")
+        ending = ("--robot.execution=keyframe", "--robot.end_when_done=true", f"--duration={ENDLESS}")
+        policy = (f"--policy.path={options.policy}", "--task=Open the microwave.")
+        session.run("lerobot-rollout", *robot, *ending, *policy, "--return_to_initial_position=false", QUIET)
         won += bool(lines_of(log)[-1]["success"])
-    session.run(
-        "lerobot-eval", f"--policy.path={options.policy}", "--env.type=adamanip_microwave", "--env.split=test",
-        "--env.observe_images=false", f"--env.episode_log={evaluated}", f"--seed={options.seed}",
-        f"--eval.n_episodes={options.seeds}", "--eval.batch_size=1", f"--output_dir={session.out / 'evaluated'}",
-    )  # fmt: skip
+    env = ("--env.type=adamanip_microwave", "--env.split=test", "--env.observe_images=false")
+    episodes = (f"--seed={options.seed}", f"--eval.n_episodes={options.seeds}", "--eval.batch_size=1")
+    out = (f"--env.episode_log={evaluated}", f"--output_dir={session.out / 'evaluated'}")
+    session.run("lerobot-eval", f"--policy.path={options.policy}", *env, *episodes, *out)
     expected = sum(bool(parse(line)["success"]) for line in evaluated.read_text(encoding="utf-8").splitlines())
     low, high = wilson_interval(expected, options.seeds)
     told = {"rolled_out": won, "evaluated": expected, "seeds": options.seeds, "interval": [low, high]}
@@ -211,12 +205,10 @@ def played_again(converted: Path, seeds: Mapping[int, int]) -> tuple[int, int]:
 def mixed_training(run: Run, recorded: Path, simulated: Path, out: Path, steps: int) -> list[float]:
     """Trains on key frames of the recording and simulated demonstrations together; returns the logged losses."""
     run("adamanip", "keyframes", str(recorded), str(simulated), "--out", str(out / "mix"))
-    log = run(
-        "lerobot-train", "--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false",
-        "--dataset.repo_id=local/mix", f"--dataset.root={out / 'mix'}", "--batch_size=32", "--num_workers=0",
-        f"--steps={steps}", f"--save_freq={steps}", f"--log_freq={max(1, steps // 15)}",
-        f"--output_dir={out / 'trained'}",
-    )  # fmt: skip
+    policy = ("--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false")
+    data = ("--dataset.repo_id=local/mix", f"--dataset.root={out / 'mix'}", "--batch_size=32", "--num_workers=0")
+    saving = (f"--save_freq={steps}", f"--log_freq={max(1, steps // 15)}", f"--output_dir={out / 'trained'}")
+    log = run("lerobot-train", *policy, *data, f"--steps={steps}", *saving)
     return [float(value) for value in re.findall(r" loss:([0-9.]+)", log.read_text(errors="replace"))]
 
 
