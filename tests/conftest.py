@@ -105,13 +105,13 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
 @pytest.fixture(scope="session")
 def finished(once: Once) -> Path:
     """A complete dataset of the fake environment, recorded by one worker without interruption."""
-    return once("finished", _collected)
+    return once("finished", _collected) / "dataset"
 
 
 @pytest.fixture(scope="session")
 def unpictured(once: Once) -> Path:
     """As `finished`, without pictures."""
-    return once("unpictured", functools.partial(_collected, observe_images=False))
+    return once("unpictured", functools.partial(_collected, observe_images=False)) / "dataset"
 
 
 def _collected(root: Path, **options: Any) -> None:
@@ -119,7 +119,7 @@ def _collected(root: Path, **options: Any) -> None:
 
     from lerobot_adamanip.collection.collect import collect
 
-    collect(root, make_spec(**options), fakes(), patiently())
+    collect(root / "dataset", make_spec(**options), fakes(), patiently())
 
 
 @pytest.fixture(scope="session")
@@ -127,7 +127,7 @@ def published(once: Once) -> Path:
     """A complete dataset with late starts and attempts that failed."""
     from sound_demos import collect_sound
 
-    return once("published", collect_sound)
+    return once("published", lambda root: collect_sound(root / "dataset")) / "dataset"
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ from demos_helpers import LATE, fakes, make_spec, patiently
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.manifest import read_manifest
 from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset, read_back
 from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
 from lerobot_adamanip.datasets.start_column import RESET
@@ -68,6 +70,7 @@ def test_every_episode_ends_past_success_in_one_terminal_row(finished: Path) -> 
 
 def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> None:
     dataset = open_dataset(finished)
+    made_by = combined(read_manifest(manifest_path(finished)).fingerprint)
     seen, starts = set(), []
     for index in range(dataset.num_episodes):
         row = dataset.meta.episodes[index]
@@ -81,7 +84,7 @@ def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> Non
         assert row["attempts"] == 1 + len(json.loads(row["failures"])) == row["attempt"] + 1
         assert json.loads(row["camera"])["cam_in_base"][0][3] == pytest.approx(0.01 * row["seed"])
         assert "lerobot" in json.loads(row["versions"])
-        assert row["fingerprint"] == combined({"fake": "1", "code": "a"})
+        assert row["fingerprint"] == made_by
         seen.add((row["object_id"], row["slot"]))
     assert len(seen) == 6
     assert 0 < np.mean(starts) < 1
