@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Long checks: tests marked nightly, experts on fresh scenes, hidden states, random actions in every environment. Runs all parts and ends with status 1 if one failed. WORKERS=2 EPISODES=20 bash scripts/nightly.sh
+# Long checks: tests marked nightly, experts on fresh scenes, hidden states, random actions in every environment.
+# Runs all parts and ends with status 1 if one failed. WORKERS=2 EPISODES=20 bash scripts/nightly.sh
 set -uo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
