@@ -20,31 +20,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-DATA = """
+FACTS = """
+import importlib.util, json
+import lerobot_adamanip, lerobot_env_adamanip, lerobot_policy_adamanip
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.envs.configs import EnvConfig
+from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_adamanip.benchmark.declaration import read_declaration
 from lerobot_adamanip.datasets.cards.templates import card_template
 read_declaration()
 card_template("dataset_card.md"), card_template("model_card.md")
-print("true")
-"""
-IMPORTS = """
-import json
-import lerobot_adamanip, lerobot_env_adamanip, lerobot_policy_adamanip
-modules = (lerobot_adamanip, lerobot_env_adamanip, lerobot_policy_adamanip)
-print(json.dumps({"version": lerobot_adamanip.__version__, "files": [module.__file__ for module in modules]}))
-"""
-REGISTRATIONS = """
-import json
-from lerobot.configs.policies import PreTrainedConfig
-from lerobot.envs.configs import EnvConfig
-from lerobot.utils.import_utils import register_third_party_plugins
 register_third_party_plugins()
-known = {"env": EnvConfig.get_known_choices(), "policy": PreTrainedConfig.get_known_choices()}
-print(json.dumps({kind: sorted(names) for kind, names in known.items()}))
-"""
-SIMULATES = """
-import importlib.util, json
-print(json.dumps(all(importlib.util.find_spec(name) for name in ("sapien", "mani_skill"))))
+modules = (lerobot_adamanip, lerobot_env_adamanip, lerobot_policy_adamanip)
+print(json.dumps({
+    "version": lerobot_adamanip.__version__,
+    "files": [module.__file__ for module in modules],
+    "types": [*EnvConfig.get_known_choices(), *PreTrainedConfig.get_known_choices()],
+    "simulates": all(importlib.util.find_spec(name) for name in ("sapien", "mani_skill")),
+}))
 """
 RESET = """
 import json
@@ -55,8 +48,7 @@ observation, info = env.reset(seed=5)
 env.close()
 print(json.dumps({"state": observation["agent_pos"].shape == (STATE_DIM,), "success": info["is_success"]}))
 """
-ENV_TYPES = {"adamanip", "adamanip_safe", "adamanip_lamp"}
-POLICY_TYPES = {"dp3_adaptive", "vat_mart", "adaafford", "sampling"}
+TYPES = {"adamanip", "adamanip_safe", "adamanip_lamp", "dp3_adaptive", "vat_mart", "adaafford", "sampling"}
 SIMULATOR = {"mani-skill", "sapien", "opencv-python", "cv2", "Ray-cast clouds"}
 """Checks of `adamanip doctor` that a release without the extra `sim` cannot pass."""
 
@@ -140,28 +132,23 @@ def share_packages(folder: Path, wheel: Path) -> Path:
 def try_release(python: Path, wheel: Path, folder: Path, *, simulator: bool) -> Iterator[str]:
     """Yields the name of each check that holds; raises `ReleaseError` at the first that does not."""
     version, command = version_of(wheel), str(python.parent / "adamanip")
-    answer(python, DATA, folder)
-    yield "the benchmark and the cards are there"
-    found = answer(python, IMPORTS, folder)
-    outside = [file for file in found["files"] if not Path(file).is_relative_to(python.parents[1])]
+    facts = answer(python, FACTS, folder)
+    outside = [file for file in facts["files"] if not Path(file).is_relative_to(python.parents[1])]
     expect(not outside, f"imported from outside the new environment: {outside}")
-    expect(found["version"] == version, f"the package says {found['version']}, the wheel {version}")
+    expect(facts["version"] == version, f"the package says {facts['version']}, the wheel {version}")
     expect(run([command, "--version"], folder).split()[-1] == version, "adamanip --version differs")
-    yield f"the packages and the command are those of {version}"
+    yield f"the packages, their files and the command are those of {version}"
     listed = set(re.findall(r"^  (\w+)", run([command, "--help"], folder), re.MULTILINE))
     expect({"collect", "doctor", "report"} <= listed, f"adamanip --help lists {sorted(listed)}")
     yield f"adamanip --help lists {len(listed)} commands"
-    known = answer(python, REGISTRATIONS, folder)
-    missing = (ENV_TYPES - set(known["env"])) | (POLICY_TYPES - set(known["policy"]))
-    expect(not missing, f"LeRobot does not know {sorted(missing)}")
+    expect(set(facts["types"]) >= TYPES, f"LeRobot does not know {sorted(TYPES - set(facts['types']))}")
     yield "LeRobot finds the environments and the policies"
     if simulator:
-        yield from try_simulator(python, folder)
+        yield from try_simulator(python, folder, simulates=facts["simulates"])
 
 
-def try_simulator(python: Path, folder: Path) -> Iterator[str]:
-    """Yields the name of each check that takes the simulator, or tells that it is not installed."""
-    simulates = bool(answer(python, SIMULATES, folder))
+def try_simulator(python: Path, folder: Path, *, simulates: bool) -> Iterator[str]:
+    """Yields the name of each check that needs the simulator, or says that it is not installed."""
     report = json.loads(run([str(python.parent / "adamanip"), "doctor", "--json"], folder, statuses=(0, 1)))
     failed = {check["name"] for check in report["checks"] if check["required"] and not check["ok"]}
     expect(not failed - (set() if simulates else SIMULATOR), f"adamanip doctor: {sorted(failed)}")

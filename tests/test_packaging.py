@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
+import importlib.util
 import re
 import subprocess
 import sys
@@ -19,7 +18,6 @@ from smoke_test_release import ReleaseError, check_tag, find_wheel
 import lerobot_adamanip
 
 ROOT = Path(__file__).resolve().parents[1]
-RESUMES = "lerobot.common.control_utils"
 TEXT = {".py", ".json", ".typed", ".toml", ".md", ".txt", ".cff", ""}
 """Endings of what a release holds; the last one is that of LICENSE, PKG-INFO and .gitignore."""
 
@@ -101,7 +99,7 @@ def test_wheel_name_is_one_that_lerobot_looks_for(wheel: Path) -> None:
 def test_the_release_works_in_an_environment_of_its_own(dist: Path) -> None:
     done = smoke_test(dist, "--no-simulator")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert [line.split()[0] for line in done.stdout.splitlines()] == ["ok"] * 4
+    assert [line.split()[0] for line in done.stdout.splitlines()] == ["ok"] * 3
 
 
 @pytest.mark.nightly
@@ -112,6 +110,7 @@ def test_an_environment_of_the_release_resets(dist: Path) -> None:
     assert "an environment resets" in done.stdout, done.stdout + done.stderr
 
 
+@pytest.mark.nightly
 def test_a_wheel_that_lacks_something_fails(wheel: Path, tmp_path: Path) -> None:
     poor = tmp_path / wheel.name
     with zipfile.ZipFile(wheel) as archive, zipfile.ZipFile(poor, "w") as copy:
@@ -167,7 +166,10 @@ def test_every_extra_is_imported_by_something() -> None:
     }  # fmt: skip
     packages = ("lerobot_adamanip", "envs", "policies")
     text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
-    assert "deepdiff" in inspect.getsource(importlib.import_module(RESUMES))  # LeRobot's, of which no extra brings it
+    resumes = importlib.util.find_spec("lerobot.common.control_utils")
+    assert resumes is not None
+    assert resumes.origin is not None
+    assert "deepdiff" in Path(resumes.origin).read_text()  # LeRobot's, of which no extra brings it
     for extra in set(extras) - {"dev", "docs"}:
         for name in {Requirement(line).name for line in extras[extra]} - {"deepdiff"}:
             assert re.search(rf"\b(import|from) {modules.get(name, name)}\b", text), f"{extra}: {name}"
