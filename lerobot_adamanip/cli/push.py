@@ -6,7 +6,7 @@ import contextlib
 import json
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -107,7 +107,7 @@ class Push:
 
     def _print(self, sizes: dict[str, int], result: PushResult | None) -> None:
         if self.json:
-            print(json.dumps({"dry_run": True, "files": sizes} if result is None else result.to_json()))
+            print(json.dumps({"dry_run": True, "files": sizes} if result is None else asdict(result)))
         elif result is None:
             for name, size in sizes.items():
                 print(f"{size:>12}  {name}")

@@ -1,4 +1,4 @@
-"""The Hub as this process may use it: names, who is logged in, and one clear error for whatever goes wrong there."""
+"""Login to the Hub, and one clear error for everything that goes wrong there."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class HubError(AdaManipError, RuntimeError):
 
 
 def require_login(api: HfApi) -> None:
-    """Raises `HubError` if there is no token, before anything is asked for."""
+    """Raises `HubError` if there is no token, before any request."""
     from huggingface_hub import constants, get_token
 
     if constants.is_offline_mode():
@@ -34,8 +34,8 @@ def require_login(api: HfApi) -> None:
 
 
 @contextlib.contextmanager
-def told_clearly(repo_id: str, endpoint: str) -> Iterator[None]:
-    """Within it, whatever the Hub's client raises becomes a `HubError`."""
+def translate_hub_errors(repo_id: str, endpoint: str) -> Iterator[None]:
+    """Turns errors of the Hub's client into `HubError`."""
     import httpx
     from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
 
@@ -62,7 +62,7 @@ def told_clearly(repo_id: str, endpoint: str) -> Iterator[None]:
 
 
 def _cause(error: BaseException) -> BaseException:
-    """What lies below an error of the client's threads, which hide it behind one of their own."""
+    """Returns the error below one of the client's threads, which wrap it."""
     import httpx
     from huggingface_hub.errors import HfHubHTTPError
 

@@ -1,4 +1,4 @@
-"""The repository of the environments: a shim for LeRobot's EnvHub, its card, and what to install."""
+"""Repository of the environments: a shim for LeRobot's EnvHub, its card, and its requirements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Configurations of a training without what tells of the trainer's machine or account."""
+"""Training configurations without fields that name the trainer's machine or account."""
 
 from __future__ import annotations
 

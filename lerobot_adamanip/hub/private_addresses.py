@@ -1,4 +1,4 @@
-"""Addresses in a text: IPv4, IPv6, e-mail, and names that hosts have inside an organisation's network."""
+"""Search for addresses in text: IPv4, IPv6, e-mail, and host names of an organisation's network."""
 
 from __future__ import annotations
 

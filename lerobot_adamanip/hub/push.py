@@ -1,11 +1,11 @@
-"""Publishing: every step may be done again, and what is there already is not sent again."""
+"""Publishing. Every step can be repeated; files that are there already are not sent again."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.hub.endpoint import AGAIN, HubError, require_login, told_clearly
+from lerobot_adamanip.hub.endpoint import AGAIN, HubError, require_login, translate_hub_errors
 from lerobot_adamanip.hub.staging import Digest, Staged
 
 if TYPE_CHECKING:
@@ -17,17 +17,15 @@ _OF_THE_HUB = (".gitattributes",)
 
 @dataclass(frozen=True)
 class PushResult:
-    """What was published.
+    """A published repository.
 
     Attributes:
         repo_id: name on the Hub.
         kind: ``dataset`` or ``model``.
         url: of the repository.
-        commit: that holds what was sent.
-        changed: whether a commit was made; False if all was there already.
-        files: published.
-        bytes: of them.
-        tags: that are at the commit.
+        commit: that holds the files; ``changed`` is False if they were there already.
+        files, bytes: number and size of the files.
+        tags: at the commit.
     """
 
     repo_id: str
@@ -39,16 +37,12 @@ class PushResult:
     bytes: int
     tags: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary."""
-        return asdict(self)
-
 
 def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, release: str | None = None) -> PushResult:
-    """Creates the repository, uploads in one commit, moves the version's tag, and reads back what is there.
+    """Creates the repository, uploads in one commit, moves the version's tag, and compares what is there then.
 
-    All goes to the endpoint of ``api`` (``HF_ENDPOINT``) and to the stores that it names. Interrupted at any point, the
-    same call goes on.
+    All goes to the endpoint of ``api`` (``HF_ENDPOINT``) and to the stores that it names. After an interruption the
+    same call resumes.
 
     Args:
         staged: what to publish.
@@ -65,7 +59,7 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
     api = api or Client()
     require_login(api)
     staged.require_unchanged()
-    with told_clearly(staged.repo_id, str(api.endpoint)):
+    with translate_hub_errors(staged.repo_id, str(api.endpoint)):
         url = api.create_repo(staged.repo_id, repo_type=staged.kind, private=private or None, exist_ok=True)
         before = _head(api, staged, private)
         _upload(api, staged)
@@ -79,7 +73,7 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
 
 
 def _head(api: HfApi, staged: Staged, private: bool) -> str:
-    """The newest commit; refuses to publish to everybody what was to be private."""
+    """Returns the newest commit; raises `HubError` if a private push meets a public repository."""
     info = api.repo_info(staged.repo_id, repo_type=staged.kind, revision="main")
     if private and not info.private:
         raise HubError(
@@ -107,9 +101,7 @@ def _tags(api: HfApi, staged: Staged) -> dict[str, str]:
 
 
 def _move_tag(api: HfApi, staged: Staged, tag: str, commit: str) -> str:
-    """Deletes the tag and sets it anew, because the Hub moves none. Cut between the two, the next call finds it missing
-    and sets it.
-    """
+    """Deletes the tag and sets it anew: the Hub moves none. After a cut between the two, the next call sets it."""
     known = _tags(api, staged).get(tag)
     if known != commit:
         if known is not None:
@@ -133,7 +125,7 @@ def _set_release(api: HfApi, staged: Staged, tag: str, commit: str) -> str:
 
 
 def _read_back(api: HfApi, staged: Staged, commit: str) -> int:
-    """Compares what the commit holds with what was to be sent, and where tags are; returns the bytes of all."""
+    """Compares the commit with the staged files, and the tag with the commit; returns the bytes of all files."""
     entries = api.list_repo_tree(staged.repo_id, repo_type=staged.kind, revision=commit, recursive=True)
     remote = {entry.path: entry for entry in entries if hasattr(entry, "blob_id")}
     local = staged.digests

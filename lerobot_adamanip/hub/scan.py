@@ -1,4 +1,4 @@
-"""What must not be published: folders, users, hosts and addresses, in any file that is about to be sent."""
+"""Search for folders, users, hosts and addresses in files that are about to be published."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _POSIX_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/")
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that tells of a machine.
+    """A name or path of a machine or person.
 
     Attributes:
         file: relative path.
@@ -48,7 +48,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Names:
-    """Who and what this machine is.
+    """Names of this machine.
 
     Attributes:
         user: names of its user.
@@ -77,7 +77,7 @@ class Names:
 
 
 def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Finding]:
-    """Returns what tells of a machine: in text, in Parquet metadata and columns of text, in headers of other files.
+    """Returns findings in text, in Parquet metadata and columns of text, and in headers of other files.
 
     Args:
         files: path in the repository -> file.

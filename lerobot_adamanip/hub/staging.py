@@ -1,4 +1,4 @@
-"""What a repository is to hold: checked, with its card, in a folder of its own. Sources are linked, never changed."""
+"""Staging: the files of a repository, checked, with their card, in a folder of links. Sources are never changed."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Digest:
 
 @dataclass(frozen=True)
 class Staged:
-    """What is to be published.
+    """Files to be published.
 
     Attributes:
         kind: ``dataset`` or ``model``, as the Hub calls repositories (environments are models there).

@@ -55,6 +55,7 @@ def test_cells_share_demonstrations_and_trainings(tmp_path: Path) -> None:
     runner = FakeRunner(tmp_path)
     run_all(benchmark(tmp_path / "out", runner))
     assert runner.programs == ["lerobot-eval", "lerobot-eval", *TRAINED, *TRAINED]
+    assert (set(runner.threads), runner.most_at_once) == ({0}, 1), "one at a time may use all threads"
     run_all(benchmark(tmp_path / "out", runner))
     assert len(runner.called) == 10, "nothing is done twice"
 
@@ -106,12 +107,6 @@ def test_several_at_once_come_to_the_same(tmp_path: Path, whole: dict[str, Any],
     costs = [read_cell(path).costs["evaluate"] for path in (tmp_path / "out" / "cells").iterdir()]
     assert {(each.begun, each.machine["cores"]) for each in costs} == {(1, 2 // min(jobs, 2))}
     assert set(runner.threads) == {1}
-
-
-def test_one_at_a_time_may_use_all_threads(tmp_path: Path) -> None:
-    runner = FakeRunner(tmp_path)
-    run_all(benchmark(tmp_path / "out", runner))
-    assert (set(runner.threads), runner.most_at_once) == ({0}, 1)
 
 
 def test_a_step_that_takes_long_shows_the_end_of_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,8 +189,11 @@ def test_a_death_in_any_step_changes_no_result(tmp_path: Path, whole: dict[str, 
     root = tmp_path / "out"
     assert killed(root, FakeRunner(tmp_path, die=moment))
     wait_for_the_orphan(root)
-    run_all(benchmark(root, FakeRunner(tmp_path)))
+    runner = FakeRunner(tmp_path)
+    run_all(benchmark(root, runner))
     assert results(root) == whole
+    resumed = [command for command in runner.called if "--resume=true" in command]
+    assert len(resumed) == (moment == "train:9"), "from its last checkpoint, if there is a link to one"
     step = moment.partition(":")[0]
     begun = [json.loads(path.read_text())["begun"] for path in (root / "steps").glob(f"{step}-*.json")]
     assert sorted(begun)[-2:] == [1, 2], "it was killed in that step"
@@ -218,18 +216,6 @@ def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, 
         assert results(root) == whole
         begun += sum(json.loads(path.read_text())["begun"] - 1 for path in (root / "steps").glob("*.json"))
     assert begun >= DEATHS // 2, "most deaths were in the midst of a step"
-
-
-def test_a_training_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
-    root = tmp_path / "out"
-    assert killed(root, FakeRunner(tmp_path, die="train:9"))
-    wait_for_the_orphan(root)
-    runner = FakeRunner(tmp_path)
-    run_all(benchmark(root, runner))
-    (resumed,) = [command for command in runner.called if "--resume=true" in command]
-    assert resumed[-1] == "--steps=8"
-    begun = [cost.begun for cost in (read_cell(p).costs["train"] for p in (root / "cells").glob("ours*"))]
-    assert sorted(begun) == [1, 1, 2, 2]
 
 
 def test_a_command_that_is_left_behind_keeps_others_out(tmp_path: Path) -> None:

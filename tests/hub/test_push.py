@@ -221,20 +221,17 @@ def test_without_a_token_nothing_is_asked_for(
     assert hub.requests == []
 
 
-def test_a_wrong_token_is_one_clear_error(staged: Staged, hub: LoopbackHub, online: None, refuses: Refuses) -> None:
-    assert "login" in refuses(HubError, lambda: push(staged, HfApi(endpoint=hub.url, token="hf_wrong")))
-
-
-def test_a_name_of_somebody_else_is_one_clear_error(staged: Staged, api: HfApi, refuses: Refuses) -> None:
-    message = refuses(HubError, lambda: push(replace(staged, repo_id="nobody/safes"), api))
-    assert "does not let this login write" in message
-
-
-def test_without_a_network_is_one_clear_error(staged: Staged, api: HfApi, online: None, refuses: Refuses) -> None:
-    nobody = HfApi(endpoint="http://127.0.0.1:9", token=TOKEN)
-    message = refuses(HubError, lambda: push(staged, nobody))
-    assert "cannot be reached" in message
-    assert "http://127.0.0.1:9" in message
+def test_what_the_hub_refuses_is_one_clear_error(
+    staged: Staged, hub: LoopbackHub, online: None, refuses: Refuses
+) -> None:
+    foreign = replace(staged, repo_id="nobody/safes")
+    for what, endpoint, token, texts in (
+        (staged, hub.url, "hf_wrong", ["login"]),
+        (foreign, hub.url, TOKEN, ["does not let this login write"]),
+        (staged, "http://127.0.0.1:9", TOKEN, ["cannot be reached", "http://127.0.0.1:9"]),
+    ):
+        message = refuses(HubError, lambda: push(what, HfApi(endpoint=endpoint, token=token)))  # noqa: B023
+        assert all(text in message for text in texts)
 
 
 def test_offline_is_one_clear_error(staged: Staged, refuses: Refuses) -> None:
