@@ -23,12 +23,12 @@ NEAR_PART = 0.06
 """A tool within this distance of a part's grasp is at the part [m]."""
 FAR_ENOUGH_DISTANCE, FAR_ENOUGH_ANGLE = 0.008, 0.1
 """A motion that takes the tool at least this far along a joint is a try, not just a grip that settles [m, rad]."""
-GAVE = {"revolute": 0.01, "prismatic": 0.0005}
-"""A joint that moved by less than this did not give, however short the way it was sent [rad, m]."""
+MIN_JOINT_MOTION = {"revolute": 0.01, "prismatic": 0.0005}
+"""A joint that moved less than this did not follow, however short its commanded way [rad, m]."""
 CLOSED = 0.5
 """A gripper commanded below this opening is closed."""
-RADIAN = 0.1
-"""Metres that one radian counts as much as, where a goal is compared with what a joint allows."""
+METRES_PER_RADIAN = 0.1
+"""Weight of one radian where a goal is compared with a joint's motion [m/rad]."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Try:
 
     def failed(self, progress: float) -> bool:
         """Returns whether less than half of the way was covered, or next to nothing."""
-        return progress < max(FOLLOWED * abs(self.way), GAVE[self.kind])
+        return progress < max(FOLLOWED * abs(self.way), MIN_JOINT_MOTION[self.kind])
 
 
 def joint_ranges(obj: ArticulatedObject) -> dict[str, JointRange]:
@@ -108,7 +108,8 @@ def meant(motions: Sequence[Motion], start: Pose, goal: Pose) -> Motion:
 
     def missed(motion: Motion) -> float:
         there = motion.applied(start, motion.followed(start, goal))
-        return float(np.linalg.norm(there[:3, 3] - goal[:3, 3])) + RADIAN * angle_between(there[:3, :3], goal[:3, :3])
+        away = float(np.linalg.norm(there[:3, 3] - goal[:3, 3]))
+        return away + METRES_PER_RADIAN * angle_between(there[:3, :3], goal[:3, :3])
 
     return min(motions, key=missed)
 
@@ -143,9 +144,9 @@ def find_try(
     if not _far_enough(frame.before, motion.applied(start, sent)):
         return None
     joint, position = ranges[motion.joint], joints[motion.joint]
-    way, gave = joint.room(position, sent), GAVE[joint.kind]
-    if abs(way) < gave and abs(position) < gave:
-        return None  # who closes what is shut tries nothing
+    way, least = joint.room(position, sent), MIN_JOINT_MOTION[joint.kind]
+    if abs(way) < least and abs(position) < least:
+        return None  # closing a shut part is no try
     return Try(part.name, motion.joint, joint.kind, sent, way)
 
 

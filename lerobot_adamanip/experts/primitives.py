@@ -1,4 +1,4 @@
-"""Primitives of every expert: approach, grasp, press, release, move, open; what a hand tells of the part it holds."""
+"""Primitives of every expert: approach, grasp, press, release, move and open a part, and track its joints."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ from lerobot_adamanip.experts.belief import Belief, Parts
 from lerobot_adamanip.objects import PartAnnotation
 
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
-"""Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; what
-leads there varies, so that a policy learns to correct the last 10 cm by what it sees."""
+"""Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; the
+approach varies, so that a policy learns to correct the last 10 cm from its observation."""
 APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
 """Share of `PRE_GRASP`, and of the jitter, of one approach after the other: the farther away, the nearer to the end of
 the arm's reach, where a path may not exist though both of its ends are within reach."""
-HELD_WITHIN, HELD_TURNED = 0.025, 0.3
-"""A hand that closes on something this near to a grasp holds the part [m, rad]."""
-AT_GRASP, AT_GRASP_TURNED = 0.012, 0.12
-"""An open hand this near to a grasp needs only close [m, rad]: fingers hold there as well, and a hand that is told to
-move as long as it is millimetres beside never closes."""
-BESIDE, ASKEW = 0.035, 0.35
-"""An open hand no farther from a grasp than `PRE_GRASP`, and this near to its line, goes straight there [m, rad]."""
+HELD_WITHIN_M, HELD_WITHIN_RAD = 0.025, 0.3
+"""A closed hand within this distance and angle of a grasp holds the part."""
+AT_GRASP_M, AT_GRASP_RAD = 0.012, 0.12
+"""An open hand within this distance and angle of a grasp only closes. Sent to the exact grasp first, a hand that is
+always a few millimetres off would never close."""
+STRAIGHT_WITHIN_M, STRAIGHT_WITHIN_RAD = 0.035, 0.35
+"""An open hand within `PRE_GRASP` of a grasp, and this close to its approach line, goes straight to the grasp."""
 NEAR_PART = 0.06
-"""A hand this close to a grasp [m] is about the part, and has to back off before it goes anywhere."""
-AJAR = {"revolute": 0.07, "prismatic": 0.006, "fixed": np.inf}
-"""What has opened this far [rad or m] is not locked: more than a blocked joint gives way in the hand."""
-GIVE = {"revolute": 0.045, "prismatic": 0.004, "fixed": 0.0}
-"""A hand gives way by up to this much before it feels a stall [rad or m]."""
-MOVED = 0.003
-"""What stands this far from rest [rad or m] has moved."""
-OPENED = 0.8
-"""Share of the way to an expert's last pose at which it is done: well past what counts as success."""
+"""A hand this close to a grasp [m] has to back off before it goes anywhere else."""
+AJAR_POSITION = {"revolute": 0.07, "prismatic": 0.006, "fixed": np.inf}
+"""A joint beyond this position [rad or m] is not locked: a blocked joint moves less in the hand."""
+HAND_COMPLIANCE = {"revolute": 0.045, "prismatic": 0.004, "fixed": 0.0}
+"""How far a joint seems to move before the hand feels a stall [rad or m]."""
+MIN_MOVED = 0.003
+"""A joint this far from rest [rad or m] has moved."""
+OPEN_SHARE = 0.8
+"""Share of the way to an expert's last pose at which it is done; well past the success threshold."""
 MAX_PULLS = 8
-"""More pulls at what came along and stalled before it was open: a full-size door comes 0.1 rad with each."""
+"""Further pulls at a part that followed and stalled before it was open: a full-size door opens 0.1 rad with each."""
 MAX_GRIPS = 4
-"""Times a part is taken hold of to open it, until an expert goes about it otherwise."""
+"""Grasps of a part to open it, before an expert tries something else."""
 
 Frames = Generator[Goal, Feedback, None]
 Attempt = Generator[Goal, Feedback, bool]
@@ -104,7 +104,7 @@ class Hand:
 
     def is_ajar(self, part: PartAnnotation, joint: str) -> bool:
         """Whether a joint stands so far from rest that nothing locks it."""
-        return abs(self.at(joint)) > AJAR[part.motion(joint).kind]
+        return abs(self.at(joint)) > AJAR_POSITION[part.motion(joint).kind]
 
     def move_to(self, pose: NDArray[np.float64], gripper: float, phase: Phase) -> Frames:
         """One key frame."""
@@ -128,7 +128,7 @@ class Hand:
         """Whether the hand that is taken over holds a part already."""
         away, turned = self._beside(part.moved(self.positions))
         full = EMPTY_HAND <= self.feedback.gripper < OPEN_HAND
-        return full and float(np.linalg.norm(away)) < HELD_WITHIN and turned < HELD_TURNED
+        return full and float(np.linalg.norm(away)) < HELD_WITHIN_M and turned < HELD_WITHIN_RAD
 
     def _beside(self, pose: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
         """Returns where the hand is as seen from a pose (4, 4): (3,) [m], and how far it is turned from it [rad]."""
@@ -167,11 +167,11 @@ class Hand:
         """Takes an approach up where another hand has left it; True if the hand is at the grasp then."""
         away, turned = self._beside(grasp)
         as_wanted = self.feedback.gripper > OPEN_HAND if gripper else self.empty
-        short = -PRE_GRASP - BESIDE < away[2] < BESIDE
-        if not (as_wanted and short and np.linalg.norm(away[:2]) < BESIDE and turned < ASKEW):
+        short = -PRE_GRASP - STRAIGHT_WITHIN_M < away[2] < STRAIGHT_WITHIN_M
+        if not (as_wanted and short and np.linalg.norm(away[:2]) < STRAIGHT_WITHIN_M and turned < STRAIGHT_WITHIN_RAD):
             return False
         self.parts = None
-        if np.linalg.norm(away) < AT_GRASP and turned < AT_GRASP_TURNED:
+        if np.linalg.norm(away) < AT_GRASP_M and turned < AT_GRASP_RAD:
             return True
         yield from self.move_to(grasp, gripper, Phase.APPROACH)
         return not self.feedback.failed
@@ -183,7 +183,7 @@ class Hand:
         yield from self.back_off(1.0)
 
     def _settled(self) -> dict[str, float]:
-        return {joint: place for joint, place in self.settles.items() if abs(self.at(joint)) > MOVED}
+        return {joint: place for joint, place in self.settles.items() if abs(self.at(joint)) > MIN_MOVED}
 
     def back_off(self, gripper: float) -> Frames:
         """Retreats along the approach."""
@@ -248,7 +248,7 @@ class Hand:
         elif torn:
             others = [(self.at(joint) + goal) / 2, goal, 0.0]
         else:  # a hand that has stalled has given way a little
-            others = [self.at(joint) - np.sign(goal) * GIVE[part.motion(joint).kind]]
+            others = [self.at(joint) - np.sign(goal) * HAND_COMPLIANCE[part.motion(joint).kind]]
         return [likely, *({**likely, joint: each} for each in others)]
 
     def slip(self, part: PartAnnotation, joint: str) -> float:
@@ -283,7 +283,7 @@ class Hand:
 
     def is_open(self, joint: str, path: Sequence[float]) -> bool:
         """Whether a joint stands as good as where `open` takes it."""
-        return self.at(joint) > OPENED * path[-1]
+        return self.at(joint) > OPEN_SHARE * path[-1]
 
     def _jitter(self, spread: float) -> NDArray[np.float64]:
         shift = spread * JITTER_POSITION * np.clip(self.rng.normal(size=3), -2, 2)

@@ -18,15 +18,15 @@ from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 MAX_MOTIONS = 30
-"""Turns, each with a try at most, until an adaptive expert gives up: twice what the widest range takes."""
+"""Turns, each followed by at most one try, until an adaptive expert gives up: twice what the widest range takes."""
 MAX_OPENINGS = 3
 """Times a static expert turns and opens; more than once only after a grip that slipped."""
 RELEASED = 0.9
 """Share of the range a static expert turns through: the final joint is free at 0.85."""
-GIVES = 0.04
-"""Share of its angle that a turned part stays behind the hand that turns it."""
+TURN_LAG_RATIO = 0.04
+"""Share of its angle by which a turned part lags behind the hand."""
 SLIPPED = 0.008
-"""A hand this far [m] from where it would be if it still held the part as it took hold of it has slipped along it."""
+"""A hand this far [m] from its grasp, carried along by the joint, has slipped along the part."""
 
 MAX_SLIPS = 3
 """Such tries until the part is grasped anew. A blocked pull often moves the hand a little, and does no harm."""
@@ -182,7 +182,7 @@ class TurnToOpenExpert:
         # What has sprung back is turned on twice as fast until it is where it was; any faster feels like a stop.
         ahead = max(self.direction * start, self.farthest) + style.step - self.direction * start
         # No farther than is enough, and a little more, for the hand gives way.
-        left = (1.0 + GIVES) * style.enough - self.direction * start
+        left = (1.0 + TURN_LAG_RATIO) * style.enough - self.direction * start
         goal = start + self.direction * min(ahead, 2 * style.step, max(left, style.step / 2))
         yield from hand.move(self.part, style.key, goal, Phase.UNLOCK)
         if hand.empty:

@@ -13,7 +13,15 @@ from kinematic import KinematicWorld, Move, adaptive, object_names, static
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import FOLLOWED, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_adamanip.episode.contact_labels import GAVE, JointRange, Try, TryLabeler, meant, part_at, present_motions
+from lerobot_adamanip.episode.contact_labels import (
+    MIN_JOINT_MOTION,
+    JointRange,
+    Try,
+    TryLabeler,
+    meant,
+    part_at,
+    present_motions,
+)
 
 seeds = st.integers(0, 2**31 - 1)
 every_category = pytest.mark.parametrize("category", CATEGORIES)
@@ -165,7 +173,7 @@ def test_the_way_is_cut_to_the_nominal_range_and_failing_means_less_than_half_of
     assert way * sent >= -1e-12
     tried = Try("knob", "knob", "revolute", sent, way)
     progress = tried.progress(position, position + moved)
-    assert tried.failed(progress) == (progress < max(FOLLOWED * abs(way), GAVE["revolute"]))
+    assert tried.failed(progress) == (progress < max(FOLLOWED * abs(way), MIN_JOINT_MOTION["revolute"]))
     assert tried.progress(position, position) == 0
 
 
