@@ -140,7 +140,7 @@ class _Problem:
         chosen = slice(None) if kept is None else kept
         board_in_camera = np.linalg.inv(camera) @ self.moved @ board
         points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
-        return _project(points[:, :3], self.intrinsics) - self.pixels[chosen]
+        return np.asarray(_project(points[:, :3], self.intrinsics) - self.pixels[chosen])
 
     def rms_of_views(self, camera: Array, board: Array) -> Array:
         """Returns the errors (V,) [px] of the views."""
