@@ -149,21 +149,15 @@ def test_a_blocked_arm_is_not_run_away_from(robot: Robot, stick: Stick) -> None:
     assert 0.03 < pose[0] - 0.5 <= LIMITS.lead + 1e-6
 
 
-def test_an_episode_anchors_anew(robot: Robot, stick: Stick) -> None:
-    stick.jog = Jog(shift=np.array([0.0, 1.0, 0.0]))
+def test_an_episode_and_a_second_without_calls_anchor_anew(robot: Robot, clock: Clock, stick: Stick) -> None:
+    stick.jog = ahead()
     for _ in range(10):
         call(stick, robot)
     robot.session.episodes += 1
     robot.at(0.4, 0.2, 0.8)
-    pose = call(stick, robot)
-    np.testing.assert_allclose(pose[:3], (0.4, 0.2, 0.8), atol=1e-6)
-
-
-def test_a_second_without_calls_anchors_anew_and_moves_nothing(robot: Robot, clock: Clock, stick: Stick) -> None:
-    call(stick, robot)
+    np.testing.assert_allclose(call(stick, robot)[:3], (0.4, 0.2, 0.8), atol=1e-6)
     clock.now += MAX_PAUSE_S + 0.1
     robot.at(0.45, 0.1, 0.7)
-    stick.jog = ahead()
     np.testing.assert_allclose(call(stick, robot)[:3], (0.45, 0.1, 0.7), atol=1e-6)
 
 
