@@ -170,7 +170,7 @@ class Metrics:
     def from_json(cls, name: str, content: object) -> Metrics:
         """Returns the metrics in decoded JSON, of old files too; raises ValueError that names what is wrong."""
         try:
-            found = _METRICS(name, modernised(content))
+            found = _METRICS(name, {**dict.fromkeys(METRICS.keys() - {"success"}), **modernised(content)})
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"{name}: {error}") from error
         episodes, successes = found.pop("episodes"), found.pop("successes")

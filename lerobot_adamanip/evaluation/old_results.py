@@ -7,14 +7,12 @@ from typing import Any
 
 from lerobot_adamanip.evaluation.tries import CAUSES, FAILED_AT
 
-_LATER = ("failed_at", "failures", "failed_tries", "wasted_tries", "repeated", "untried", "tried_locked_first")
 
-
-def modernised(content: object) -> object:
-    """Returns metrics in decoded JSON under the names of `Metrics`, with null for what was not counted."""
-    if not isinstance(content, Mapping) or "tried_locked_first" in content:
-        return content
-    found: dict[str, Any] = {**dict.fromkeys(_LATER), **content}
+def modernised(content: Any) -> dict[str, Any]:
+    """Returns metrics in decoded JSON under the names of `Metrics`; raises TypeError or KeyError for other JSON."""
+    found = dict(content)
+    if "tried_locked_first" in found:
+        return found
     successes = found.get("successes")
 
     def mean(value: object) -> object:
@@ -23,13 +21,13 @@ def modernised(content: object) -> object:
     if "tries" in found:  # a cell of a benchmark
         tries, recovery = found.pop("tries") or {}, found.pop("recovery", None) or {}
         return {**found, **recovery, **{f"{new}_tries": mean(tries.get(old)) for new, old in _TRIES.items()}}
-    if isinstance(length := found["key_frames"], int | float):
+    if isinstance(length := found.get("key_frames"), int | float):
         found["key_frames"] = {f"{length:.17f}".rstrip("0"): successes}
-    if isinstance(counts := found["failures"], Mapping):
+    if isinstance(counts := found.get("failures"), Mapping):
         found["failures"] = {**dict.fromkeys(CAUSES, 0), **counts}
     if isinstance(counts := found.pop("in_vain", None), Mapping):
         found["failed_at"] = {kind: mean(counts.get(kind, 0) / max(1, successes or 0)) for kind in FAILED_AT}
-    return {**found, **{name: mean(found[name]) for name in ("failed_tries", "wasted_tries")}}
+    return {**found, **{name: mean(found.get(name)) for name in ("failed_tries", "wasted_tries")}}
 
 
 _TRIES = {"failed": "made", "wasted": "wasted"}

@@ -183,6 +183,8 @@ def test_metrics_come_back_from_json_and_parts_add_up(records: list[EpisodeRecor
                 assert other.show(name) == whole.show(name)
     without = {key: value for key, value in whole.to_json().items() if key not in SUCCESS_KEYS}
     assert Metrics.from_json("metrics", without) == read, "LeRobot's keys are for other readers"
+    earlier = {key: value for key, value in whole.to_json().items() if key != "untried"}
+    assert Metrics.from_json("metrics", earlier).show("untried") == "-", "results from before a metric was there"
 
 
 def test_metrics_of_version_0_2_are_read() -> None:
