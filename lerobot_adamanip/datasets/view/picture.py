@@ -89,8 +89,8 @@ def _draw_timeline(axes: Axes, episode: ViewedEpisode) -> None:
         axes.text(each.key_frame + 0.5, 0.03, told, transform=top, color=color, fontsize=7, ha="center", gid="tries")
     for number, outcome in enumerate(episode.outcomes):
         if outcome:  # neither reached nor unknown
-            name, style = outcome.name.lower(), {"color": STALLED, "fontsize": 7, "ha": "center"}
-            axes.text(number + 0.5, 0.9, name, transform=top, gid=name, **style)
+            name = outcome.name.lower()
+            axes.text(number + 0.3, 0.9, name, transform=top, color=STALLED, fontsize=7, gid=name)
     if episode.effort.size:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, frameon=False)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
