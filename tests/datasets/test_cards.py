@@ -172,13 +172,13 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     text = model_card(checkpoint, "someone/policy", results=[result], dataset="someone/safes")
     check_card(text, "model")
     card = ModelCard(text)
-    (row,) = result.rows
+    success = result.rows[0].metrics.success
     (found,) = card.data.eval_results
-    assert (found.metric_type, found.metric_value) == ("success_rate", round(row.successes / row.episodes, 4))
+    assert (found.metric_type, found.metric_value) == ("success_rate", round(success.count / success.episodes, 4))
     assert (found.dataset_type, found.dataset_split) == ("adamanip_safe", "seen")
     assert found.dataset_args["command"] == result.command
-    assert (found.dataset_args["n_success"], found.dataset_args["n_episodes"]) == (row.successes, row.episodes)
-    assert f"{row.successes}/{row.episodes}: " in card.text
+    assert (found.dataset_args["n_success"], found.dataset_args["n_episodes"]) == (success.count, success.episodes)
+    assert f"{success.count}/{success.episodes}: " in card.text
     assert result.fingerprint in card.text
     assert card.data.datasets == ["someone/safes"]
     assert "1.5 M parameters" in card.text
@@ -193,7 +193,7 @@ def test_results_of_an_episode_log_need_its_command(
         append_record(log, record(seed=seed, given_seed=seed, success=success))
     assert "--results-command" in refuses(ConfigurationError, lambda: read_results([log]))
     (result,) = read_results([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
-    assert [(row.successes, row.episodes) for row in result.rows] == [(2, 3)]
+    assert [(row.metrics.success.count, row.metrics.success.episodes) for row in result.rows] == [(2, 3)]
     refuses(ConfigurationError, lambda: read_results([log], "lerobot-eval --policy.path=/home/x/policy"))
 
 
