@@ -12,8 +12,7 @@ from typing import Any
 from lerobot_adamanip.benchmark.declaration_fields import DECLARATION, DEMONSTRATIONS, METHOD, ROUND, SCALE, TRIALS
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS
-from lerobot_adamanip.episode.options import POSES
+from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, POSES
 from lerobot_adamanip.experts import EXPERT_STRATEGIES
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice

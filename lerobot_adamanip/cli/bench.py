@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.cli.arguments import Category
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -52,7 +53,7 @@ class Bench:
     device: str = "cpu"
     """Device of the policy: cpu or cuda."""
 
-    category: str = "safe"
+    category: Category = "safe"
     """Category of the objects."""
 
     against: str | None = None

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import json
+import math
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 import tyro
 
 import lerobot_adamanip
-from lerobot_adamanip.hardware.calibration.board import Board
-from lerobot_adamanip.hardware.calibration.file import save_calibration
-from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, solve
-from lerobot_adamanip.hardware.calibration.views import ViewFolder
+from lerobot_adamanip.cli.arguments import print_result
 from lerobot_adamanip.util.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.hardware.calibration.board import Board
+    from lerobot_adamanip.hardware.calibration.hand_eye import HandEye
 
 DOTS_PER_METRE = 300 / 0.0254
 ENOUGH = 20
@@ -79,6 +79,10 @@ class Calibrate:
                 allowed="adamanip calibrate FOLDER",
                 hint="adamanip calibrate --board-image board.png",
             )
+        from lerobot_adamanip.hardware.calibration.file import save_calibration
+        from lerobot_adamanip.hardware.calibration.hand_eye import solve
+        from lerobot_adamanip.hardware.calibration.views import ViewFolder
+
         if self.record is not None:
             self._record(self.folder, self.record)
         folder = ViewFolder.open(self.folder)
@@ -89,7 +93,7 @@ class Calibrate:
         facts = _facts(solved)
         if self.out is not None:
             save_calibration(self.out, self.key, folder.calibration(solved), facts)
-        self._report(solved, facts)
+        print_result(self.json, self._values(solved, facts), self._text(solved))
         return 0
 
     def _print_board(self, path: Path) -> int:
@@ -106,9 +110,12 @@ class Calibrate:
         return 0
 
     def _board(self) -> Board:
+        from lerobot_adamanip.hardware.calibration.board import Board
+
         return Board(self.columns, self.rows, self.square, self.marker, self.legacy_pattern)
 
     def _record(self, folder: Path, described: Path) -> None:
+        from lerobot_adamanip.hardware.calibration.hand_eye import Mounting
         from lerobot_adamanip.hardware.calibration.live import begin, camera_of, robot_from_file, take_views
 
         robot = robot_from_file(described)
@@ -125,26 +132,31 @@ class Calibrate:
         if not self.json:
             print(line)
 
-    def _report(self, solved: HandEye, facts: dict[str, float | str]) -> None:
-        frame = "base" if solved.mounting is Mounting.FIXED else "tool"
-        if self.json:
-            views = [
-                {"name": each.name, "px": each.pixels, "mm": 1e3 * each.position, "deg": float(np.rad2deg(each.angle))}
-                for each in solved.residuals
-            ]
-            told = {"mounting": frame, "camera": solved.camera.tolist(), "board": solved.board.tolist()}
-            print(json.dumps({**told, **facts, "views": views, "out": str(self.out) if self.out else None}))
-            return
-        for each in solved.residuals:
-            angle = np.rad2deg(each.angle)
-            print(f"{each.name}  {each.pixels:6.2f} px  {1e3 * each.position:7.2f} mm  {angle:6.3f} deg")
-        print(f"rms {solved.rms:.2f} px over {len(solved.residuals)} pictures")
-        spread = np.rad2deg(solved.angle_spread)
-        print(f"one picture less moves the camera by at most {1e3 * solved.position_spread:.2f} mm, {spread:.3f} deg")
+    def _values(self, solved: HandEye, facts: dict[str, float | str]) -> dict[str, Any]:
+        views = [
+            {"name": each.name, "px": each.pixels, "mm": 1e3 * each.position, "deg": math.degrees(each.angle)}
+            for each in solved.residuals
+        ]
+        poses = {"camera": solved.camera.tolist(), "board": solved.board.tolist()}
+        return {"mounting": _frame(solved), **poses, **facts, "views": views, "out": self.out}
+
+    def _text(self, solved: HandEye) -> str:
         x, y, z = solved.camera[:3, 3]
-        print(f"camera at ({x:.4f}, {y:.4f}, {z:.4f}) m in the frame of the {frame}")
-        if self.out is not None:
-            print(f"written: {self.out}, camera {self.key}")
+        spread = f"{1e3 * solved.position_spread:.2f} mm, {math.degrees(solved.angle_spread):.3f} deg"
+        lines = [
+            f"{each.name}  {each.pixels:6.2f} px  {1e3 * each.position:7.2f} mm  {math.degrees(each.angle):6.3f} deg"
+            for each in solved.residuals
+        ]
+        lines += [
+            f"rms {solved.rms:.2f} px over {len(solved.residuals)} pictures",
+            f"one picture less moves the camera by at most {spread}",
+            f"camera at ({x:.4f}, {y:.4f}, {z:.4f}) m in the frame of the {_frame(solved)}",
+        ]
+        return "\n".join([*lines, *([] if self.out is None else [f"written: {self.out}, camera {self.key}"])])
+
+
+def _frame(solved: HandEye) -> str:
+    return "tool" if solved.mounting == "wrist" else "base"
 
 
 def _ask() -> bool:
@@ -162,9 +174,9 @@ def _facts(solved: HandEye) -> dict[str, float | str]:
         "pictures": len(solved.residuals),
         "rms_px": solved.rms,
         "worst_mm": 1e3 * max(each.position for each in solved.residuals),
-        "worst_deg": float(np.rad2deg(max(each.angle for each in solved.residuals))),
+        "worst_deg": math.degrees(max(each.angle for each in solved.residuals)),
         "one_less_mm": 1e3 * solved.position_spread,
-        "one_less_deg": float(np.rad2deg(solved.angle_spread)),
+        "one_less_deg": math.degrees(solved.angle_spread),
         "lerobot_adamanip": lerobot_adamanip.__version__,
         "numpy": version("numpy"),
     }

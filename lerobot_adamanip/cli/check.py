@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import Progress, show_progress
-from lerobot_adamanip.collection.replay import check_replays
-from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.check.findings import Report
-from lerobot_adamanip.datasets.repair import Repair as Mended
-from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.evaluation.text_format import counted
 from lerobot_adamanip.util.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.datasets.check.findings import Report
 
 _SHOWN = 20
 """Findings of a kind that are printed; `--json` has more."""
@@ -52,21 +48,22 @@ class Check:
     def run(self) -> int:
         """Checks; 0 if nothing is wrong."""
         if self.replay < 0:
-            hint = "--replay 3"
-            raise ConfigurationError("Nothing to replay.", got=self.replay, allowed=">= 0", hint=hint)
-        with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
+            raise ConfigurationError("Nothing to replay.", got=self.replay, allowed=">= 0", hint="--replay 3")
+        from lerobot_adamanip.datasets.check.dataset import check
+        from lerobot_adamanip.datasets.repair import repair
+
+        with show_progress(_STAGES) as progress:
             mended = repair(self.root) if self.repair else None
             result = check(self.root, assets=self.assets, progress=progress)
             if self.replay and result.clean:
                 result = self._with_replays(result, progress)
-        if self.json:
-            told = {} if mended is None else {"repair": mended.to_json()}
-            print(json.dumps({**result.to_json(), **told}))
-        else:
-            _print(result, mended)
+        repaired = {} if mended is None else {"repair": mended.to_json()}
+        lines = [] if mended is None else mended.lines()
+        print_result(self.json, {**result.to_json(), **repaired}, "\n".join([*lines, *_lines(result)]))
         return 0 if result.clean else 1
 
     def _with_replays(self, result: Report, progress: Progress) -> Report:
+        from lerobot_adamanip.collection.replay import check_replays
         from lerobot_env_adamanip.make_env import make_keyframe_env
 
         count = min(self.replay, result.episodes)
@@ -95,15 +92,12 @@ class Repair:
         return Check(self.root, repair=True, json=self.json).run()
 
 
-def _print(result: Report, mended: Mended | None) -> None:
-    for line in [] if mended is None else mended.lines():
-        print(line)
+def _lines(result: Report) -> Iterator[str]:
     for kind, count in result.counts.items():
-        listed = [finding for finding in result.findings if finding.kind == kind]
-        for finding in listed[:_SHOWN]:
-            print(finding)
+        of_kind = [finding for finding in result.findings if finding.kind == kind]
+        yield from map(str, of_kind[:_SHOWN])
         if count > _SHOWN:
-            print(f"{kind}: {count - _SHOWN} more")
+            yield f"{kind}: {count - _SHOWN} more"
     total = sum(result.counts.values())
-    verdict = "clean" if result.clean else counted(total, "finding")
-    print(f"{result.root}: {result.episodes} episodes, {result.rows} rows: {verdict}")
+    verdict = "clean" if result.clean else f"{total} finding{'s' * (total != 1)}"
+    yield f"{result.root}: {result.episodes} episodes, {result.rows} rows: {verdict}"

@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-import json
 import shlex
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from lerobot_adamanip.cli.collect_start import begin, objects_to_collect
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
-from lerobot_adamanip.cli.picture_choice import resolve_images
-from lerobot_adamanip.cli.progress import print_categories, show_progress
-from lerobot_adamanip.collection.collect import CollectOptions, collect
-from lerobot_adamanip.collection.parts import Part
-from lerobot_adamanip.collection.record import Factories
-from lerobot_adamanip.collection.summary import CollectSummary
+from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_result
+from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.datasets.collection_spec import DEFAULT_LATE_STARTS, CollectionSpec
 from lerobot_adamanip.datasets.repository_names import require_hub_name, require_repo_id
-from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.jobs import DEFAULT_TIMEOUT
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.collection.collect import CollectOptions
+    from lerobot_adamanip.collection.record import Factories
+    from lerobot_adamanip.collection.summary import CollectSummary
+    from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 
 EXIT_INTERRUPTED = 130
 _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
@@ -46,7 +43,7 @@ class Collect:
     root: DatasetFolder
     """Folder of the new dataset. Until it is complete, episodes wait in DIR.partial."""
 
-    category: str = "safe"
+    category: CategoryOrAll = "safe"
     """Which kind of object; all for one dataset of every category."""
 
     expert: Literal["adaptive", "static"] = "adaptive"
@@ -80,7 +77,7 @@ class Collect:
     poses: Literal["randomized", "fixed"] = "randomized"
     """randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream's code has them."""
 
-    mechanism_rules: str = DEFAULT_MECHANISM_RULES
+    mechanism_rules: Literal["paper", "upstream", "hard"] = "paper"
     """paper: mechanisms as the paper's text has them. upstream: as its released code has them. hard: harder ones."""
 
     expert_strategy: Literal["paper", "upstream", "to_stop"] = "paper"
@@ -155,17 +152,23 @@ class Collect:
         self._require_whole()
         if self.dense:
             return self._dense()
+        from lerobot_adamanip.cli.collect_setup import begin
+
         options, spec = self.options(), self.spec()
         begin(spec, self.workers, self.cluster, self.part)
         try:
-            summary = self._collect(spec, options)
+            with show_progress(_STAGES, every_stage=True) as progress:
+                from lerobot_adamanip.collection.collect import collect
+
+                summary = collect(self.root, spec, self._factories(), options, progress)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
             return EXIT_INTERRUPTED
         if self.push_to_hub:
             self._publish()
-        self._print(summary)
+        rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
+        print_result(self.json, {**dataclasses.asdict(summary), **rate}, self._text(summary))
         return 0
 
     def _dense(self) -> int:
@@ -173,11 +176,9 @@ class Collect:
         from lerobot_env_adamanip.dense import collect_dense
 
         spec = dataclasses.replace(self.spec(), late_starts=0.0)
-        with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
+        with show_progress(_STAGES) as progress:
             count = collect_dense(self.root, spec, make_expert, max_attempts=self.max_attempts, progress=progress)
-        print(
-            json.dumps({"root": str(self.root), "episodes": count}) if self.json else f"{count} episodes, {self.root}"
-        )
+        print_result(self.json, {"root": self.root, "episodes": count}, f"{count} episodes, {self.root}")
         return 0
 
     def _publish(self) -> None:
@@ -200,7 +201,9 @@ class Collect:
 
     def spec(self) -> CollectionSpec:
         """Returns what is to be collected; raises `ConfigurationError` for what cannot be."""
-        require_choice("category", self.category, (*CATEGORIES, ALL))
+        from lerobot_adamanip.cli.collect_setup import objects_to_collect, resolve_images
+        from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+
         categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
         environment = EnvironmentOptions(
             category=categories[0],
@@ -231,6 +234,9 @@ class Collect:
 
     def options(self) -> CollectOptions:
         """Returns how it is to be collected; raises `ConfigurationError` for what cannot be."""
+        from lerobot_adamanip.collection.collect import CollectOptions
+        from lerobot_adamanip.collection.parts import Part
+
         return CollectOptions(
             workers=self.workers,
             worker_timeout=self.worker_timeout,
@@ -242,11 +248,6 @@ class Collect:
             part=None if self.part is None else Part.parse(self.part),
             adopt=self.adopt,
         )
-
-    def _collect(self, spec: CollectionSpec, options: CollectOptions) -> CollectSummary:
-        # What libraries print must not get into the JSON.
-        with show_progress(_STAGES, every_stage=True) as listener, contextlib.redirect_stdout(sys.stderr):
-            return collect(self.root, spec, self._factories(), options, listener)
 
     def _policy_hash(self) -> str:
         if self.policy is None:
@@ -262,31 +263,32 @@ class Collect:
 
         return dataclasses.replace(factories(), actor=functools.partial(TrainedPolicy, self.policy))
 
-    def _print(self, summary: CollectSummary) -> None:
-        if self.json:
-            rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
-            print(json.dumps({**dataclasses.asdict(summary), **rate}))
-            return
+    def _text(self, summary: CollectSummary) -> str:
         if self.part is not None:
-            print(f"Part {self.part}: {summary.episodes} episodes in {summary.root}, {summary.recorded} of them new.")
-            return
+            return f"Part {self.part}: {summary.episodes} episodes in {summary.root}, {summary.recorded} of them new."
         if summary.recorded == 0 and not self.adopt:
-            print(f"Complete already: {summary.episodes} episodes in {summary.root}")
-            return
-        print(
+            return f"Complete already: {summary.episodes} episodes in {summary.root}"
+        lines = [
             f"{summary.episodes} episodes in {summary.root} ({summary.bytes / 1e6:.1f} MB): "
             f"{summary.recorded} recorded in {summary.recording_seconds:.0f} s, "
             f"{summary.episodes_per_minute:.1f} per minute; the {'policy' if self.policy else 'expert'} succeeded in "
             f"{100 * summary.success_rate:.1f} % of its {summary.attempted} attempts."
-        )
+        ]
         if len(summary.categories) > 1:
-            print_categories(summary)
-        for line in summary.failures:
-            print(f"missing: {line}")
+            lines += _category_lines(summary)
+        return "\n".join([*lines, *(f"missing: {line}" for line in summary.failures)])
+
+
+def _category_lines(summary: CollectSummary) -> Iterator[str]:
+    yield f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}"
+    for name, row in summary.categories.items():
+        rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
+        yield f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}"
 
 
 def factories() -> Factories:
-    """Returns what demonstrations are recorded with: the simulator and the scripted experts."""
+    """Returns the simulator and the scripted experts that demonstrations are recorded with."""
+    from lerobot_adamanip.collection.record import Factories
     from lerobot_adamanip.experts import make_expert
     from lerobot_env_adamanip.make_env import make_keyframe_env
 

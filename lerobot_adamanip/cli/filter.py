@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import sys
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.datasets.filter import filter_episodes
 
 
 @dataclass
 class Filter:
     """Writes a dataset with the episodes of another one that fulfil every condition.
 
-    A condition compares what is known of an episode: failed_tries>=1, recoveries>0, success=true, late=false,
+    A condition compares a column of the episodes: failed_tries>=1, recoveries>0, success=true, late=false,
     key_frames<=30, hidden.locked=true, category=safe, object_split=seen, object_id=safe_000,safe_003,
     episode_index=0:100 (100 left out). An unknown name lists the known ones. Rows, pictures and the columns of
     episodes are kept as they are.
@@ -42,20 +39,12 @@ class Filter:
 
     def run(self) -> int:
         """Chooses and writes; 0 when the dataset is complete."""
-        # What libraries print must not get into the JSON.
-        with show_progress({"filter": "episodes written"}) as progress, contextlib.redirect_stdout(sys.stderr):
-            chosen = filter_episodes(
-                self.root,
-                self.where,
-                self.out,
-                repo_id=self.repo_id,
-                progress=lambda done, total: progress("filter", done, total),
-            )
-        if self.json:
-            written = None if self.out is None else str(self.out)
-            print(json.dumps({"out": written, "episodes": len(chosen), "chosen": chosen}))
-        elif self.out is None:
-            print(f"{len(chosen)} episodes fulfil the conditions; --out FOLDER writes them")
-        else:
-            print(f"{len(chosen)} episodes in {self.out}")
+        from lerobot_adamanip.datasets.filter import filter_episodes
+
+        with show_progress({"filter": "episodes written"}) as progress:
+            advance = functools.partial(progress, "filter")
+            chosen = filter_episodes(self.root, self.where, self.out, repo_id=self.repo_id, progress=advance)
+        counted = f"{len(chosen)} episodes fulfil the conditions; --out FOLDER writes them"
+        text = counted if self.out is None else f"{len(chosen)} episodes in {self.out}"
+        print_result(self.json, {"out": self.out, "episodes": len(chosen), "chosen": chosen}, text)
         return 0

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolders
+from lerobot_adamanip.cli.arguments import DatasetFolders, print_result
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
-from lerobot_adamanip.recordings.convert import Converted, ConvertOptions, convert
-from lerobot_adamanip.recordings.keyframe_choice import KeyFrameOptions
-from lerobot_adamanip.recordings.rows import RowOptions
-from lerobot_adamanip.recordings.sparsify import SparsifyOptions
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.recordings.convert import ConvertOptions
 
 _STAGES = {"convert": "episodes read", "assemble": "episodes written", "merge": "episodes mixed"}
-_SPARSIFY = SparsifyOptions()
 
 
 @dataclass
@@ -55,16 +50,16 @@ class Keyframes:
     workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
     """And its upper one."""
 
-    stopped: float = _SPARSIFY.stopped
+    stopped: float = 0.02
     """An arm slower than this stands still [m/s]."""
 
-    same_place: float = _SPARSIFY.same_place
+    same_place: float = 0.01
     """Two poses this close are one [m]."""
 
-    given_up: float = _SPARSIFY.given_up
+    given_up: float = 0.03
     """A target that is replaced while still this far away was given up [m]."""
 
-    reached: float = DEFAULT_MOTION.reached_position
+    reached: float = 0.012
     """A target this close was reached; farther ones have stalled [m]."""
 
     successful: bool = False
@@ -80,7 +75,12 @@ class Keyframes:
     """Print one JSON object instead of text."""
 
     def options(self) -> ConvertOptions:
-        """Returns them in the converter's terms."""
+        """Returns the converter's options."""
+        from lerobot_adamanip.recordings.convert import ConvertOptions
+        from lerobot_adamanip.recordings.keyframe_choice import KeyFrameOptions
+        from lerobot_adamanip.recordings.rows import RowOptions
+        from lerobot_adamanip.recordings.sparsify import SparsifyOptions
+
         return ConvertOptions(
             key_frames=KeyFrameOptions(
                 SparsifyOptions(self.stopped, self.same_place, self.given_up), reached_position=self.reached
@@ -99,17 +99,13 @@ class Keyframes:
 
     def run(self) -> int:
         """Converts; 0 when the dataset is complete."""
-        # What libraries print must not get into the JSON.
-        with show_progress(_STAGES) as progress, contextlib.redirect_stdout(sys.stderr):
-            made = convert(self.sources, self.out, self.options(), progress)
-        self._tell(made)
-        return 0
+        from lerobot_adamanip.recordings.convert import convert
 
-    def _tell(self, made: Converted) -> None:
-        if self.json:
-            print(json.dumps({"out": str(self.out), **asdict(made)}))
-            return
+        with show_progress(_STAGES) as progress:
+            made = convert(self.sources, self.out, self.options(), progress)
         mixed = f", and {made.simulated} of other datasets" if made.simulated else ""
-        print(f"{made.episodes} episodes, {made.key_frames} key frames of {made.ticks} ticks{mixed}, in {self.out}")
-        for name in made.skipped:
-            print(f"left out, nothing moves in it: {name}")
+        counts = f"{made.episodes} episodes, {made.key_frames} key frames of {made.ticks} ticks"
+        skipped = [f"left out, nothing moves in it: {name}" for name in made.skipped]
+        text = "\n".join([f"{counts}{mixed}, in {self.out}", *skipped])
+        print_result(self.json, {"out": self.out, **asdict(made)}, text)
+        return 0

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import sys
+import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolders
+from lerobot_adamanip.cli.arguments import DatasetFolders, print_result
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.datasets.merge import Merged, merge
 
 
 @dataclass
@@ -35,25 +32,17 @@ class Merge:
 
     def run(self) -> int:
         """Merges; 0 when the dataset is complete."""
-        # What libraries print must not get into the JSON.
-        with show_progress({"merge": "episodes written"}) as progress, contextlib.redirect_stdout(sys.stderr):
-            merged = merge(
-                self.roots,
-                self.out,
-                repo_id=self.repo_id,
-                progress=lambda done, total: progress("merge", done, total),
-            )
-        self._tell(merged)
-        return 0
+        from lerobot_adamanip.datasets.merge import merge
 
-    def _tell(self, merged: Merged) -> None:
-        if self.json:
-            print(json.dumps({"out": str(self.out), **asdict(merged)}))
-            return
-        whole = ", all of the dataset that was parted" if merged.whole else ""
-        print(f"{merged.episodes} episodes in {self.out}{whole}")
+        with show_progress({"merge": "episodes written"}) as progress:
+            merged = merge(self.roots, self.out, repo_id=self.repo_id, progress=functools.partial(progress, "merge"))
+        text = f"{merged.episodes} episodes in {self.out}"
+        if merged.whole:
+            text += ", all of the dataset that was split"
         if len(merged.fingerprints) > 1:
-            print(
-                f"Mind: they were recorded under {len(merged.fingerprints)} fingerprints, by code that differs; the "
-                "column `fingerprint` of meta/episodes says which is which."
+            text += (
+                f"\nMind: {len(merged.fingerprints)} versions of the code recorded them (column `fingerprint` of "
+                "meta/episodes)."
             )
+        print_result(self.json, {"out": self.out, **asdict(merged)}, text)
+        return 0

@@ -1,11 +1,4 @@
-"""Progress of long work: bars where a person watches, a line now and then in logs and CI.
-
-A script uses it like a command::
-
-    with show_progress({"record": "recorded"}) as progress:
-        for number in range(100):
-            progress("record", number + 1, 100)
-"""
+"""Progress of long work on stderr: bars where a person watches, a line now and then in logs and CI."""
 
 from __future__ import annotations
 
@@ -16,22 +9,20 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TextIO
 
-from lerobot_adamanip.collection.summary import CollectSummary
-
-EVERY_SECONDS, EVERY_SHARE = 15.0, 0.05
-"""A line is written after so much time [s], or after so much more of the work, whichever comes first."""
-LEAST_SECONDS = 2.0
-"""But never two within so much time [s], apart from a stage's last."""
+MAX_INTERVAL_S, MAX_INTERVAL_SHARE = 15.0, 0.05
+"""A line is due after so much time, or after so much more of the work, whichever comes first."""
+MIN_INTERVAL_S = 2.0
+"""Between two lines, apart from a stage's last."""
 
 Progress = Callable[[str, int, int], None]
-"""Told of a stage's name, how much of it is done, and how much there is."""
+"""Called with a stage's name, how much of it is done, and how much there is."""
 
 
 @dataclass
 class _Stage:
     begin: float
-    line: float = -float("inf")
-    share: float = -1.0
+    printed_at: float = -float("inf")
+    printed_share: float = -1.0
 
 
 @dataclass
@@ -41,7 +32,7 @@ class ProgressLines:
     Attributes:
         names: stage -> what a line calls it; a stage that is not in it is not written.
         stream: to write to.
-        clock: tells the time [s].
+        clock: returns the time [s].
     """
 
     names: Mapping[str, str]
@@ -50,16 +41,17 @@ class ProgressLines:
     _stages: dict[str, _Stage] = field(default_factory=dict)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Takes note; writes a line if one is due."""
+        """Writes a line if one is due."""
         if stage not in self.names:
             return
         now, share = self.clock(), done / max(1, total)
         known = self._stages.setdefault(stage, _Stage(now))
-        due = now - known.line >= EVERY_SECONDS or share - known.share >= EVERY_SHARE
-        last = done >= total and known.share < 1.0
-        if not last and not (due and now - known.line >= LEAST_SECONDS):
+        since = now - known.printed_at
+        is_due = since >= MAX_INTERVAL_S or share - known.printed_share >= MAX_INTERVAL_SHARE
+        is_last = done >= total and known.printed_share < 1.0
+        if not is_last and not (is_due and since >= MIN_INTERVAL_S):
             return
-        known.line, known.share = now, share
+        known.printed_at, known.printed_share = now, share
         seconds = now - known.begin
         left = f", about {seconds * (1 - share) / share:.0f} s left" if 0 < share < 1 and seconds > 1 else ""
         line = f"{self.names[stage]}: {done}/{total} ({100 * share:.0f} %) after {seconds:.0f} s{left}"
@@ -68,41 +60,34 @@ class ProgressLines:
 
 @contextlib.contextmanager
 def show_progress(names: Mapping[str, str], *, every_stage: bool = False) -> Iterator[Progress]:
-    """Shows progress on stderr while inside.
+    """Shows progress on stderr while inside, and keeps what libraries print out of stdout, where the result goes.
 
     Args:
         names: stage -> what it is called.
         every_stage: show bars of other stages too, under their own names.
     """
-    if not sys.stderr.isatty():
-        yield ProgressLines(names)
-        return
-    from rich import progress as bars
-    from rich.console import Console
+    with contextlib.redirect_stdout(sys.stderr):
+        if not sys.stderr.isatty():
+            yield ProgressLines(names)
+            return
+        from rich import progress as bars
+        from rich.console import Console
 
-    columns = (
-        bars.TextColumn("{task.description}"),
-        bars.BarColumn(),
-        bars.MofNCompleteColumn(),
-        bars.TimeElapsedColumn(),
-        bars.TimeRemainingColumn(),
-    )
-    with bars.Progress(*columns, console=Console(stderr=True)) as shown:
-        tasks: dict[str, bars.TaskID] = {}
+        columns = (
+            bars.TextColumn("{task.description}"),
+            bars.BarColumn(),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TimeRemainingColumn(),
+        )
+        with bars.Progress(*columns, console=Console(stderr=True)) as shown:
+            tasks: dict[str, bars.TaskID] = {}
 
-        def listen(stage: str, done: int, total: int) -> None:
-            if stage not in names and not every_stage:
-                return
-            if stage not in tasks:
-                tasks[stage] = shown.add_task(names.get(stage, stage), total=total)
-            shown.update(tasks[stage], completed=done, total=total)
+            def update(stage: str, done: int, total: int) -> None:
+                if stage not in names and not every_stage:
+                    return
+                if stage not in tasks:
+                    tasks[stage] = shown.add_task(names.get(stage, stage), total=total)
+                shown.update(tasks[stage], completed=done, total=total)
 
-        yield listen
-
-
-def print_categories(summary: CollectSummary) -> None:
-    """Prints a row per category of a collection."""
-    print(f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}")
-    for name, row in summary.categories.items():
-        rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
-        print(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")
+            yield update

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
+from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.repository_names import require_hub_name, require_release_name
-from lerobot_adamanip.hub.model_index import read_results
-from lerobot_adamanip.hub.push import PushResult, push
-from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
 from lerobot_adamanip.util.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.hub.push import PushResult
+    from lerobot_adamanip.hub.staging import Staged
 
 
 @dataclass
@@ -50,7 +51,7 @@ class Push:
     assets: Path | None = None
     """Folder of the external assets that a dataset was collected with, if any."""
 
-    category: str = ALL
+    category: CategoryOrAll = ALL
     """What the environments' env.py opens; all for the nine together."""
 
     release: str | None = None
@@ -68,12 +69,15 @@ class Push:
     def run(self) -> int:
         """Publishes and prints; 0 when what is on the Hub is what was sent."""
         sizes, result = self.publish()
-        self._print(sizes, result)
+        values = {"dry_run": True, "files": sizes} if result is None else asdict(result)
+        print_result(self.json, values, self._text(sizes, result))
         return 0
 
     def publish(self) -> tuple[dict[str, int], PushResult | None]:
         """Publishes; returns the files with their bytes, and what came of it, None for a dry run."""
         self._check()
+        from lerobot_adamanip.hub.push import push
+
         with tempfile.TemporaryDirectory(prefix="adamanip-push-") as scratch, contextlib.redirect_stdout(sys.stderr):
             staged = self._staged(Path(scratch) / "staged")
             sizes = {name: path.stat().st_size for name, path in staged.files().items()}
@@ -94,6 +98,9 @@ class Push:
             )
 
     def _staged(self, into: Path) -> Staged:
+        from lerobot_adamanip.hub.model_index import read_results
+        from lerobot_adamanip.hub.staging import stage_dataset, stage_environment, stage_model
+
         into.mkdir()
         results = read_results(self.results, self.results_command)
         if self.kind == "environment":
@@ -105,18 +112,11 @@ class Push:
             return stage_model(self.folder, self.repo_id, into, results=results, dataset=self.dataset)
         return stage_dataset(self.folder, self.repo_id, into, assets=self.assets)
 
-    def _print(self, sizes: dict[str, int], result: PushResult | None) -> None:
-        if self.json:
-            print(json.dumps({"dry_run": True, "files": sizes} if result is None else asdict(result)))
-        elif result is None:
-            for name, size in sizes.items():
-                print(f"{size:>12}  {name}")
-            print(
-                f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB, would go to {self.repo_id}. Nothing was sent."
-            )
-        else:
-            did = "published" if result.changed else "was there already"
-            tags = f", tagged {', '.join(result.tags)}" if result.tags else ""
-            print(
-                f"{result.url} {did}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."
-            )
+    def _text(self, sizes: dict[str, int], result: PushResult | None) -> str:
+        if result is None:
+            files = [f"{size:>12}  {name}" for name, size in sizes.items()]
+            total = f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB"
+            return "\n".join([*files, f"{total}, would go to {self.repo_id}. Nothing was sent."])
+        did = "published" if result.changed else "was there already"
+        tags = f", tagged {', '.join(result.tags)}" if result.tags else ""
+        return f"{result.url} {did}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.collection.render import add_pictures
 
 
 @dataclass
@@ -18,7 +14,7 @@ class Render:
     """Writes a copy of a dataset, with the images that `adamanip collect --no-images` left out.
 
     Scenes are set up from their seeds and joints put where they were recorded; no physics is run. Needs a Vulkan
-    device. After an interruption the same command goes on.
+    device. After an interruption the same command resumes.
     """
 
     root: DatasetFolder
@@ -38,15 +34,14 @@ class Render:
 
     def run(self) -> int:
         """Renders; 0 when the dataset is complete."""
+        from lerobot_adamanip.collection.render import add_pictures
         from lerobot_env_adamanip.make_env import make_keyframe_env
 
         root = self.root.absolute()
         out = self.out or root.with_name(root.name + "-images")
-        stages = {"render": "rendered", "assemble": "writing the dataset"}
-        with show_progress(stages) as progress, contextlib.redirect_stdout(sys.stderr):
+        with show_progress({"render": "rendered", "assemble": "writing the dataset"}) as progress:
             episodes = add_pictures(
                 root, out, make_keyframe_env, assets=self.assets, repo_id=self.repo_id, progress=progress
             )
-        done = f"{episodes} episodes with images in {out}"
-        print(json.dumps({"out": str(out), "episodes": episodes}) if self.json else done)
+        print_result(self.json, {"out": out, "episodes": episodes}, f"{episodes} episodes with images in {out}")
         return 0

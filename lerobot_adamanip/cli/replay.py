@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import json
-import sys
+import functools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.collection.replay import ReplayResult, replay
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.collection.replay import ReplayResult
 
 
 @dataclass
 class Replay:
-    """Replays a recorded episode in the simulator, from its stored seed and actions, and compares what is seen.
+    """Replays a recorded episode in the simulator, from its stored seed and actions, and compares the observations.
 
-    Exit status 0 if the replay matches the recording, 1 if not. Says which part of the code has changed since.
+    Exit status 0 if the replay matches the recording, 1 if not. Says which parts of the code have changed since.
     """
 
     root: DatasetFolder
@@ -41,31 +42,26 @@ class Replay:
 
     def run(self) -> int:
         """Replays and compares; 0 if everything agrees."""
-        result = self._replay()
-        agrees = result.agrees(self.tolerance)
-        if self.json:
-            print(json.dumps({**dataclasses.asdict(result), "agrees": agrees}))
-            return 0 if agrees else 1
-        print(f"episode {result.episode}: {result.object_id}, seed {result.seed}")
-        print(f"  key frames  {result.replayed} replayed, {result.key_frames} recorded")
-        print(f"  success     {result.success} replayed, {result.recorded_success} recorded")
-        for name, value in result.differences.items():
-            print(f"  {name:<24} largest difference {value:.3g}")
-        if result.changed:
-            print(f"Recorded under another fingerprint: {', '.join(result.changed)} differ.")
-        print("Replay matches the recording." if agrees else f"Replay differs (tolerance {self.tolerance:g}).")
-        return 0 if agrees else 1
-
-    def _replay(self) -> ReplayResult:
+        from lerobot_adamanip.collection.replay import replay
         from lerobot_env_adamanip.make_env import make_keyframe_env
 
-        # What libraries print must not get into the JSON.
-        with show_progress({"replay": "key frames"}) as progress, contextlib.redirect_stdout(sys.stderr):
-            return replay(
-                self.root,
-                self.episode,
-                make_keyframe_env,
-                assets=self.assets,
-                video=self.out,
-                progress=lambda done, total: progress("replay", done, total),
+        with show_progress({"replay": "key frames"}) as progress:
+            advance = functools.partial(progress, "replay")
+            result = replay(
+                self.root, self.episode, make_keyframe_env, assets=self.assets, video=self.out, progress=advance
             )
+        agrees = result.agrees(self.tolerance)
+        print_result(self.json, {**dataclasses.asdict(result), "agrees": agrees}, self._text(result, agrees))
+        return 0 if agrees else 1
+
+    def _text(self, result: ReplayResult, agrees: bool) -> str:
+        lines = [
+            f"episode {result.episode}: {result.object_id}, seed {result.seed}",
+            f"  key frames  {result.replayed} replayed, {result.key_frames} recorded",
+            f"  success     {result.success} replayed, {result.recorded_success} recorded",
+            *(f"  {name:<24} largest difference {value:.3g}" for name, value in result.differences.items()),
+        ]
+        if result.changed:
+            lines.append(f"Recorded under another fingerprint: {', '.join(result.changed)} differ.")
+        verdict = "Replay matches the recording." if agrees else f"Replay differs (tolerance {self.tolerance:g})."
+        return "\n".join([*lines, verdict])

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lerobot_adamanip.evaluation.groups import first_episodes, split_evaluations
-from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.report import compare
-from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
+from lerobot_adamanip.cli.arguments import check_plot, print_result
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import ConfigurationError
 
-_PLOT_FORMATS, _RESULT = (".png", ".pdf", ".svg"), ".json"
+if TYPE_CHECKING:
+    from lerobot_adamanip.evaluation.record import EpisodeRecord
+
+_RESULT = ".json"
 SURPLUS = (
     "All episodes of the logs are counted. lerobot-eval counts the first --eval.n_episodes=N: report --episodes N."
 )
-Evaluations = dict[str, list[EpisodeRecord]]
+type Evaluations = dict[str, list[EpisodeRecord]]
 
 
 @dataclass
@@ -63,17 +61,19 @@ class Report:
         """Reads, prints, plots and writes; 0."""
         labels = self._labels()
         self._check()
+        from lerobot_adamanip.evaluation.log import read_log
+        from lerobot_adamanip.evaluation.report import compare
+
         logs = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
         evaluations = dict(self._evaluations(logs))
         comparison = compare(evaluations)
         for path in self.out:
             self._write(evaluations, path)
-        if self.json:
-            print(json.dumps({**comparison.to_json(), "out": list(map(str, self.out))}))
-            return 0
-        print(f"{comparison.title}\n\n{markdown_table(['', *evaluations], comparison.rows(), align=True)}\n")
+        table = markdown_table(["", *evaluations], comparison.rows(), align=True)
         surplus = () if self.episodes else (SURPLUS,)
-        print("\n".join((*comparison.lines(), *surplus, *(f"written: {path}" for path in self.out))))
+        lines = (*comparison.lines(), *surplus, *(f"written: {path}" for path in self.out))
+        text = "\n".join((comparison.title, "", table, "", *lines))
+        print_result(self.json, {**comparison.to_json(), "out": self.out}, text)
         return 0
 
     def _write(self, evaluations: Evaluations, path: Path) -> None:
@@ -82,6 +82,8 @@ class Report:
 
             plot_evaluations(evaluations, path)
             return
+        from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
+
         rows = [row for label, part in evaluations.items() for row in rows_of_records(part, label)]
         records = [record for part in evaluations.values() for record in part]
         write_result(path, policy_result(rows, records, title=self.title, command=str(self.command)))
@@ -113,6 +115,8 @@ class Report:
 
     def _evaluations(self, logs: Evaluations) -> Iterator[tuple[str, list[EpisodeRecord]]]:
         """Yields label and records of each evaluation; those of one log are numbered, or called by their labels."""
+        from lerobot_adamanip.evaluation.groups import first_episodes, split_evaluations
+
         for label, records in logs.items():
             chosen = records if self.episodes is None else first_episodes(records, self.episodes)
             parts = split_evaluations(chosen, pool=self.pool)
@@ -120,11 +124,3 @@ class Report:
                 run_label = part[0].provenance.run_label
                 name = f"{number} {run_label}" if run_label else str(number)
                 yield (label if len(parts) == 1 else f"{label} #{name}"), part
-
-
-def check_plot(path: Path | None) -> None:
-    """Raises `ConfigurationError` for a picture of a kind that cannot be drawn."""
-    if path is not None and path.suffix.lower() not in _PLOT_FORMATS:
-        raise ConfigurationError(
-            "Unknown kind of picture.", got=path, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
-        )

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
-import sys
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.datasets.split import EPISODE, Parts, split_episodes
 from lerobot_adamanip.util.errors import ConfigurationError
 
 
@@ -19,7 +16,7 @@ class Split:
     """Writes every episode of a dataset into one of several, so that `adamanip merge` of them is the dataset again.
 
     With --by object_id no object is in two parts; with --by and no --parts each value gets a part of its own. Columns
-    are those of `adamanip filter`. Who gets what depends on the seed alone.
+    are those of `adamanip filter`. The seed alone decides the parts.
     """
 
     root: DatasetFolder
@@ -31,11 +28,11 @@ class Split:
     parts: str | None = None
     """Names and shares, like train=0.8,validation=0.2; the shares make 1."""
 
-    by: str = EPISODE
+    by: str = "episode_index"
     """Column whose values stay together."""
 
     seed: int = 0
-    """Of the drawing of lots."""
+    """Of the random draw."""
 
     json: bool = False
     """Print one JSON object instead of text, with the indices of the episodes of each part."""
@@ -43,22 +40,18 @@ class Split:
     def run(self) -> int:
         """Parts and writes; 0 when all datasets are complete."""
         shares = self._shares()
-        # What libraries print must not get into the JSON.
-        with show_progress({"split": "episodes written"}) as progress, contextlib.redirect_stdout(sys.stderr):
-            parts = split_episodes(
-                self.root,
-                self.out,
-                shares,
-                by=self.by,
-                seed=self.seed,
-                progress=lambda done, total: progress("split", done, total),
-            )
-        self._tell(parts)
+        from lerobot_adamanip.datasets.split import split_episodes
+
+        with show_progress({"split": "episodes written"}) as progress:
+            advance = functools.partial(progress, "split")
+            parts = split_episodes(self.root, self.out, shares, by=self.by, seed=self.seed, progress=advance)
+        text = "\n".join(f"{len(mine)} episodes in {self.out / name}" for name, mine in parts.items())
+        print_result(self.json, {"out": self.out, "parts": {name: list(mine) for name, mine in parts.items()}}, text)
         return 0
 
     def _shares(self) -> dict[str, float] | None:
         if self.parts is None:
-            if self.by == EPISODE:
+            if self.by == "episode_index":
                 raise self._wrong("neither --parts nor --by")
             return None
         shares: dict[str, float] = {}
@@ -75,15 +68,8 @@ class Split:
     @staticmethod
     def _wrong(got: str) -> ConfigurationError:
         return ConfigurationError(
-            "It is not said how to part.",
+            "Wrong parts.",
             got=got,
             allowed="different names (letters, digits, _ and -) with shares; or --by alone, for a part for each value",
             hint="--parts train=0.8,validation=0.2",
         )
-
-    def _tell(self, parts: Parts) -> None:
-        if self.json:
-            print(json.dumps({"out": str(self.out), "parts": {name: list(mine) for name, mine in parts.items()}}))
-            return
-        for name, mine in parts.items():
-            print(f"{len(mine)} episodes in {self.out / name}")

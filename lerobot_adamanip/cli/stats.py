@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
-from lerobot_adamanip.cli.report import check_plot
-from lerobot_adamanip.datasets.stats import DatasetStats, GroupStats, plot_stats, read_stats
+from lerobot_adamanip.cli.arguments import DatasetFolder, check_plot, print_result
 from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.datasets.stats import DatasetStats, GroupStats
 
 
 @dataclass
@@ -32,22 +33,14 @@ class Stats:
     def run(self) -> int:
         """Counts, prints and plots; 0."""
         check_plot(self.out)
+        from lerobot_adamanip.datasets.stats import plot_stats, read_stats
+
         found = read_stats(self.root)
         if self.out is not None:
             plot_stats(found, self.out)
-        if self.json:
-            print(json.dumps({**found.to_json(), "out": None if self.out is None else str(self.out)}))
-            return 0
-        _print(found)
-        if self.out is not None:
-            print(f"picture: {self.out}")
+        text = "\n".join([*_lines(found), *([] if self.out is None else [f"picture: {self.out}"])])
+        print_result(self.json, {**found.to_json(), "out": self.out}, text)
         return 0
-
-
-def _print(found: DatasetStats) -> None:
-    titles = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
-    rows = ([group.label, *_cells(each)] for group, each in found.groups.items())
-    print("\n".join((markdown_table(titles, rows, align=True), "", *_lines(found))))
 
 
 def _cells(found: GroupStats) -> Iterator[str]:
@@ -60,6 +53,9 @@ def _cells(found: GroupStats) -> Iterator[str]:
 
 
 def _lines(found: DatasetStats) -> Iterator[str]:
+    titles = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
+    yield markdown_table(titles, ([group.label, *_cells(each)] for group, each in found.groups.items()), align=True)
+    yield ""
     lengths = found.length_summary()
     told = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
     yield f"Key frames of an episode: {told}"

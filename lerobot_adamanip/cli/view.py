@@ -6,10 +6,13 @@ import contextlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.folder_argument import DatasetFolder
-from lerobot_adamanip.datasets.view.episode import ViewedEpisode, read_episode
+from lerobot_adamanip.cli.arguments import DatasetFolder
 from lerobot_adamanip.util.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.datasets.view.episode import ViewedEpisode
 
 _KINDS = (".png", ".rrd")
 
@@ -43,6 +46,8 @@ class View:
             from lerobot_adamanip.datasets.view import viewer
 
             viewer.require_display()
+        from lerobot_adamanip.datasets.view.episode import read_episode
+
         with contextlib.redirect_stdout(sys.stderr):
             episode = read_episode(self.root, self.episode, images=kind != ".png")
         print(episode.title)

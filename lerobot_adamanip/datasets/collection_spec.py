@@ -13,14 +13,13 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.datasets.output_folder import COLLECTING
-from lerobot_adamanip.episode.options import EnvironmentOptions, to_stored
+from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, to_stored
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
 from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
 
 SPLIT = "train"
 DEMO_SEED_START, DEMO_SEED_END = SPLITS[SPLIT]
 """Demonstration seeds lie apart from those of evaluation, so the two never meet."""
-DEFAULT_LATE_STARTS = 0.15
 LIMITS: Mapping[str, tuple[int, int]] = {
     "episodes_per_object": (1, 100_000), "trials": (1, 20), "seed": (0, 2**63 - 1),
 }  # fmt: skip

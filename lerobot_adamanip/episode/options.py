@@ -21,6 +21,8 @@ CLOUD_SOURCES = ("raycast", "render")
 """``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
 IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
 """Least and largest."""
+DEFAULT_LATE_STARTS = 0.15
+"""Share of a collection's episodes that start late."""
 STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
 """Option -> its key in files (manifests, episode logs), where the two differ."""
 RENAMED = {

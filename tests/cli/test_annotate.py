@@ -115,7 +115,7 @@ def test_a_larger_scale_takes_the_grasps_along(tmp_path: Path) -> None:
     [
         ([], "Nothing to show"),
         (["{}", "--object", "safe_003"], "Nothing to show"),
-        (["{}", "--category", "teapot"], "Unknown category"),
+        (["{}", "--category", "teapot"], "Unknown value of --category"),
         (["{}/nowhere"], "does not exist"),
         (["{}"], "No safe found"),
         (["--object", "safe:x"], "Unknown object id"),

@@ -18,7 +18,7 @@ from records import MADE
 from lerobot_adamanip.benchmark.declaration import Method, read_declaration
 from lerobot_adamanip.benchmark.policies import Policies
 from lerobot_adamanip.benchmark.run import BenchmarkRun
-from lerobot_adamanip.cli import benchmark as command
+from lerobot_adamanip.cli import benchmark_run as command
 from lerobot_adamanip.cli.main import main
 
 UNAVAILABLE = {"sampling": "no policy 'sampling' is installed"}

@@ -11,8 +11,8 @@ from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe
 from PIL import Image
 
 from lerobot_adamanip.catalog import make_object
+from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.cli import picture_choice as pictures
 from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet
 
 

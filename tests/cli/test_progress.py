@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_adamanip.cli.progress import EVERY_SECONDS, LEAST_SECONDS, ProgressLines, show_progress
+from lerobot_adamanip.cli.progress import MAX_INTERVAL_S, MIN_INTERVAL_S, ProgressLines, show_progress
 
 
 class Clock:
@@ -30,7 +30,7 @@ def lines(steps: int, seconds_each: float) -> list[str]:
 
 def test_slow_work_is_told_of_every_few_seconds() -> None:
     written = lines(1000, 1.0)
-    assert 1000 / EVERY_SECONDS - 2 <= len(written) <= 1000 / EVERY_SECONDS + 25
+    assert 1000 / MAX_INTERVAL_S - 2 <= len(written) <= 1000 / MAX_INTERVAL_S + 25
     assert all(line.startswith("working: ") for line in written)
     assert "s left" in written[3]
 
@@ -39,7 +39,7 @@ def test_quick_work_floods_nothing_and_its_end_is_told() -> None:
     written = lines(1000, 0.001)
     assert len(written) == 2
     assert written[-1].startswith("working: 1000/1000 (100 %)")
-    assert len(lines(1000, 0.1)) <= 100 / LEAST_SECONDS + 2
+    assert len(lines(1000, 0.1)) <= 100 / MIN_INTERVAL_S + 2
 
 
 def test_a_finished_stage_is_not_told_twice() -> None:

@@ -13,10 +13,10 @@ import pytest
 from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
-from lerobot_adamanip.cli import picture_choice as pictures
+from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli.collect import Collect
+from lerobot_adamanip.cli.collect_setup import resolve_images
 from lerobot_adamanip.cli.main import main, parse
-from lerobot_adamanip.cli.picture_choice import resolve_images
 from lerobot_adamanip.cli.push import Push
 from lerobot_adamanip.collection.collect import CollectOptions
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec
@@ -146,7 +146,7 @@ def test_every_option_that_decides_the_data_reaches_the_collection(
         asked.append((spec, options))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "collect", stop)
+    monkeypatch.setattr("lerobot_adamanip.collection.collect.collect", stop)
     line = ["--expert", "static", "--trials", "2", "--seed", "7", "--poses", "fixed", "--objects", "unseen",
             "--mechanism-rules", "upstream", "--expert-strategy", "upstream", "--late-starts", "0.3", "--keep-failed",
             "--image-size", "32", "--num-points", "9", "--worker-timeout", "5", "--max-attempts", "3"]  # fmt: skip

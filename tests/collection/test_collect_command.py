@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lerobot_adamanip.catalog import select_objects
-from lerobot_adamanip.cli import picture_choice as pictures
+from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.collection import trained_policy
 from lerobot_adamanip.contract.categories import CATEGORIES

@@ -17,7 +17,7 @@ import pytest
 from huggingface_hub import ModelCard
 from records import record
 
-from lerobot_adamanip.cli import picture_choice as pictures
+from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.cards import templates as cards

@@ -9,11 +9,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from lerobot_adamanip.assets import AssetSource
-from lerobot_adamanip.assets.urdf import URDF_NAME
-from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.cli.arguments import Category
+from lerobot_adamanip.util.errors import ConfigurationError
 
 AUTOSAVE_PERIOD = 1.0
 """Seconds at most between a change and a file that holds it."""
@@ -30,7 +27,7 @@ class Annotate:
     directory: Annotated[Path | None, tyro.conf.Positional] = None
     """A folder with a mobility.urdf, or a directory of such folders."""
 
-    category: str = "safe"
+    category: Category = "safe"
     """Which kind of object it is."""
 
     object: str | None = None
@@ -44,8 +41,9 @@ class Annotate:
 
     def run(self) -> int:
         """Serves the page until interrupted; 0."""
-        require_choice("category", self.category, CATEGORIES)
         folders = self._folders()
+        from lerobot_adamanip.catalog import make_object
+
         shown = None if self.object is None else make_object(self.object)
         server = start_server(self.host, self.port)
         from lerobot_adamanip.cli.annotate.app import AnnotationApp, show
@@ -77,6 +75,9 @@ class Annotate:
             )
         if self.directory is None:
             return []
+        from lerobot_adamanip.assets import AssetSource
+        from lerobot_adamanip.assets.urdf import URDF_NAME
+
         if (self.directory / URDF_NAME).is_file():
             return [self.directory]
         source = AssetSource(self.directory)

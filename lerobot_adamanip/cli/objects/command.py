@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.assets import AssetReport, AssetSource
-from lerobot_adamanip.catalog import make_object, object_split, parse_object_selection
-from lerobot_adamanip.cli.external import checked_source
-from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet, sheet_suffix
-from lerobot_adamanip.cli.picture_choice import require_renderer
+from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.assets import AssetReport, AssetSource
+    from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail
+    from lerobot_adamanip.objects import ArticulatedObject
 
 OPEN_FRACTION = 0.3
 """How far every second object stands open on a sheet."""
@@ -34,7 +34,7 @@ class Objects:
     out: Path | None = None
     """Write a contact sheet (.png, .jpg or .webp)."""
 
-    category: str = "safe"
+    category: CategoryOrAll = "safe"
     """Which kind of object; all for every one."""
 
     assets: Path | None = None
@@ -62,18 +62,23 @@ class Objects:
                 hint="--columns 9 --size 240",
             )
         if self.out is not None:
+            from lerobot_adamanip.cli.collect_setup import require_renderer
+            from lerobot_adamanip.cli.objects.contact_sheet import compose_sheet, sheet_suffix
+
             sheet_suffix(self.out)
             require_renderer()
         chosen, unusable = self._chosen()
         if self.out is not None and chosen:
-            with contextlib.redirect_stdout(sys.stderr):  # what the simulator prints must not get into the JSON
-                portraits = self._portraits(chosen)
-            compose_sheet(portraits, columns=self.columns, path=self.out)
-        self._print(chosen, unusable)
+            compose_sheet(self._portraits(chosen), columns=self.columns, path=self.out)
+        refused = [{"object_id": report.asset_id, "reason": report.problem} for report in unusable]
+        values = {"category": self.category, "objects": [to_json(obj) for obj in chosen], "unusable": refused}
+        print_result(self.json, {**values, "out": self.out}, "\n".join(self._lines(chosen, unusable)))
         return 0
 
     def _chosen(self) -> tuple[list[ArticulatedObject], list[AssetReport]]:
         """Returns the objects, and which external assets cannot be used."""
+        from lerobot_adamanip.catalog import make_object, parse_object_selection
+
         wanted = CATEGORIES if self.category == ALL else (self.category,)
         if self.assets is None:
             return [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)], []
@@ -88,6 +93,8 @@ class Objects:
         return source.check(category)
 
     def _portraits(self, chosen: list[ArticulatedObject]) -> list[Thumbnail]:
+        from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail
+
         made: list[Thumbnail] = []
         with show_progress({"photograph": "photographed"}) as progress:
             progress("photograph", 0, len(chosen))
@@ -99,27 +106,35 @@ class Objects:
                 progress("photograph", len(made), len(chosen))
         return made
 
-    def _print(self, chosen: list[ArticulatedObject], unusable: list[AssetReport]) -> None:
-        if self.json:
-            sheet = None if self.out is None else str(self.out)
-            rows = [to_json(obj) for obj in chosen]
-            refused = [{"object_id": report.asset_id, "reason": report.problem} for report in unusable]
-            told = {"category": self.category, "objects": rows, "unusable": refused, "out": sheet}
-            print(json.dumps(told))
-            return
+    def _lines(self, chosen: list[ArticulatedObject], unusable: list[AssetReport]) -> Iterator[str]:
         for obj in chosen:
             size = " x ".join(f"{100 * length:.0f}" for length in obj.size)
-            print(f"{obj.object_id}  {size} cm  {obj.description}")
+            yield f"{obj.object_id}  {size} cm  {obj.description}"
         for report in unusable:
-            print(f"{report.asset_id}  cannot be used: {report.problem}")
+            yield f"{report.asset_id}  cannot be used: {report.problem}"
         if self.assets is not None:
-            print(f"{len(chosen)} usable, {len(unusable)} not")
+            yield f"{len(chosen)} usable, {len(unusable)} not"
         if self.out is not None and chosen:
-            print(f"{len(chosen)} objects on {self.out}")
+            yield f"{len(chosen)} objects on {self.out}"
+
+
+def checked_source(assets: Path) -> AssetSource:
+    """Returns the assets of a folder; those out of the arm's reach are unusable, if the simulator is installed."""
+    from lerobot_adamanip.assets import AssetSource
+    from lerobot_env_adamanip.simulator import placement_check
+
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # what the simulator prints must not get into the JSON
+            return AssetSource(assets, placement_check())
+    except SimulatorError:
+        print("not checked without the simulator: whether the arm reaches the objects", file=sys.stderr)
+        return AssetSource(assets)
 
 
 def to_json(obj: ArticulatedObject) -> dict[str, Any]:
     """The machine's version of an object: id, split, size [m], description, parts and joints."""
+    from lerobot_adamanip.catalog import object_split
+
     joints = [link.joint for link in obj.links if link.joint is not None]
     return {
         "object_id": obj.object_id,

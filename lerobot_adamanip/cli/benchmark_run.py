@@ -1,0 +1,213 @@
+"""Runs `adamanip benchmark`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
+from lerobot_adamanip.benchmark.folder import BenchmarkFolder
+from lerobot_adamanip.benchmark.plan import NUMBERS, Code
+from lerobot_adamanip.benchmark.policies import find_policies
+from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
+from lerobot_adamanip.benchmark.report_plots import plot_report
+from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
+from lerobot_adamanip.cli.benchmark_options import DEFAULT_SCALE, BenchmarkOptions
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.collection.fingerprint import recording_hash
+from lerobot_adamanip.collection.ray_cluster import require_usable
+from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
+from lerobot_adamanip.evaluation.rates import rate, success_summary
+from lerobot_adamanip.evaluation.text_format import counted, interval_text
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.files import write_atomically
+from lerobot_adamanip.util.fingerprint import code_closure, code_hash, combined
+
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+
+
+def run_benchmark(options: BenchmarkOptions) -> int:
+    """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
+    declaration = with_packages(read_declaration(options.config or PAPER_TABLE))
+    cells = select_cells(declaration, options.chosen_scale, _selection(options))
+    _require_choice(options, len(cells))
+    if options.list_cells and options.report:
+        raise ConfigurationError("Two things at once.", got="--list and --report", allowed="one of them", hint="--list")
+    if options.cluster is not None:
+        require_usable(options.cluster, insecure=options.insecure_cluster)
+    if options.jobs < 1:
+        raise ConfigurationError("Not a number of jobs.", got=options.jobs, allowed="1 or more", hint="--jobs 2")
+    with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
+        made = _benchmark(options, declaration)
+        try:
+            states = (
+                [made.state(cell) for cell in cells] if _runs_nothing(options) else _run_cells(options, made, cells)
+            )
+        except KeyboardInterrupt:
+            command = shlex.join(["adamanip", *sys.argv[1:]])
+            print(f"Interrupted. What is done is kept. To go on:\n  {command}")
+            return EXIT_INTERRUPTED
+        written = {} if options.list_cells else write_report(make_benchmark_report(made), made.folder.root / "report")
+    _print(options, states, written)
+    return 1 if any(each.state == FAILED for each in states) else 0
+
+
+def _require_choice(options: BenchmarkOptions, cells: int) -> None:
+    """Raises `ConfigurationError` if everything would be run, and nobody has asked for that."""
+    chosen = (
+        options.scale or options.config or any((options.methods, options.categories, options.splits, options.seeds))
+    )
+    if not chosen and not _runs_nothing(options):
+        raise ConfigurationError(
+            f"Nothing was chosen, and scale {DEFAULT_SCALE} has {cells} cells: about a day of two cores.",
+            got="neither --scale nor --methods, --categories, --splits, --seeds",
+            allowed="one of them",
+            hint=f"--methods dp3_adaptive --categories safe; all of it: --scale {DEFAULT_SCALE}",
+        )
+
+
+def _runs_nothing(options: BenchmarkOptions) -> bool:
+    return options.list_cells or options.report
+
+
+def _selection(options: BenchmarkOptions) -> Selection:
+    seeds = _names(options.seeds)
+    if not all(seed.isdecimal() for seed in seeds):
+        raise ConfigurationError("Not a seed.", got=options.seeds, allowed="whole numbers", hint="--seeds 1000,1001")
+    return Selection(
+        methods=_names(options.methods),
+        categories=_names(options.categories),
+        splits=_names(options.splits),
+        seeds=tuple(map(int, seeds)),
+    )
+
+
+def _benchmark(options: BenchmarkOptions, declaration: Declaration) -> BenchmarkRun:
+    from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
+
+    policies = find_policies(declaration.methods)
+    return BenchmarkRun(
+        declaration=declaration,
+        scale=options.chosen_scale,
+        folder=BenchmarkFolder((options.out / options.chosen_scale).absolute()),
+        code=Code(
+            demonstrations=combined({**code_fingerprint(), "recording": recording_hash()}),
+            episodes=environment_fingerprint(),
+            policies=policies.code,
+            numbers=code_hash(code_closure(*NUMBERS)),
+        ),
+        origin=present_origin(),
+        machine=machine_class(),
+        unavailable=policies.unavailable,
+        collect_options=_collect_options(options),
+        jobs=options.jobs,
+        say=lambda text: print(text, flush=True),
+    )
+
+
+def _run_cells(options: BenchmarkOptions, made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
+    if options.cluster is None:
+        return run_cells(made, cells)
+    from lerobot_adamanip.benchmark.cluster_command import cluster_commands
+
+    gpu = made.declaration.scale(options.chosen_scale).device.startswith("cuda")
+    with cluster_commands(options.cluster, made.folder.root, insecure=options.insecure_cluster, gpu=gpu) as commands:
+        # No command computes with more than the smallest node has.
+        machine = {"cores": min(commands.cores, commands.smallest * options.jobs), "gpu": gpu}
+        return run_cells(replace(made, machine=machine, runner=commands), cells)
+
+
+def _collect_options(options: BenchmarkOptions) -> tuple[str, ...]:
+    cluster = () if options.cluster is None else (f"--cluster={options.cluster}",)
+    return (f"--workers={options.workers}", *cluster, *(("--insecure-cluster",) if options.insecure_cluster else ()))
+
+
+def _print(options: BenchmarkOptions, states: Sequence[CellState], written: dict[str, str]) -> None:
+    if options.json:
+        print(json.dumps({"scale": options.chosen_scale, "cells": [_state_json(each) for each in states], **written}))
+        return
+    width = max(len(each.cell.name) for each in states)
+    for each in states:
+        if options.list_cells or each.state == FAILED:
+            print(f"{each.cell.name:<{width}}  {each.state:<11}  {_told(each)}".rstrip())
+    counts = Counter(each.state for each in states)
+    print(f"{counted(len(states), 'cell')}: {', '.join(f'{count} {state}' for state, count in counts.items())}")
+    for what, path in written.items():
+        print(f"{what}: {path}")
+
+
+def run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
+    """Runs what is missing of the cells; tells progress on stderr."""
+    states = []
+    with _terminable(), show_progress({"cells": "cells"}) as progress:
+        progress("cells", 0, len(cells))
+        for number, state in enumerate(made.run(cells), start=1):
+            states.append(state)
+            progress("cells", number, len(cells))
+    return states
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Lets SIGTERM end this process in order, so that the command it waits for ends, too."""
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def make_benchmark_report(made: BenchmarkRun) -> BenchmarkReport:
+    """Returns the report of all results in a benchmark's folder."""
+    results = read_cells(made.folder.cells)
+    stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
+    return make_report(
+        results,
+        made.declaration,
+        made.scale,
+        {made.code.episodes},
+        unavailable=made.unavailable,
+        stale=stale,
+    )
+
+
+def write_report(report: BenchmarkReport, folder: Path) -> dict[str, str]:
+    """Writes a report as Markdown, JSON and pictures; returns what it has written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table, numbers = folder / "benchmark.md", folder / "benchmark.json"
+    write_atomically(table, benchmark_page(report).encode())
+    write_atomically(numbers, (json.dumps(report.to_json(), indent=1) + "\n").encode())
+    pictures = {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
+    return {"table": str(table), "numbers": str(numbers), **pictures}
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+
+
+def _state_json(state: CellState) -> dict[str, Any]:
+    success = None if state.result is None else state.result.numbers.success
+    return {
+        "name": state.cell.name,
+        **asdict(state.cell),
+        "state": state.state,
+        "reason": state.reason,
+        "success": None if success is None else {**asdict(success), **success_summary(success)},
+    }
+
+
+def _told(state: CellState) -> str:
+    """The reason, or the success, of a cell."""
+    success = rate(0, 0) if state.result is None else state.result.numbers.success
+    return state.reason or (interval_text(success) if success.episodes else "")

@@ -1,0 +1,43 @@
+"""A command answers `--help` and a wrong option at once: nothing heavy is imported for that."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from lerobot_adamanip.cli.keyframes import Keyframes
+from lerobot_adamanip.cli.main import COMMANDS
+
+HEAVY = ("torch", "lerobot", "pandas", "datasets", "scipy", "sapien", "trimesh", "mani_skill", "pyarrow", "cv2")
+ASK = """
+import contextlib, io, sys
+from lerobot_adamanip.cli.main import main
+for line in sys.argv[2:]:
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        try:
+            status = main(line.split())
+        except SystemExit as left:
+            status = left.code
+    assert status == (0 if line.endswith("--help") else 2), (line, status, err.getvalue())
+    found = sorted(set(sys.argv[1].split(",")) & set(sys.modules))
+    assert not found, (line, found)
+"""
+WRONG = (
+    "collect", "collect x --category dor", "collect x --expert adaptiv", "collect x --mechanism-rules papr",
+    "collect x --seed x", "objects --category dor", "annotate --category dor", "push datset x --repo-id a/b",
+    "merge one", "keyframes one", "split one", "collect x --mechanism-preset paper",
+)  # fmt: skip
+
+
+def test_help_and_wrong_options_import_nothing_heavy() -> None:
+    lines = [f"{name} --help" for name in COMMANDS] + [f"{name} --no-such-option" for name in COMMANDS]
+    command = [sys.executable, "-c", ASK, ",".join(HEAVY), *lines, *WRONG]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_defaults_of_keyframes_are_those_of_the_converter(tmp_path: Path) -> None:
+    from lerobot_adamanip.recordings.convert import ConvertOptions
+
+    assert Keyframes((tmp_path,), tmp_path).options() == ConvertOptions()
