@@ -1,7 +1,7 @@
 """Installs a built wheel into an environment of its own and tries it: `python scripts/smoke_test_release.py dist`.
 
 Nothing of the checkout is seen: another folder, no PYTHONPATH. With --share-packages the dependencies are those of the
-Python that runs this, and nothing is downloaded; without it pip fetches them, as for whoever installs the release.
+Python that runs this, and nothing is downloaded; without it pip fetches them, as for a user of the release.
 Exit status 0 if all is well, 1 if not.
 """
 

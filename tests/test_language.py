@@ -10,15 +10,38 @@ MAX_COLUMNS, MAX_README_WORDS, MAX_PAGE_WORDS = 6, 1200, 1500
 APART = ("docs/results.md", "docs/decisions.md", "docs/research/", "docs/upstream/", "docs/cards/")
 """Tables of numbers, records, and texts for others: as long as they are."""
 WORDS = {
+    r"\bwhom\b|\bwhoever\b": "a noun",
+    r"\bsign of life\b|\bBeat\b": "heartbeat",
+    r"\b[Dd]eaths? in a row\b": "consecutive crashes",
+    r"\bis blamed\b|\bto blame\b": "the cause of a crash",
+    r"\b[Cc]rews?\b": "workers, executor",
+    r"\b[Ii]n vain\b": "failed",
+    r"\btold_clearly\b": "translate_hub_errors",
+    r"\bwhat (?:came|comes|becomes|became) of\b": "result, outcome",
+    r"\bnobody looks\b": "without an observation",
+    r"\bhappened again\b": "matches the recording",
     r"\b_?counting_rows\b": "valid_rows",
     r"\bSessionBoard\b": "RobotRegistry",
-    r"\btold_clearly\b": "translate_hub_errors",
-    r"\bhappened again\b": "matches the recording",
+    r"\bleave_out_what\w*|\b_?owed\b|\b_hold_if_forgotten\b": "a verb and what it does",
+    r"\b(?:NOT_)?DECIDING\b": "MANIFEST_FIELDS, RUNTIME_FIELDS",
     r"\b(?:GAVE|GIVES|SCATTERED|SILENT|BESIDE_POSITION)\b": "a name with a unit or a bound",
+    r"\b[Mm]ends?\b|\b[Mm]ended\b": "repair, patch",
 }
 """What has been replaced -> what stands instead."""
-ALLOWED: dict[str, tuple[str, ...]] = {}
-"""File -> parts of lines in which such a word is right."""
+ALLOWED = {
+    "envs/lerobot_env_adamanip/keyframe_env.py": ("nobody looks", "what came of it"),
+    "envs/lerobot_env_adamanip/sapien_import.py": ("whoever",),
+    "envs/lerobot_env_adamanip/sim/freeze_gc.py": ("leave_out_what_is_loaded",),
+    "envs/lerobot_env_adamanip/sim/physics_backend.py": ("whoever",),
+    "envs/lerobot_env_adamanip/sim/tasks/base.py": ("leave_out_what_is_loaded",),
+    "envs/lerobot_env_adamanip/simulator.py": ("whoever",),
+    "envs/lerobot_env_adamanip/vector.py": ("whoever",),
+    "lerobot_adamanip/cli/check.py": ("mended",),
+    "lerobot_adamanip/datasets/repair.py": ("mended",),
+    "lerobot_adamanip/evaluation/tries.py": ("tried in vain",),
+    "lerobot_adamanip/util/files.py": ("partly mended",),
+}
+"""File -> parts of lines with such a word in what is stored or printed as JSON."""
 
 
 def texts() -> dict[str, str]:

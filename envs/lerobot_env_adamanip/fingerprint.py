@@ -10,7 +10,7 @@ from lerobot_adamanip.util.fingerprint import code_closure, code_hash, combined
 from lerobot_adamanip.util.import_graph import is_within
 
 ENVIRONMENT = ("lerobot_env_adamanip.keyframe_env", "lerobot_env_adamanip.sim.tasks")
-"""Modules that an episode starts from, whoever acts in it."""
+"""Modules that every episode starts from."""
 EXPERTS = ("lerobot_adamanip.experts", "lerobot_adamanip.episode.rollout")
 """Modules that an expert's episode starts from besides."""
 PARTS: Mapping[str, tuple[str, ...]] = {

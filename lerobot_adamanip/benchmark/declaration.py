@@ -212,7 +212,7 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
             f"The benchmark method {point.name!r} cannot be used.",
             got=f"{point.value} of {package}: {error}",
             allowed="a table like [methods.NAME], see docs/extending_policy.md",
-            hint=f"mend {package}, or uninstall it",
+            hint=f"repair {package}, or uninstall it",
         ) from error
     return replace(method, package=package)
 

@@ -202,7 +202,7 @@ def _budgets(report: BenchmarkReport) -> str:
 
 def _wasted(report: BenchmarkReport) -> str:
     told = (
-        "Tries in vain per success, less those of the best strategy that does not see the hidden state either. Below "
+        "Failed tries per success, less those of the best strategy that does not see the hidden state either. Below "
         "zero: it opens where it guesses right, and fails where it does not. All splits of objects together."
     )
     return f"{_by_category(report, _wasted_cell)}\n\n{told}"

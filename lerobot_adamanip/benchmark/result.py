@@ -70,7 +70,7 @@ class CellResult:
         fingerprint: of the code that decided the episodes.
         origin: commit and versions.
         scene_seeds: the first scene's and the last one's.
-        numbers: what came of its episodes.
+        numbers: of its episodes.
         costs: by name of step; all that is not the same every time.
     """
 

@@ -55,7 +55,7 @@ class BenchmarkOptions:
     is how many commands run on it at once."""
 
     insecure_cluster: bool = False
-    """Use a cluster that demands no token: whoever reaches its ports runs code on it."""
+    """Use a cluster that demands no token: anyone who reaches its ports runs code on it."""
 
     json: bool = False
     """Print one JSON object. Progress goes to stderr."""

@@ -30,7 +30,7 @@ class Check:
     """Folder of a LeRobotDataset."""
 
     repair: bool = False
-    """Mend what a kill leaves behind, then check again. Every episode whose saving had ended is kept; what is taken out
+    """Repair what a crash has left, then check again. Every episode whose saving had ended is kept; what is taken out
     of the dataset is moved into DIR.before-repair."""
 
     replay: int = 0
@@ -76,7 +76,7 @@ class Check:
 
 @dataclass
 class Repair:
-    """Mends what a kill leaves behind, then checks: `adamanip check --repair`.
+    """Repairs what a crash has left, then checks: `adamanip check --repair`.
 
     Every episode whose saving had ended is kept; what is taken out of the dataset is moved into DIR.before-repair.
     """
@@ -88,7 +88,7 @@ class Repair:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Mends and checks; 0 if nothing is wrong any more."""
+        """Repairs and checks; 0 if nothing is wrong any more."""
         return Check(self.root, repair=True, json=self.json).run()
 
 

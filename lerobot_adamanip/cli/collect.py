@@ -111,14 +111,14 @@ class Collect:
     """Processes, each with a simulator of its own; with --cluster actors, 0: one per CPU. Does not change the data."""
 
     worker_timeout: float = DEFAULT_TIMEOUT
-    """A worker that gives no sign of life (a key frame, an episode) for so long is replaced [s]. With --cluster: one
+    """A worker that gives no heartbeat (a key frame, an episode) for so long is replaced [s]. With --cluster: one
     that takes longer for one episode with all its attempts."""
 
     cluster: str | None = None
     """Ray cluster to record on: HOST:PORT, auto (the one this machine belongs to) or local (this machine alone)."""
 
     insecure_cluster: bool = False
-    """Use a cluster that demands no token: whoever reaches its ports runs code on it."""
+    """Use a cluster that demands no token: anyone who reaches its ports runs code on it."""
 
     part: str | None = None
     """K/N: record only every N-th episode, from the K-th on, and make no dataset yet; for one of N machines."""

@@ -47,8 +47,8 @@ COMMANDS = {
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
     "render": Entry("lerobot_adamanip.cli.render:Render", "add pictures to a dataset that was collected without them"),
-    "check": Entry("lerobot_adamanip.cli.check:Check", "check a dataset, and mend what a kill has left"),
-    "repair": Entry("lerobot_adamanip.cli.check:Repair", "mend what a kill has left of a dataset or a recording"),
+    "check": Entry("lerobot_adamanip.cli.check:Check", "check a dataset, and repair it after a crash"),
+    "repair": Entry("lerobot_adamanip.cli.check:Repair", "repair a dataset or a recording after a crash"),
     "keyframes": Entry(
         "lerobot_adamanip.cli.keyframes:Keyframes", "make demonstrations of a robot's recordings, alone or in a mix"
     ),

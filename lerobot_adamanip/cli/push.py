@@ -74,7 +74,7 @@ class Push:
         return 0
 
     def publish(self) -> tuple[dict[str, int], PushResult | None]:
-        """Publishes; returns the files with their bytes, and what came of it, None for a dry run."""
+        """Publishes; returns the files with their bytes, and the published commit, None for a dry run."""
         self._check()
         from lerobot_adamanip.hub.push import push
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.collection.executors import Crews
+from lerobot_adamanip.collection.executors import ExecutorFactory
 from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.datasets.cards.collected import dataset_card
@@ -52,7 +52,11 @@ class Contents:
 
 
 def assemble(
-    folder: Path, name: str, contents: Contents, progress: Callable[[int, int], None], crews: Crews | None = None
+    folder: Path,
+    name: str,
+    contents: Contents,
+    progress: Callable[[int, int], None],
+    executors: ExecutorFactory | None = None,
 ) -> Path:
     """Writes a dataset, syncs it and reads it back.
 
@@ -63,7 +67,7 @@ def assemble(
         name: of the folder that it is to be in at the end.
         contents: what it is made of.
         progress: told of episodes written, and all.
-        crews: prepare episodes, where there are enough of them; else this process does.
+        executors: prepare episodes, where there are enough of them; else this process does.
 
     Returns:
         ``folder``.
@@ -77,7 +81,7 @@ def assemble(
         )
     files.crash_point("assembly begun")
     dataset = _empty(folder, contents)
-    records, lengths = append_shards(dataset, contents.shards, progress, crews)
+    records, lengths = append_shards(dataset, contents.shards, progress, executors)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
     card = dataset_card(folder, name, contents.repo_id, contents.manifest.spec.environment.assets)
@@ -100,12 +104,12 @@ def _empty(folder: Path, contents: Contents) -> Any:
 
 
 def append_shards(
-    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], crews: Crews | None = None
+    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], executors: ExecutorFactory | None = None
 ) -> tuple[list[dict[str, Any]], list[int]]:
     """Writes all episodes, and finalises the dataset; returns their records and their numbers of rows."""
     records: list[dict[str, Any]] = []
     lengths: list[int] = []
-    appended = _appended(dataset, shards, crews) if can_append(dataset) else _written_by_lerobot(dataset, shards)
+    appended = _appended(dataset, shards, executors) if can_append(dataset) else _written_by_lerobot(dataset, shards)
     for record, length in appended:
         records.append(record)
         lengths.append(length)
@@ -115,17 +119,19 @@ def append_shards(
     return records, lengths
 
 
-def _appended(dataset: Any, shards: list[Path], crews: Crews | None) -> Iterator[tuple[dict[str, Any], int]]:
-    """Appends episodes that a crew prepares, or this process; yields each one's record and number of rows."""
+def _appended(
+    dataset: Any, shards: list[Path], executors: ExecutorFactory | None
+) -> Iterator[tuple[dict[str, Any], int]]:
+    """Appends episodes that an executor prepares, or this process; yields each one's record and number of rows."""
     items = [EpisodeFile(number, path) for number, path in enumerate(shards)]
     features, fps = dataset.meta.features, dataset.meta.fps
     with contextlib.ExitStack() as stack:
-        crew = crews.preparing(features, fps, len(items)) if crews is not None else None
-        if crew is None:
+        executor = executors.preparing(features, fps, len(items)) if executors is not None else None
+        if executor is None:
             work = stack.enter_context(preparing_session(features, fps))
             prepared: Iterator[PreparedEpisode] = (work(item, lambda: None) for item in items)
         else:
-            prepared = in_order(map(_prepared, stack.enter_context(crew).run(items)))
+            prepared = in_order(map(_prepared, stack.enter_context(executor).run(items)))
         for episode in prepared:
             yield episode.record, append(dataset, episode)
 

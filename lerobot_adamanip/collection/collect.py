@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
-from lerobot_adamanip.collection.executors import Crews, open_crews
+from lerobot_adamanip.collection.executors import ExecutorFactory, open_executors
 from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.folder_identity import is_own_partial, prepare_partial, require_finished
 from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
@@ -49,7 +49,7 @@ class CollectOptions:
 
     Attributes:
         workers: processes, each with a simulator of its own; or actors of the cluster, 0 for one per CPU of it.
-        worker_timeout: a worker without a sign of life for so long is replaced [s]; on a cluster, one whose item takes
+        worker_timeout: a worker without a heartbeat for so long is replaced [s]; on a cluster, one whose item takes
             longer.
         max_attempts: seeds to try per episode until the expert succeeds.
         allow_missing: make a dataset even if some episodes were given up.
@@ -137,16 +137,16 @@ def _collected(
     begin: float,
 ) -> CollectSummary:
     """Records what is missing; publishes the dataset, unless this is a part of it."""
-    with _crews(options) as crews:
+    with _executors(options) as executors:
         adopt(paths, manifest, options.adopt)
-        results = _record(job, paths, options, crews, listener)
+        results = _record(job, paths, options, executors, listener)
         recording = time.monotonic() - begin
         failures = _require_all(results, options)
         files.crash_point("all recorded")
         if options.part is not None:
             mine = options.part.of(job.spec.items())
             return summarize_part(paths, mine, results, begin=begin, recording=recording, failures=failures)
-        _publish(paths, manifest, options, crews, lambda done, total: listener("assemble", done, total))
+        _publish(paths, manifest, options, executors, lambda done, total: listener("assemble", done, total))
     return summarize(paths.root, job.spec, results, begin=begin, recording=recording, failures=failures)
 
 
@@ -189,14 +189,14 @@ def _least_bytes(spec: CollectionSpec) -> int:
     return 2 * _LEAST_ROWS * len(spec.items()) * spec.environment.num_points * 3 * 4
 
 
-def _crews(options: CollectOptions) -> contextlib.AbstractContextManager[Crews]:
-    return open_crews(
+def _executors(options: CollectOptions) -> contextlib.AbstractContextManager[ExecutorFactory]:
+    return open_executors(
         options.workers, options.worker_timeout, cluster=options.cluster, insecure=options.insecure_cluster
     )
 
 
 def _record(
-    job: RecordingJob, paths: CollectionPaths, options: CollectOptions, crews: Crews, listener: Listener
+    job: RecordingJob, paths: CollectionPaths, options: CollectOptions, executors: ExecutorFactory, listener: Listener
 ) -> list[ItemResult]:
     items = job.spec.items() if options.part is None else options.part.of(job.spec.items())
     missing = [item for item in items if not _is_recorded(paths, item)]
@@ -209,8 +209,8 @@ def _record(
     done = totals - Counter(category_of(item.object_id) for item in missing)
     for category, total in totals.items():
         listener(f"record {category}", done[category], total)
-    with crews.recording(job, paths, len(missing)) as crew:
-        for outcome in crew.run(missing):
+    with executors.recording(job, paths, len(missing)) as executor:
+        for outcome in executor.run(missing):
             results.append(_result(paths, outcome))
             category = category_of(outcome.item.object_id)
             done[category] += results[-1].report.kept
@@ -257,7 +257,7 @@ def _publish(
     paths: CollectionPaths,
     manifest: Manifest,
     options: CollectOptions,
-    crews: Crews,
+    executors: ExecutorFactory,
     progress: Callable[[int, int], None],
 ) -> None:
     """Assembles the dataset, and that of failed episodes, and puts both in place; the kept one last."""
@@ -270,12 +270,12 @@ def _publish(
     if manifest.spec.keep_failed and (failed := _failed(paths, manifest)):
         contents = Contents(counted, failed, attempts, f"{repo_id}-failed")
         files.remove_tree(paths.building_failed)
-        built = assemble(paths.building_failed, paths.failed.name, contents, progress, crews)
+        built = assemble(paths.building_failed, paths.failed.name, contents, progress, executors)
         # What an interrupted run has put there: `prepare_partial` has seen that it is of this collection.
         files.remove_tree(paths.failed)
         files.move_durably(built, paths.failed)
     files.remove_tree(paths.building)
-    built = assemble(paths.building, paths.root.name, Contents(counted, shards, attempts, repo_id), progress, crews)
+    built = assemble(paths.building, paths.root.name, Contents(counted, shards, attempts, repo_id), progress, executors)
     files.move_durably(built, paths.root)
     files.crash_point("dataset in place")
 

@@ -1,7 +1,7 @@
 """Corrections: a policy drives, and every state that it gets into is labelled with what an expert would do from there.
 
 DAgger (Ross et al. 2011). Key frame by key frame either the policy or the expert acts; the expert, which takes over
-from any state and believes what has been felt so far, whoever did it, says each time what it would do. That becomes the
+from any state and believes what has been felt so far, in any hand, says each time what it would do. That becomes the
 row's ``action``; what was really sent is the column ``complementary_info.executed``, of which a policy's history is
 made. So a policy sees its own mistakes, and how to go on from them.
 """

@@ -11,20 +11,20 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.record import RecordingJob, recording_session, writing_session
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
 from lerobot_adamanip.datasets.encoding import EpisodeFile, Features, preparing_session
-from lerobot_adamanip.util.jobs import Crew, WorkerPool
+from lerobot_adamanip.util.jobs import Executor, WorkerPool
 
 MIN_PREPARED = 32
 """A process more has to have so many episodes to prepare: it imports LeRobot first, for the time of ten."""
 
 
-class Crews(Protocol):
-    """Makes a crew for each half of a collection."""
+class ExecutorFactory(Protocol):
+    """Makes an executor for each half of a collection."""
 
-    def recording(self, job: RecordingJob, paths: CollectionPaths, items: int) -> Crew[EpisodeSpec]:
+    def recording(self, job: RecordingJob, paths: CollectionPaths, items: int) -> Executor[EpisodeSpec]:
         """Returns who records: the value of a result is an `ItemReport` if it is written, else an `ItemOutcome`."""
         ...
 
-    def preparing(self, features: Features, fps: int, items: int) -> Crew[EpisodeFile] | None:
+    def preparing(self, features: Features, fps: int, items: int) -> Executor[EpisodeFile] | None:
         """Returns who prepares episodes for assembly: `PreparedEpisode`; None if this process had better do it."""
         ...
 
@@ -34,19 +34,19 @@ class ProcessCrews:
 
     Args:
         workers: processes.
-        timeout: one without a sign of life for so long is replaced [s].
+        timeout: one without a heartbeat for so long is replaced [s].
     """
 
     def __init__(self, workers: int, timeout: float) -> None:
         self._workers, self._timeout = workers, timeout
 
-    def recording(self, job: RecordingJob, paths: CollectionPaths, items: int) -> Crew[EpisodeSpec]:
-        """See `Crews`."""
+    def recording(self, job: RecordingJob, paths: CollectionPaths, items: int) -> Executor[EpisodeSpec]:
+        """See `ExecutorFactory`."""
         session = functools.partial(writing_session, job, paths)
         return WorkerPool[EpisodeSpec](session, min(self._workers, max(1, items)), timeout=self._timeout)
 
-    def preparing(self, features: Features, fps: int, items: int) -> Crew[EpisodeFile] | None:
-        """See `Crews`."""
+    def preparing(self, features: Features, fps: int, items: int) -> Executor[EpisodeFile] | None:
+        """See `ExecutorFactory`."""
         workers = min(self._workers, items // MIN_PREPARED)
         session = functools.partial(preparing_session, features, fps)
         return WorkerPool[EpisodeFile](session, workers, timeout=self._timeout) if workers > 1 else None
@@ -63,23 +63,23 @@ class ClusterCrews:
     def __init__(self, workers: int, timeout: float) -> None:
         self._workers, self._timeout = workers, timeout
 
-    def recording(self, job: RecordingJob, paths: CollectionPaths, items: int) -> Crew[EpisodeSpec]:
-        """See `Crews`."""
-        from lerobot_adamanip.collection.ray_executor import RayCrew
+    def recording(self, job: RecordingJob, paths: CollectionPaths, items: int) -> Executor[EpisodeSpec]:
+        """See `ExecutorFactory`."""
+        from lerobot_adamanip.collection.ray_executor import RayExecutor
 
         session = functools.partial(recording_session, job)
         workers = min(self._workers, max(1, items))
-        return RayCrew[EpisodeSpec](session, workers, timeout=self._timeout, category=_category)
+        return RayExecutor[EpisodeSpec](session, workers, timeout=self._timeout, category=_category)
 
-    def preparing(self, features: Features, fps: int, items: int) -> Crew[EpisodeFile] | None:
-        """See `Crews`."""
-        from lerobot_adamanip.collection.ray_executor import RayCrew
+    def preparing(self, features: Features, fps: int, items: int) -> Executor[EpisodeFile] | None:
+        """See `ExecutorFactory`."""
+        from lerobot_adamanip.collection.ray_executor import RayExecutor
 
         workers = min(self._workers, items // MIN_PREPARED)
         session = functools.partial(preparing_session, features, fps)
         if workers < 2:
             return None
-        return RayCrew[EpisodeFile](session, workers, timeout=self._timeout, load=_content)
+        return RayExecutor[EpisodeFile](session, workers, timeout=self._timeout, load=_content)
 
 
 def _category(item: EpisodeSpec) -> str:
@@ -91,7 +91,9 @@ def _content(item: EpisodeFile) -> bytes:
 
 
 @contextlib.contextmanager
-def open_crews(workers: int, timeout: float, *, cluster: str | None = None, insecure: bool = False) -> Iterator[Crews]:
+def open_executors(
+    workers: int, timeout: float, *, cluster: str | None = None, insecure: bool = False
+) -> Iterator[ExecutorFactory]:
     """Yields who does the work, connected to ``cluster`` meanwhile, if given; ``workers`` 0: one per CPU of it."""
     if cluster is None:
         yield ProcessCrews(workers, timeout)

@@ -53,7 +53,7 @@ class ItemOutcome:
     """A report, and what is to be written with it.
 
     Attributes:
-        report: what became of the item.
+        report: the result of the item.
         failed: attempt -> file content of failed episodes that are to be kept.
         episode: file content of the episode to keep; None if the item was given up.
     """
@@ -64,7 +64,7 @@ class ItemOutcome:
 
 
 def write_outcome(paths: CollectionPaths, item: EpisodeSpec, outcome: ItemOutcome) -> None:
-    """Writes what came of an item, durably; what makes it count as done comes last."""
+    """Writes the result of an item, durably; what makes it count as done comes last."""
     for number, content in sorted(outcome.failed.items()):
         name = item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
         write_shard_bytes(paths.failed_episodes / name, content)

@@ -75,7 +75,7 @@ def require_address(address: str) -> None:
 def require_token(environment: Mapping[str, str]) -> None:
     """Raises `ConfigurationError` unless Ray is told to authenticate, and with what.
 
-    Ray runs whatever code it is sent by whoever reaches its ports.
+    Ray runs any code that is sent to its ports.
     """
     default = Path.home() / ".ray" / "auth_token"
     path = Path(environment.get("RAY_AUTH_TOKEN_PATH") or default)
@@ -187,11 +187,11 @@ def _connect(address: str, *, insecure: bool) -> None:
 
 
 def require_closed(address: str) -> None:
-    """Raises `ConfigurationError` if the cluster answers whoever asks, whatever token we have."""
+    """Raises `ConfigurationError` if the cluster answers without its token."""
     bare = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH")}
     if _answer(address, {**bare, "RAY_AUTH_MODE": "disabled"}) == "open":
         raise ConfigurationError(
-            "This cluster is open: whoever reaches its ports runs code on it.",
+            "This cluster is open: anyone who reaches its ports runs code on it.",
             got=f"{address} answers without a token",
             allowed="one whose every `ray start` had RAY_AUTH_MODE=token and a token",
             hint="restart it with both set, or --insecure-cluster where nobody else reaches its ports",

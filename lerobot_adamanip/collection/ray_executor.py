@@ -1,4 +1,4 @@
-"""A crew of actors on a Ray cluster.
+"""Actors on a Ray cluster.
 
 Ray is imported only here, in `ray_cluster` and in `lerobot_adamanip.benchmark.cluster_command`.
 
@@ -44,7 +44,7 @@ class SessionActor[Item]:
         return node_facts(ray.get_runtime_context().get_node_id())
 
     def do(self, item: Item, content: object) -> tuple[str, object]:
-        """Runs an item: ``result`` and what came of it, or ``error`` and its text, so that no exception travels."""
+        """Runs an item: ``result`` and its value, or ``error`` and its text, so that no exception travels."""
         try:
             if self._work is None:
                 self._work = self._stack.enter_context(self._session())
@@ -79,12 +79,12 @@ class _Call[Item]:
     worked: float = 0.0
 
 
-class RayCrew[Item]:
+class RayExecutor[Item]:
     """Runs items on actors of the cluster that this process is connected to. Use as a context manager.
 
     An actor has one CPU of the cluster and one item at a time. One that dies, or works on an item for too long, costs
     that item's work so far: the item goes to another one, and is given up if it takes two with it. Where a whole node
-    died, items are not to blame. Six deaths in a row, or an error of the work itself, end everything.
+    died, items are not the cause. Six consecutive crashes, or an error of the work itself, end everything.
 
     Args:
         session: makes what an actor holds from item to item; a function of a module, or a partial of one, that travels.
@@ -105,7 +105,7 @@ class RayCrew[Item]:
     ) -> None:
         if count < 1 or not timeout > 0:
             raise ConfigurationError(
-                "No such crew.",
+                "No such executor.",
                 got=f"{count} actors, timeout {timeout} s",
                 allowed="1 or more, above 0",
                 hint="--workers 2",
@@ -128,7 +128,7 @@ class RayCrew[Item]:
         self._calls.clear()
 
     def run(self, items: Iterable[Item]) -> Iterator[JobResult[Item]]:
-        """Yields what became of each item, in the order they finish; raises `WorkerError`."""
+        """Yields the result of each item, in the order they finish; raises `WorkerError`."""
         queue = ItemQueue(items, self._category)
         idle: list[_Actor] = []
         while queue or any(call.item is not None for call in self._calls.values()):
@@ -199,7 +199,7 @@ class RayCrew[Item]:
     # Deaths -----------------------------------------------------------------------------------------------------
 
     def _died(self, call: _Call[Item], cause: str, told: str = "") -> None:
-        """Lets an actor go, and asks whether its node still lives before anybody is blamed.
+        """Lets an actor go, and asks whether its node still lives, to tell which of the two crashed.
 
         Args:
             call: that it did not answer.

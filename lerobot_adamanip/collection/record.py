@@ -29,7 +29,7 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
 from lerobot_adamanip.util.fingerprint import combined, cpu_model, versions
-from lerobot_adamanip.util.jobs import Beat
+from lerobot_adamanip.util.jobs import Heartbeat
 
 _EXPERT_STREAM = 1
 """Tells the expert's random stream from any other that starts from the episode's seed."""
@@ -82,13 +82,13 @@ class RecordingJob:
 
 
 @contextlib.contextmanager
-def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat], ItemOutcome]]:
+def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemOutcome]]:
     """What a worker holds from item to item: one simulator, built with the first item of a category."""
     env: SimulatedEnvironment | None = None
     category = ""
     actor = None if job.factories.actor is None else job.factories.actor()
 
-    def work(item: EpisodeSpec, beat: Beat) -> ItemOutcome:
+    def work(item: EpisodeSpec, beat: Heartbeat) -> ItemOutcome:
         nonlocal env, category
         if env is None or category != category_of(item.object_id):
             if env is not None:
@@ -106,11 +106,13 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Beat
 
 
 @contextlib.contextmanager
-def writing_session(job: RecordingJob, paths: CollectionPaths) -> Iterator[Callable[[EpisodeSpec, Beat], ItemReport]]:
+def writing_session(
+    job: RecordingJob, paths: CollectionPaths
+) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemReport]]:
     """As `recording_session`, for a worker on the machine of the collection: it writes what it has recorded itself."""
     with recording_session(job) as record:
 
-        def work(item: EpisodeSpec, beat: Beat) -> ItemReport:
+        def work(item: EpisodeSpec, beat: Heartbeat) -> ItemReport:
             outcome = record(item, beat)
             write_outcome(paths, item, outcome)
             return outcome.report
@@ -130,7 +132,7 @@ def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
 
 
 def record_item(
-    env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Beat, actor: Actor | None = None
+    env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Heartbeat, actor: Actor | None = None
 ) -> ItemOutcome:
     """Tries seeds until the expert succeeds; where a policy is corrected, until one can be tried.
 
@@ -167,7 +169,7 @@ def attempt_episode(
     spec: CollectionSpec,
     make_expert: ExpertFactory,
     request: EpisodeRequest,
-    beat: Beat = lambda: None,
+    beat: Heartbeat = lambda: None,
     *,
     actor: Actor | None = None,
 ) -> tuple[Attempt, RecordedEpisode]:

@@ -83,7 +83,7 @@ class Feedback:
 
 @dataclass(frozen=True)
 class KeyFrameLabels:
-    """What a key frame tried, and what came of it: written by the environment, for people and analysis.
+    """What a key frame tried, and its result: written by the environment, for people and analysis.
 
     A *try* is a key frame in which a closed hand that is at a part was sent far enough to move one of the part's
     joints; the joint is the one that leads the hand nearest to where it was sent. It has *failed* if the joint covered

@@ -64,7 +64,7 @@ LABEL_DTYPES = {
     PHASE: "int64", TRIAL: "int64", OUTCOME: "int64", TRIED: "int64", FAILED: "bool", PROGRESS: "float32",
     SUCCESS: "bool", DONE: "bool",
 }  # fmt: skip
-"""Columns about a row's action and what came of it: one number each, never a policy's input."""
+"""Columns about a row's action and its result: one number each, never a policy's input."""
 
 Statistics = dict[str, dict[str, NDArray[Any]]]
 """Feature key -> statistic name -> values, as LeRobot keeps them."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.contract.categories import ALL
-from lerobot_adamanip.datasets.collection_spec import DECIDING, CollectionSpec
+from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, CollectionSpec
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -26,7 +26,7 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     values: dict[str, Any] = {"category": spec.category, "objects": _objects(spec)}
     own = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec)}
     values |= {name: value for name, value in own.items() if name not in ("environment", "objects")}
-    values |= {name: getattr(spec.environment, name) for name in DECIDING if name not in PYTHON_ONLY}
+    values |= {name: getattr(spec.environment, name) for name in MANIFEST_FIELDS if name not in PYTHON_ONLY}
     if spec.policy:
         values["policy"] = "POLICY"
     else:

@@ -189,15 +189,15 @@ def manifest_path(root: Path) -> Path:
 def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns what of an environment's options decides data, as manifests hold it: no path of this machine."""
     plain = environment.to_json()
-    return to_stored({name: plain[name] for name in DECIDING})
+    return to_stored({name: plain[name] for name in MANIFEST_FIELDS})
 
 
-DECIDING = (
+MANIFEST_FIELDS = (
     "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_rules", "max_key_frames",
     "hidden_overrides", "workspace",
 )  # fmt: skip
 """Options of an environment that a manifest holds."""
-NOT_DECIDING = (
+RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
     "logged_seeds",
 )  # fmt: skip

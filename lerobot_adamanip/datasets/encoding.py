@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.datasets.statistics import compute_statistics
-from lerobot_adamanip.util.jobs import Beat
+from lerobot_adamanip.util.jobs import Heartbeat
 
 Features = Mapping[str, Mapping[str, Any]]
 PLACE = ("index", "episode_index", "task_index")
@@ -59,7 +59,9 @@ def video_encoder() -> Any:
 
 
 @contextlib.contextmanager
-def preparing_session(features: Features, fps: int) -> Iterator[Callable[[EpisodeFile | bytes, Beat], PreparedEpisode]]:
+def preparing_session(
+    features: Features, fps: int
+) -> Iterator[Callable[[EpisodeFile | bytes, Heartbeat], PreparedEpisode]]:
     """Yields a worker's function, which prepares an episode from its file or the file's content."""
     import av
     import datasets
@@ -69,7 +71,7 @@ def preparing_session(features: Features, fps: int) -> Iterator[Callable[[Episod
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         sent = Path(scratch) / "episode.safetensors"
 
-        def work(item: EpisodeFile | bytes, beat: Beat) -> PreparedEpisode:
+        def work(item: EpisodeFile | bytes, beat: Heartbeat) -> PreparedEpisode:
             if isinstance(item, bytes):
                 sent.write_bytes(item)
             return prepare(read_shard(sent if isinstance(item, bytes) else item.path), features, fps, Path(scratch))

@@ -88,7 +88,7 @@ class EnvironmentOptions:
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else str(value))
         require_choice("category", self.category, CATEGORIES)
-        # Here, because whoever only registers the plugin shall not wait for them.
+        # Here, so that registering the plugin does not wait for them.
         from lerobot_adamanip.catalog import select_objects
         from lerobot_adamanip.mechanisms import MECHANISM_RULES
 

@@ -70,7 +70,7 @@ class SimulatedEnvironment(KeyframeEnvironment, Protocol):
     """One that knows where everything is, and can be looked at: what demonstrations are recorded in."""
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """As `step`, but nobody looks: returns whether the task is done, and whether the key frames are used up."""
+        """As `step` without an observation: returns whether the task is done, and whether key frames are used up."""
 
     def observe(self) -> Observation:
         """What is seen and felt now."""
@@ -95,7 +95,7 @@ class KeyFrame:
         feedback: what was felt once the action had ended.
         following: the observation after it.
         success: whether the task is done by now.
-        labels: what it tried, and what came of that.
+        labels: what it tried, and the result.
         executed: (10,) action that was sent, if not the goal's: see `lerobot_adamanip.collection.corrections`.
     """
 

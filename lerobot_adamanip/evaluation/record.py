@@ -114,7 +114,7 @@ class EpisodeRecord:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """What makes it the same episode as another, whoever acted in it."""
+        """What makes it the same episode as another, for any policy."""
         return (self.seed, self.object_id, tuple(sorted(self.hidden_state.items())))
 
     @property

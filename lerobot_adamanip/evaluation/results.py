@@ -38,7 +38,7 @@ class ResultRow:
         preset: of the mechanisms.
         category: ``safe``.
         objects: one of `OBJECT_SPLITS`.
-        metrics: what came of them; failed and unreachable episodes count too.
+        metrics: of these episodes; failed and unreachable episodes count too.
         train_minutes: that a policy was trained; None if not measured.
     """
 

@@ -87,7 +87,7 @@ def make_expert(
         mechanism_rules: of the environment: a direction that it fixes for all episodes an adaptive expert knows.
         positions: joint -> where it stands at the start [rad or m], as a camera sees it. Left out is at rest.
         feedback: of the hand at the start, if it may hold something or be about a part: it goes on with what it wants.
-        belief: what tries before this expert's own tell, whoever made them.
+        belief: what tries before this expert's own tell.
 
     Raises:
         ConfigurationError: an unknown name, or knowledge that this kind of expert must not have or lacks.

@@ -1,4 +1,4 @@
-"""What an expert knows: part poses, and what the tries so far tell of the hidden state, whoever made them.
+"""What an expert knows: part poses, and what the tries so far tell of the hidden state, its own or of others.
 
 A belief is nothing but the tries and what was felt of each. Everything hidden is one of a few possibilities (a
 direction, a mode, locked or not), and a try that failed rules some of them out until something else has changed.
@@ -35,7 +35,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class FeltTry:
-    """One try, as whoever made it felt it.
+    """One try, as its hand felt it.
 
     Attributes:
         joint: that was tried.
@@ -112,7 +112,7 @@ class Belief:
         return max((abs(each.after[joint]) for each in self.tries if each.joint == joint), default=0.0)
 
     def stopped(self, joint: str, rest: float) -> bool:
-        """Whether a joint has been felt to come to its stop: it was sent on from where it stood turned, in vain."""
+        """Whether a joint has been felt to come to its stop: it was sent on from where it stood, and did not move."""
         latest = self.latest(joint)
         return (
             latest is not None
@@ -122,7 +122,7 @@ class Belief:
         )
 
     def blocked_at(self, joint: str, key: str) -> float:
-        """Returns the farthest position of ``key``, unsigned, at which ``joint`` was tried in vain; -1 for never."""
+        """Returns the farthest position of ``key``, unsigned, at which ``joint`` was tried and failed; -1 for never."""
         return max((abs(each.before[key]) for each in self.tries if each.joint == joint and each.failed), default=-1.0)
 
     def _ways(self, joint: str, rest: float) -> set[int]:

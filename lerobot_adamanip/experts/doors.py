@@ -35,7 +35,7 @@ def open_by_trial(hand: Hand, handle: PartAnnotation, unlock: Callable[[], Frame
         hand: that does it.
         handle: of the door.
         unlock: what is tried when a pull was blocked, until the hand is free again.
-        unlock_first: who takes over from a hand that has pulled in vain begins with this.
+        unlock_first: an expert that takes over after a failed pull begins with this.
     """
     unlocking = unlock_first and not hand.is_ajar(handle, "door")
     for number in range(MAX_ROUNDS + 1):

@@ -59,7 +59,7 @@ def _hold(hand: Hand, knob: PartAnnotation) -> Attempt:
 
 
 def _failed_before(hand: Hand) -> set[int]:
-    """Returns the modes that others have tried in vain; none if that is all: one that slipped tells nothing."""
+    """Returns the modes that others have tried and failed; none if that is all: one that slipped tells nothing."""
     blocked = {("knob", way) for way in hand.belief.blocked_ways("knob", TURNED)}
     blocked |= {("button", 1)} if hand.belief.blocked("button") else set()
     failed = {mode for mode, motion in enumerate(MOTIONS) if motion in blocked}

@@ -140,7 +140,7 @@ class TurnToOpenExpert:
         self.direction = int(np.sign(self.angle)) if turned else known or drawn
         yield from self._hold()
         may = rng.random() < (style.p_open if turned else style.p_open_first) or self.is_free
-        # Where others have tried it in vain, it is not tried again.
+        # Where others have tried it and failed, it is not tried again.
         may = may and abs(self.angle) > self.hand.belief.blocked_at(style.final, style.key) + FOLLOWED * style.step / 2
         ajar = self.hand.is_ajar(self.part, style.final)
         if (ajar or (may and abs(self.angle) >= style.not_before)) and (yield from self._try_to_open()):

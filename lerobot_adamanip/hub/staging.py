@@ -168,7 +168,7 @@ def _require_sound(root: Path, assets: Path | None) -> None:
             "This dataset is damaged.",
             got=f"{root.name}: {sum(result.counts.values())} findings, the first: {result.findings[0]}",
             allowed="a dataset in which `adamanip check` finds nothing",
-            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair mends what a kill has left",
+            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs what a crash has left",
         )
 
 

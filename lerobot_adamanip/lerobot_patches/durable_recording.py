@@ -2,9 +2,9 @@
 
 Changes:
     `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
-    ``LeRobotDataset.resume``, which first mends such a recording. An episode gets files of its own, complete when it is
-    saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A kill
-    in between leaves files that nothing counts, and `datasets.repair` moves them away. The writer also keeps
+    ``LeRobotDataset.resume``, which first repairs such a recording. An episode gets files of its own, complete when
+    it is saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it.
+    A kill in between leaves files that nothing counts, and `datasets.repair` moves them away. The writer also keeps
     calibrations and safety limits of the connected robot beside its recording.
 Why:
     LeRobot completes its Parquet files when a session ends.
@@ -62,7 +62,7 @@ def apply() -> None:
     @functools.wraps(resume)
     def resume_mended(cls: type[Any], repo_id: str, root: str | Path | None = None, *args: Any, **options: Any) -> Any:
         if root is not None:
-            mend(Path(root))
+            repair_recording(Path(root))
         return resume(cls, repo_id, root, *args, **options)
 
     replace(lerobot_dataset, "DatasetWriter", make_writer)
@@ -185,8 +185,8 @@ def _rows(folder: Path) -> int:
     return sum(pq.read_metadata(path).num_rows for path in folder.rglob("*.parquet"))
 
 
-def mend(root: Path) -> None:
-    """Mends a recording of our robots that a kill has left; does nothing to any other dataset, or to none."""
+def repair_recording(root: Path) -> None:
+    """Repairs a recording of our robots after a crash; does nothing to any other dataset, or to none."""
     from lerobot_adamanip.datasets.reading import read_info
     from lerobot_adamanip.datasets.repair import repair
 

@@ -25,7 +25,7 @@ from typing import Protocol, Self
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 DEFAULT_TIMEOUT = 600.0
-"""Without a sign of life for this long [s], a worker hangs. The first one includes starting a simulator."""
+"""Without a heartbeat for this long [s], a worker hangs. The first one includes starting a simulator."""
 MAX_DEATHS = 2
 """An item may bring down one worker; the second time it is given up."""
 MAX_DEATHS_IN_A_ROW = 6
@@ -33,9 +33,9 @@ _STOP_SECONDS = 5.0
 _BEAT_SECONDS = 1.0
 """Signs of life are sent no more often than this."""
 
-Beat = Callable[[], None]
-"""Called by whoever runs an item, now and then: a sign of life."""
-type Work[Item] = Callable[[Item, Beat], object]
+Heartbeat = Callable[[], None]
+"""Called now and then while an item runs."""
+type Work[Item] = Callable[[Item, Heartbeat], object]
 """Runs one item."""
 type Session[Item] = Callable[[], AbstractContextManager[Work[Item]]]
 """Made in a worker: what it holds from item to item. A function of a module, or a `functools.partial` of one."""
@@ -48,7 +48,7 @@ def preload(*modules: str) -> None:
     """Lets all workers of this process start as copies of one that has imported ``modules``; it begins at once.
 
     For the start of a command: importing a simulator takes a core 4 s, in each worker otherwise. Where processes cannot
-    be copied, workers are spawned, as without this. A module that is not there is left to whoever needs it.
+    be copied, workers are spawned, as without this. A missing module is left to the code that needs it.
     """
     if _preloaded or "forkserver" not in multiprocessing.get_all_start_methods():
         return
@@ -85,7 +85,7 @@ class JobResult[Item]:
     seconds: float = 0.0
 
 
-class Crew[Item](Protocol):
+class Executor[Item](Protocol):
     """Whoever does a job's items: the processes of a `WorkerPool`, or actors of a cluster."""
 
     def __enter__(self) -> Self: ...
@@ -93,7 +93,7 @@ class Crew[Item](Protocol):
     def __exit__(self, *_: object) -> None: ...
 
     def run(self, items: Iterable[Item]) -> Iterator[JobResult[Item]]:
-        """Yields what became of each item, in the order they finish; raises `WorkerError`."""
+        """Yields the result of each item, in the order they finish; raises `WorkerError`."""
         ...
 
 
@@ -112,7 +112,7 @@ class WorkerPool[Item]:
     Args:
         session: makes what a worker holds from item to item.
         count: of processes.
-        timeout: a worker that gives no sign of life for so long [s] is ended, as if it had died.
+        timeout: a worker that gives no heartbeat for so long [s] is ended, as if it had died.
     """
 
     def __init__(self, session: Session[Item], count: int, *, timeout: float = DEFAULT_TIMEOUT) -> None:
@@ -140,7 +140,7 @@ class WorkerPool[Item]:
     def run(
         self, items: Iterable[Item], *, done: Callable[[Item], bool] = lambda item: False
     ) -> Iterator[JobResult[Item]]:
-        """Yields what became of each item that is not ``done``, in the order they finish; raises `WorkerError`."""
+        """Yields the result of each item that is not ``done``, in the order they finish; raises `WorkerError`."""
         queue = deque(item for item in items if not done(item))
         while queue or self._workers:
             while queue and len(self._workers) < self._count:
@@ -151,7 +151,7 @@ class WorkerPool[Item]:
                     yield from self._heard(worker, queue)
                 elif time.monotonic() - worker.heard > self._timeout:
                     worker.process.kill()
-                    yield from self._died(worker, queue, f"hung: no sign of life for {self._timeout:g} s")
+                    yield from self._died(worker, queue, f"hung: no heartbeat for {self._timeout:g} s")
 
     def _start(self, item: Item) -> _Worker[Item]:
         context = _context()
@@ -260,7 +260,7 @@ def _work[Item](pipe: Connection, session: Session[Item], renderer: int) -> None
             pipe.send(("error", str(error) if isinstance(error, AdaManipError) else traceback.format_exc()))
 
 
-def _beat(pipe: Connection) -> Beat:
+def _beat(pipe: Connection) -> Heartbeat:
     latest = time.monotonic()
 
     def beat() -> None:

@@ -13,7 +13,7 @@ from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.collection import trained_policy
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.collect_command import PYTHON_ONLY, collect_command
-from lerobot_adamanip.datasets.collection_spec import DECIDING, CollectionSpec
+from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, CollectionSpec
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.episode.options import EnvironmentOptions
 
@@ -42,7 +42,7 @@ def _options(spec: CollectionSpec) -> object:
 
 def test_every_option_of_a_collection_can_be_given_by_its_command_or_is_known_to_have_none() -> None:
     fields = {field.name for field in dataclasses.fields(CollectionSpec)} - {"environment", "objects"}
-    assert {*_CHANGED, *PYTHON_ONLY} == fields | set(DECIDING)
+    assert {*_CHANGED, *PYTHON_ONLY} == fields | set(MANIFEST_FIELDS)
 
 
 @pytest.mark.parametrize("name", sorted(_CHANGED))
@@ -50,7 +50,7 @@ def test_a_command_parses_back_to_its_collection(name: str, monkeypatch: pytest.
     monkeypatch.setattr(trained_policy, "policy_hash", lambda folder: "a" * 32)
     spec = CollectionSpec(EnvironmentOptions(), ("safe_000", "safe_001"))
     value = _CHANGED[name]
-    if name in DECIDING:
+    if name in MANIFEST_FIELDS:
         changed = dataclasses.replace(spec, environment=spec.environment.changed(**{name: value}))
     elif name in ("policy", "expert_share"):
         changed = dataclasses.replace(spec, policy="a" * 32, expert_share=0.3 if name == "policy" else value)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from lerobot_adamanip.contract.seeds import SPLITS, split_of
 from lerobot_adamanip.datasets.collection_spec import (
-    DECIDING,
     DEMO_SEED_END,
     DEMO_SEED_START,
-    NOT_DECIDING,
+    MANIFEST_FIELDS,
+    RUNTIME_FIELDS,
     episode_seed,
 )
 from lerobot_adamanip.episode.options import EnvironmentOptions
@@ -61,8 +61,8 @@ def test_its_environments_are_of_the_training_split_and_have_images() -> None:
 
 def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -> None:
     """An option that is added and decides data has to be written down, or datasets cannot tell it."""
-    assert {*DECIDING, *NOT_DECIDING} == {item.name for item in fields(EnvironmentOptions)}
-    assert not set(DECIDING) & set(NOT_DECIDING)
+    assert {*MANIFEST_FIELDS, *RUNTIME_FIELDS} == {item.name for item in fields(EnvironmentOptions)}
+    assert not set(MANIFEST_FIELDS) & set(RUNTIME_FIELDS)
 
 
 @pytest.mark.parametrize(

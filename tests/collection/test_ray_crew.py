@@ -55,11 +55,11 @@ def two(nodes: TwoNodes) -> TwoNodes:
 
 def run(two: TwoNodes, folder: Path, items: list[Any], **options: Any) -> list[JobResult[Any]]:
     from lerobot_adamanip.collection.ray_cluster import connected
-    from lerobot_adamanip.collection.ray_executor import RayCrew
+    from lerobot_adamanip.collection.ray_executor import RayExecutor
 
     with connected(two.address, workers=2, insecure=False) as cpus:
         assert cpus == 2
-        with RayCrew[Any](functools.partial(session, folder), 2, **{"timeout": 60.0, **options}) as crew:
+        with RayExecutor[Any](functools.partial(session, folder), 2, **{"timeout": 60.0, **options}) as crew:
             return list(crew.run(items))
 
 

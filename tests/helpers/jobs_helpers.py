@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lerobot_adamanip.util.errors import DatasetError
-from lerobot_adamanip.util.jobs import Beat, Work
+from lerobot_adamanip.util.jobs import Heartbeat, Work
 
 IMPORTED_BY = os.getpid()
 """The process that has imported this."""
@@ -21,7 +21,7 @@ def session(folder: Path) -> Iterator[Work]:
     """Squares numbers. ``once:...`` and ``always:...`` items die, hang or beat the first time, or always."""
     (folder / f"session-{os.getpid()}").touch()
 
-    def work(item: object, beat: Beat) -> object:
+    def work(item: object, beat: Heartbeat) -> object:
         if isinstance(item, int):
             return item * item, os.getpid()
         if item == "who":
@@ -39,7 +39,7 @@ def session(folder: Path) -> Iterator[Work]:
         (folder / f"ended-{os.getpid()}").touch()
 
 
-def _do(what: str, beat: Beat) -> None:
+def _do(what: str, beat: Heartbeat) -> None:
     if what == "die":
         os.kill(os.getpid(), signal.SIGKILL)
     if what == "hang":

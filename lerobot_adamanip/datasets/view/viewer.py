@@ -100,7 +100,7 @@ def _log_names(recording: Any, episode: ViewedEpisode) -> None:
 
 
 def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
-    """Logs where the tool is sent, and what comes of it."""
+    """Logs where the tool is sent, and the outcome."""
     rr = _rerun()
     goal, phase, outcome = episode.goals[number], episode.phases[number], episode.outcomes[number]
     _log_pose(recording, "world/goal/pose", goal)
