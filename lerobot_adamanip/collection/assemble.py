@@ -58,9 +58,7 @@ def assemble(
     progress: Callable[[int, int], None],
     executors: ExecutorFactory | None = None,
 ) -> Path:
-    """Writes a dataset, syncs it and reads it back.
-
-    Neither who prepares the episodes, nor whether LeRobot's writer does it, changes a byte.
+    """Writes a dataset, syncs it and reads it back. Its bytes do not depend on ``executors``.
 
     Args:
         folder: that does not exist.
