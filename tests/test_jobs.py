@@ -76,7 +76,7 @@ def test_a_worker_that_hangs_is_noticed_and_replaced(tmp_path: Path) -> None:
 
 def test_what_always_hangs_is_given_up_with_the_reason(tmp_path: Path) -> None:
     (result,) = run(tmp_path, ["always:hang"], timeout=1.5)
-    assert "no sign of life for 1.5 s" in str(result.death)
+    assert "no heartbeat for 1.5 s" in str(result.death)
 
 
 def test_slow_work_that_gives_signs_of_life_is_let_alone(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_a_worker_that_hangs_is_replaced_and_what_hangs_twice_is_given_up(tmp_pa
     slow = patiently(worker_timeout=1.5)
     message = refuses(DatasetError, lambda: collect(tmp_path / "dataset", spec, fakes(delay=30.0), slow))
     assert "safe_000, episode 0" in message
-    assert "no sign of life" in message
+    assert "no heartbeat" in message
 
 
 def test_an_object_that_kills_its_workers_is_reported(tmp_path: Path, refuses: Refuses) -> None:
