@@ -68,7 +68,7 @@ def compare(task: Any) -> Counts:
     """Compares what both see of a task, made with ``cloud_source="render"``, at this moment."""
     from lerobot_env_adamanip.sim.camera import pinhole, points_in_world
 
-    camera = pinhole(task.views.camera(task.views.depth_size))
+    camera = pinhole(task.views.camera(task.views.depth_size, "front"))
     rendered, cast = _rendered(task), _cast(task, 0.0, 0.0)
 
     def inside(millimetres: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -97,17 +97,15 @@ def _beside() -> Iterator[tuple[float, float]]:
 def _rendered(task: Any) -> NDArray[np.float32]:
     """The renderer's points (H * W, 3), camera frame [mm]; 0 where there are none."""
     task.views.points()
-    camera = task._sensors["front"]
-    image = camera.get_obs(rgb=False, depth=False, position=True, segmentation=False)["position"][0]
-    return np.asarray(image.cpu().numpy().reshape(-1, 3), np.float32)
+    return np.asarray(task.views.depth_scene.texture("position").reshape(-1, 3), np.float32)
 
 
 def _cast(task: Any, right: float, down: float) -> NDArray[np.float32]:
     """The same of rays, each so much of a pixel beside the middle of its own."""
-    from lerobot_env_adamanip.sim.sensors import RaycastSensor
+    from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
 
     views = task.views
-    camera = views.camera(views.depth_size)
+    camera = views.camera(views.depth_size, "front")
     pixels, points = RaycastSensor(camera, views.bodies(), views.workspace, (right, down)).pixels()
     image = np.zeros((views.depth_size**2, 3), np.float32)
     image[pixels] = points

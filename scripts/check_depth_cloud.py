@@ -54,7 +54,7 @@ def compare(task: Any, num_points: int, calibration: CameraCalibration | None = 
 
     views = task.views
     dense = views.points()
-    depth = rendered_depth(task) if views.rendered is not None else cast_depth(task)
+    depth = rendered_depth(task) if views.cloud_source == "render" else cast_depth(task)
     known = calibration or simulated_calibration(camera_of(task))
     start = time.perf_counter()  # processor time would count another thread, which spins after the simulator's rays
     for _ in range(REPEATS):
@@ -71,22 +71,21 @@ def camera_of(task: Any) -> dict[str, Any]:
     from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
 
     views = task.views
-    return camera_parameters(pinhole(views.camera(views.depth_size)), views.depth_size).to_json()
+    return camera_parameters(pinhole(views.camera(views.depth_size, "front")))
 
 
 def rendered_depth(task: Any) -> NDArray[np.uint16]:
     """The renderer's depth of the scene that was just captured (H, W) [mm]."""
-    told = task._sensors["front"].get_obs(rgb=False, depth=True, position=False, segmentation=False)["depth"]
-    depth = told[0].cpu().numpy()[..., 0]
+    depth = task.views.depth_scene.texture("depth")[..., 0]
     return np.where(depth > 0, depth, 0).astype(np.uint16)
 
 
 def cast_depth(task: Any) -> NDArray[np.uint16]:
     """The same of rays: 0 where none met anything near the workspace."""
-    from lerobot_env_adamanip.sim.sensors import RaycastSensor
+    from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
 
     views = task.views
-    pixels, points = RaycastSensor(views.camera(views.depth_size), views.bodies(), views.workspace).pixels()
+    pixels, points = RaycastSensor(views.camera(views.depth_size, "front"), views.bodies(), views.workspace).pixels()
     depth = np.zeros(views.depth_size**2, np.uint16)
     depth[pixels] = -points[:, 2]
     return depth.reshape(views.depth_size, views.depth_size)

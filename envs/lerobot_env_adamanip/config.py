@@ -17,7 +17,6 @@ from lerobot_adamanip.contract.schema import (
     DEFAULT_NUM_POINTS,
     EFFORT,
     FPS,
-    FRONT_IMAGE,
     IMAGE_SIZE,
     MAX_KEY_FRAMES,
     NUM_JOINTS,
@@ -27,7 +26,8 @@ from lerobot_adamanip.contract.schema import (
 )
 from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
-from lerobot_env_adamanip.image_options import observes_images
+from lerobot_env_adamanip.cameras import CAMERAS
+from lerobot_env_adamanip.sim.render_device import observes_images
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.vector import LazyAsyncVectorEnv
@@ -111,15 +111,15 @@ class AdaManipEnvConfig(EnvConfig):
             self._check_options()
         self.task = self.task or self.category
         size = self.image_size
-        table = {
+        table: dict[str, tuple[FeatureType, tuple[int, ...], str]] = {
             "action": (FeatureType.ACTION, (ACTION_DIM,), ACTION),
             "agent_pos": (FeatureType.STATE, (STATE_DIM,), STATE),
             "effort": (FeatureType.STATE, (NUM_JOINTS,), EFFORT),
             "point_cloud": (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD),
-            "pixels/front": (FeatureType.VISUAL, (size, size, 3), FRONT_IMAGE),
         }
-        if self.observe_images is False:
-            del table["pixels/front"]
+        if self.observe_images is not False:
+            for name, view in CAMERAS.items():
+                table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), view.column)
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 
@@ -173,7 +173,8 @@ class AdaManipEnvConfig(EnvConfig):
         """Returns whether pictures are observed; where they are not, they are no feature either."""
         observed = observes_images(self.observe_images)
         if not observed:
-            self.features.pop("pixels/front", None)
+            for name in CAMERAS:
+                self.features.pop(f"pixels/{name}", None)
         return observed
 
     def _new_run_id(self) -> str | None:

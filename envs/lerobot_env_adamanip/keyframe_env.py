@@ -23,6 +23,7 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
 from lerobot_adamanip.util.fingerprint import versions
+from lerobot_env_adamanip.cameras import FRONT
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 from lerobot_env_adamanip.simulator import make_task, require_simulator, sensors_name
@@ -130,14 +131,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def observe(self) -> Observation:
         """Returns what is seen and felt now."""
         seen = self._running().observe(image=self.options.observe_images)
-        self._image = seen.image
+        self._image = seen.images.get(FRONT)
         observation: Observation = {
             "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
             "effort": seen.effort.astype(np.float32),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
-        if seen.image is not None:
-            observation["pixels"] = {"front": seen.image}
+        if seen.images:
+            observation["pixels"] = seen.images
         return observation
 
     def render(self) -> NDArray[np.uint8]:
@@ -229,7 +230,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
-        return self._running().views.camera_parameters().to_json()
+        return self._running().views.camera_parameters()
 
     # Inside -----------------------------------------------------------------------------------------------------
 

@@ -28,7 +28,7 @@ def sensors_name(options: EnvironmentOptions) -> str:
     if cast and not options.observe_images:
         return cast
     import_sapien()
-    from lerobot_env_adamanip.sim.rendering import renderer_name
+    from lerobot_env_adamanip.sim.renderer import renderer_name
 
     return "; ".join(filter(None, (cast, renderer_name())))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lerobot_adamanip.contract.schema import NUM_JOINTS, STATE_DIM
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_env_adamanip.cameras import CAMERAS
 
 
 def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
@@ -19,5 +20,7 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
     }
     if options.observe_images:
         size = options.image_size
-        spaces["pixels"] = gym.spaces.Dict({"front": gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
+        spaces["pixels"] = gym.spaces.Dict(
+            {name: gym.spaces.Box(0, 255, (size, size, 3), np.uint8) for name in CAMERAS}
+        )
     return gym.spaces.Dict(spaces)

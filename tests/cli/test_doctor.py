@@ -58,8 +58,8 @@ def test_every_environment_is_looked_for() -> None:
 
 @pytest.mark.parametrize("renders", [True, False])
 def test_the_backend_that_auto_takes_is_the_probes_answer(monkeypatch: pytest.MonkeyPatch, renders: bool) -> None:
-    monkeypatch.setattr(render_device, "gpu_renders", lambda: renders)
-    monkeypatch.setattr(render_device, "can_render", lambda: True)
+    monkeypatch.setattr(render_device, "_has_gpu", lambda: True)
+    monkeypatch.setattr(render_device, "rendering_device", lambda: "cuda" if renders else "cpu")
     assert checks.check_render_backend().found == f"auto is {'cuda' if renders else 'cpu'}"
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from lerobot_adamanip.experts import Phase, make_expert
@@ -19,22 +21,14 @@ ROOT = Path(__file__).resolve().parents[2]
 SMALL: dict[str, Any] = {"num_points": 128, "image_size": 64, "split": "test"}
 
 
-class OneSimulator:
-    """Keeps the latest environment for the next test that wants it, and closes it before another is made."""
+NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
+"""Environment of a process that finds no Vulkan device."""
 
-    def __init__(self) -> None:
-        self._name, self._env = "", None
 
-    def get(self, name: str, make: Callable[[], Any]) -> Any:
-        if name != self._name:
-            self.close()
-            self._name, self._env = name, make()
-        return self._env
-
-    def close(self) -> None:
-        if self._env is not None:
-            self._env.close()
-            self._name, self._env = "", None
+def at_once_or_at_night(name: str, values: Iterable[str], at_once: Collection[str]) -> pytest.MarkDecorator:
+    """Parametrizes what hardly depends on the value: some with every change, the others at night."""
+    marks = {value: () if value in at_once else pytest.mark.nightly for value in values}
+    return pytest.mark.parametrize(name, [pytest.param(value, marks=mark) for value, mark in marks.items()])
 
 
 def digest(observation: dict[str, Any]) -> str:
@@ -87,8 +81,6 @@ def stay(env: Any) -> NDArray[np.float32]:
 
 def in_fresh_process(code: str, **environment: str) -> Any:
     """Runs code that prints JSON on its last line in a process of its own."""
-    import os
-
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

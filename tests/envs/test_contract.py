@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from envs_helpers import SMALL, OneSimulator, digest, expert_episode, stay
+from envs_helpers import SMALL, digest, expert_episode, stay
 from gymnasium.utils.env_checker import check_env
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
@@ -34,9 +34,8 @@ def config_of(env_type: str, **options: Any) -> Any:
 
 
 @pytest.fixture
-def env(env_type: str, simulator: OneSimulator) -> Any:
-    config = config_of(env_type)
-    return simulator.get(env_type, lambda: KeyframeEnv(**config.gym_kwargs))
+def env(env_type: str, envs: Any) -> Any:
+    return envs(env_type.removeprefix("adamanip_"))
 
 
 def test_there_is_an_environment_for_every_category_and_one_for_all() -> None:

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from envs_helpers import ROOT, OneSimulator
+from envs_helpers import ROOT
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.experts import Phase, make_expert
-from lerobot_env_adamanip.keyframe_env import make_task
 
 pytestmark = pytest.mark.sim
 NO_VULKAN = "nonexistent" in os.environ.get("VK_DRIVER_FILES", "")
@@ -36,10 +35,8 @@ def script() -> Any:
 
 
 @pytest.fixture
-def task(category: str, simulator: OneSimulator) -> Any:
-    task = simulator.get(category, lambda: make_task(category))
-    task.holds_the_untried = True
-    return task
+def task(category: str, tasks: Any) -> Any:
+    return tasks(category)
 
 
 @pytest.mark.parametrize("category", CATEGORIES)

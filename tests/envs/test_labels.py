@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from envs_helpers import SMALL, OneSimulator
 
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -39,8 +40,8 @@ def adaptive_rows(env: KeyframeEnv, category: str, seed: int) -> list[Row]:
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
-def test_an_adaptive_episode_is_labelled_as_it_went(simulator: OneSimulator, category: str) -> None:
-    env = simulator.get(category, lambda: KeyframeEnv(category, **SMALL))
+def test_an_adaptive_episode_is_labelled_as_it_went(envs: Any, category: str) -> None:
+    env = envs(category)
     rows = [row for seed in (3, 4) for row in adaptive_rows(env, category, seed)]
     obj = make_object(env.episode_record()["object_id"])
     still = [{"revolute": 0.02, "prismatic": 0.002}[obj.joint(name).kind] for name in make_mechanism(obj).joints]
@@ -71,8 +72,8 @@ def check_record(record: EpisodeRecord, rows: list[Row]) -> None:
     assert record.provenance.run_id is None
 
 
-def test_a_turn_that_ends_at_the_stop_with_most_of_its_way_covered_is_no_failure(simulator: OneSimulator) -> None:
-    env = simulator.get("safe", lambda: KeyframeEnv("safe", **SMALL))
+def test_a_turn_that_ends_at_the_stop_with_most_of_its_way_covered_is_no_failure(envs: Any) -> None:
+    env = envs("safe")
     stopped = []
     for seed in (3, 4, 5):
         rows = adaptive_rows(env, "safe", seed)

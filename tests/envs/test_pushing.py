@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from envs_helpers import OneSimulator
 
 from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal, Phase
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_env_adamanip.keyframe_env import make_task
 from lerobot_env_adamanip.sim.keyframe_driver import FINGER_CLOSED, FINGER_OPEN
 
 pytestmark = pytest.mark.sim
@@ -18,10 +16,8 @@ TURNS = ({"direction": 1, "turn_range": 0.9}, {"direction": -1, "turn_range": 0.
 
 
 @pytest.fixture
-def task(category: str, simulator: OneSimulator) -> Any:
-    task = simulator.get(category, lambda: make_task(category))
-    task.holds_the_untried = True
-    return task
+def task(category: str, tasks: Any) -> Any:
+    return tasks(category)
 
 
 def reset(task: Any, seed: int, **hidden: Any) -> None:

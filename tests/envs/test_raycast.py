@@ -15,7 +15,8 @@ from lerobot_adamanip.objects import Material, Shape
 from lerobot_env_adamanip import cloud_source
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import raycast
-from lerobot_env_adamanip.sim.raycast import LinkMesh, PinholeCamera, RayScene, link_mesh
+from lerobot_env_adamanip.sim.camera import PinholeCamera
+from lerobot_env_adamanip.sim.raycast import LinkMesh, RayScene, link_mesh
 from lerobot_env_adamanip.sim.triangles import box_triangles, shape_triangles
 
 SIZE = 48
@@ -63,7 +64,8 @@ def test_neither_the_order_of_links_nor_what_was_cast_before_matters() -> None:
         np.testing.assert_array_equal(depth_image(scene, *order), wanted)
     depth = scene.empty()
     for one in links[:2]:
-        scene.hits(*one).lower(depth)
+        slots, depths = scene.hits(*one)
+        depth[slots] = np.minimum(depth[slots], depths)
     scene.cast(links[2:], depth)
     met = scene.met(depth)
     np.testing.assert_array_equal(wanted.ravel()[scene.pixels[met]], depth[met])

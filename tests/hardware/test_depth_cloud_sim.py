@@ -46,7 +46,7 @@ def test_half_a_pixel_is_counted_as_opencv_does(task: Any) -> None:
     from lerobot_env_adamanip.sim.camera import pinhole
 
     size, known = task.views.depth_size, simulated_calibration(camera)
-    rays = pinhole(task.views.camera(size)).rays().reshape(size, size, 3)
+    rays = pinhole(task.views.camera(size, "front")).rays().reshape(size, size, 3)
     matrix = known.depth.matrix
     for row, column in ((0, 0), (17, 200), (size - 1, size // 2)):
         ray = np.linalg.solve(matrix, [column, row, 1.0])

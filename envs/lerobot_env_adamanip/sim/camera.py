@@ -1,68 +1,110 @@
-"""The rendered camera: image and points of one moment."""
+"""Pinhole cameras: rays, projections and calibration. No renderer is used."""
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mani_skill.envs.scene import ManiSkillScene
-from mani_skill.sensors.camera import Camera, CameraConfig
 from numpy.typing import NDArray
-from PIL import Image
 
 from lerobot_adamanip.contract.pointcloud import Cloud
-from lerobot_env_adamanip.sim.observation import CameraParameters
-from lerobot_env_adamanip.sim.raycast import PinholeCamera
 
+if TYPE_CHECKING:
+    from mani_skill.sensors.camera import CameraConfig
+
+Pose = NDArray[np.float64]
 OPENCV_FROM_GL = np.diag([1.0, -1.0, -1.0, 1.0])
 GL_FROM_BODY = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""SAPIEN poses a camera as a body that looks along x, with z up."""
+"""SAPIEN's camera pose is that of a body that looks along x, z up."""
+_BEHIND = 1e-3
+"""Points nearer to the camera's plane than this cannot be projected [m]."""
+_EDGE = 0.01
+"""Margin around a picture's edge [m]."""
 
 
-def capture(scene: ManiSkillScene, camera: Camera) -> tuple[NDArray[np.uint8], Cloud]:
-    """Renders once. Returns the image (H, W, 3) and the points (M, 3) [m], one of each pixel that sees something.
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A square camera with its principal point in the middle; x right, y up, it looks along -z.
 
-    Points are in the world's frame and in scan order.
+    Attributes:
+        pose: (4, 4) in the world.
+        size: pixels along a side.
+        focal: length [px].
     """
-    scene.update_render(update_sensors=True, update_human_render_cameras=False)
-    camera.capture()
-    data = camera.get_obs(rgb=True, depth=False, position=True, segmentation=False)
-    image: NDArray[np.uint8] = data["rgb"][0].cpu().numpy()
-    millimetres = data["position"][0].cpu().numpy().reshape(-1, 3)
-    seen = millimetres[millimetres[:, 2] < -1].astype(np.float32) * np.float32(1e-3)
-    camera_in_world = camera.get_params()["cam2world_gl"][0].cpu().numpy()
-    return image, points_in_world(seen, camera_in_world)
 
+    pose: Pose
+    size: int
+    focal: float
 
-def points_in_world(points: Cloud, camera_in_world: NDArray[Any]) -> Cloud:
-    """(M, 3) in a camera's frame -> in the world's, by the camera's pose (4, 4); one way to round for all sensors."""
-    rotation, position = camera_in_world[:3, :3].astype(np.float32), camera_in_world[:3, 3].astype(np.float32)
-    return points @ rotation.T + position
+    @functools.cached_property
+    def world_to_camera(self) -> Pose:
+        """(4, 4)."""
+        inverse: Pose = np.linalg.inv(self.pose).astype(np.float64, copy=False)
+        return inverse
 
+    def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+        """Returns the directions (size^2, 3) of all pixels in scan order, camera frame; of depth 1 each.
 
-def take_image(camera: Camera) -> NDArray[np.uint8]:
-    """Returns the image (H, W, 3) of one more camera of a scene that `capture` has just brought up to date."""
-    camera.capture()
-    data = camera.get_obs(rgb=True, depth=False, position=False, segmentation=False)
-    image: NDArray[np.uint8] = data["rgb"][0].cpu().numpy()
-    return image
+        Args:
+            beside: how far right and below the pixel's middle [px].
+        """
+        across, down = ((np.arange(self.size) + 0.5 - self.size / 2 + shift) / self.focal for shift in beside)
+        columns, rows = np.meshgrid(across, -down)
+        return np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -1.0)], axis=1)
 
+    def may_see(self, points: NDArray[np.float64], pose: Pose) -> bool:
+        """Returns False if a body lies beyond one of the picture's edges.
 
-def resized(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """Returns the image (size, size, 3), each of its pixels the mean of those it stands for."""
-    if image.shape[0] == size:
-        return image
-    return np.asarray(Image.fromarray(image).resize((size, size), Image.Resampling.BOX))
+        Args:
+            points: (N, 3) corners of its convex hull, in its own frame [m].
+            pose: of the body in the world (4, 4).
+        """
+        in_camera = self.world_to_camera @ pose
+        x, y, z = (points @ in_camera[:3, :3].T + in_camera[:3, 3]).T
+        half = -z * (0.5 * self.size / self.focal) + _EDGE
+        beside = x > half, x < -half, y > half, y < -half, z > _EDGE
+        return not any(side.all() for side in beside)
+
+    def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Returns the pixels that may see each of M boxes: (M, 4) of first row, first column, end row, end column.
+
+        Args:
+            corners_in_camera: (8 M, 3) [m], eight of each box after the other.
+        """
+        depth = -corners_in_camera[:, 2]
+        # One pixel more on each side: rays pass through the middles of pixels.
+        scale = self.focal / np.maximum(depth, _BEHIND)
+        rows = (self.size / 2 - scale * corners_in_camera[:, 1]).reshape(-1, 8)
+        columns = (self.size / 2 + scale * corners_in_camera[:, 0]).reshape(-1, 8)
+        edges = np.stack([rows.min(1) - 1, columns.min(1) - 1, rows.max(1) + 2, columns.max(1) + 2], axis=1)
+        edges[depth.reshape(-1, 8).min(1) < _BEHIND] = (0, 0, self.size, self.size)
+        return np.clip(edges, 0, self.size).astype(np.int64)
 
 
 def pinhole(config: CameraConfig) -> PinholeCamera:
-    """Returns the camera that ManiSkill makes of a configuration. No renderer is asked."""
+    """Returns the camera that ManiSkill makes of a configuration."""
     pose = config.pose.sp.to_transformation_matrix().astype(np.float64) @ GL_FROM_BODY
     return PinholeCamera(pose, config.width, 0.5 * config.width / np.tan(0.5 * config.fov))
 
 
-def camera_parameters(camera: PinholeCamera, size: int) -> CameraParameters:
-    """Returns a camera's parameters for an image of ``size`` [px]; the robot's base is the world's origin."""
-    focal, middle = camera.focal * size / camera.size, 0.5 * size
-    intrinsics = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
-    return CameraParameters(intrinsics, camera.pose @ OPENCV_FROM_GL, width=size, height=size)
+def points_in_world(points: Cloud, camera_in_world: NDArray[Any]) -> Cloud:
+    """(M, 3) in a camera's frame -> in the world's, by the camera's pose (4, 4). All clouds are rounded alike."""
+    rotation, position = camera_in_world[:3, :3].astype(np.float32), camera_in_world[:3, 3].astype(np.float32)
+    return points @ rotation.T + position
+
+
+def camera_parameters(camera: PinholeCamera) -> dict[str, Any]:
+    """Returns a camera's calibration, JSON-able; the robot's base is the world's origin.
+
+    Keys: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the robot's base frame, OpenCV axes [m], ``width``
+    and ``height`` [px].
+    """
+    focal, middle = float(camera.focal), 0.5 * camera.size
+    return {
+        "intrinsics": [[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]],
+        "extrinsics": (camera.pose @ OPENCV_FROM_GL).tolist(),
+        "width": camera.size,
+        "height": camera.size,
+    }

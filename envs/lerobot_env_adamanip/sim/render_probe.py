@@ -1,14 +1,12 @@
-"""Renders one small frame with SAPIEN and checks its pixels: the only proof that rendering works.
+"""Test picture by SAPIEN. ``python -m lerobot_env_adamanip.sim.render_probe [cuda|cpu ...]`` prints what renders first.
 
-`sapien.Device.can_render()` says False for Mesa's lavapipe, which does render. Run this in a process of its own
-(``python -m lerobot_env_adamanip.sim.render_probe [cuda|cpu ...]``): a broken driver may crash instead of raising.
-Prints the first device that renders; tried are those named, or the GPU, then the CPU.
+`sapien.Device.can_render()` says False for Mesa's lavapipe, which does render. Run this in a process of its own: a
+broken driver may crash instead of raising.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 SIZE = 32
 """Side of the probe's image [pixels]."""
@@ -38,10 +36,10 @@ def render_box(backend: str) -> str:
     return f"{backend} ({device.name})" if device.name != backend else backend
 
 
-def main(backends: Sequence[str]) -> int:
-    """Tries one backend after the other; exit status 0 if one of them renders."""
+def main() -> int:
+    """Tries the devices named, or the GPU, then the CPU; exit status 0 if one of them renders."""
     failures = []
-    for backend in backends or ("cuda", "cpu"):
+    for backend in sys.argv[1:] or ("cuda", "cpu"):
         try:
             sys.stdout.write(f"{render_box(backend)}\n")
         except (RuntimeError, ImportError) as error:
@@ -53,4 +51,4 @@ def main(backends: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,13 +15,9 @@ from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject, Material, Shape
+from lerobot_env_adamanip.cameras import CAMERAS, FRONT
 from lerobot_env_adamanip.sim.articulation import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
 
-CAMERA, IMAGE_CAMERA = "front", "front_image"
-"""What observes, and what takes its image where that is larger than what is rendered for the cloud."""
-CAMERA_EYE, CAMERA_TARGET = (0.0, -0.58, 1.16), (0.60, 0.02, 0.70)
-"""Third person, beside and above the arm (paper: one camera adjacent to the robot) [m, base frame]."""
-FIELD_OF_VIEW = float(np.deg2rad(52))
 PERSON_VIEW = 512
 """Side of the picture that ManiSkill renders for people [px]."""
 _PLINTH, _COLUMN = Material((0.45, 0.36, 0.27), 0.8), Material((0.25, 0.26, 0.28), 0.7)
@@ -103,23 +98,22 @@ def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:
     scene.add_directional_light([0.6, -0.8, -0.6], [0.6, 0.62, 0.7])
 
 
-def front_cameras(
-    rng: np.random.Generator, shift: float, *, sizes: Mapping[str, int], shader: str
-) -> list[CameraConfig]:
-    """Returns the camera that observes, once for each name and size [px].
+def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, Any]:
+    """Returns a pose for each of `CAMERAS`; eye and target are drawn within ``shift`` [m] along each axis."""
+    poses = {}
+    for name, view in CAMERAS.items():
+        eye = np.asarray(view.eye) + rng.uniform(-shift, shift, 3)
+        poses[name] = sapien_utils.look_at(eye, np.asarray(view.target) + rng.uniform(-shift, shift, 3))
+    return poses
 
-    Eye and target are drawn within ``shift`` [m] of their places along each axis.
-    """
-    eye = np.asarray(CAMERA_EYE) + rng.uniform(-shift, shift, 3)
-    target = np.asarray(CAMERA_TARGET) + rng.uniform(-shift, shift, 3)
-    pose = sapien_utils.look_at(eye, target)
-    return [
-        CameraConfig(name, pose, size, size, FIELD_OF_VIEW, 0.01, 10, shader_pack=shader)
-        for name, size in sizes.items()
-    ]
+
+def camera_config(name: str, pose: Any, size: int, shader: str) -> CameraConfig:
+    """Returns one of `CAMERAS` at a drawn pose, for pictures of ``size`` [px]."""
+    return CameraConfig(name, pose, size, size, CAMERAS[name].field_of_view, 0.01, 10, shader_pack=shader)
 
 
 def person_camera() -> CameraConfig:
     """Returns the camera of ManiSkill's videos."""
-    pose = sapien_utils.look_at(CAMERA_EYE, CAMERA_TARGET)
-    return CameraConfig("render_camera", pose, PERSON_VIEW, PERSON_VIEW, FIELD_OF_VIEW, 0.01, 10)
+    view = CAMERAS[FRONT]
+    pose = sapien_utils.look_at(view.eye, view.target)
+    return CameraConfig("render_camera", pose, PERSON_VIEW, PERSON_VIEW, view.field_of_view, 0.01, 10)

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 import sapien
 from mani_skill.envs.scene import ManiSkillScene
-from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
 from mani_skill.utils import sapien_utils
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_adamanip.util.errors import no_vulkan_device
 from lerobot_env_adamanip.sim.articulation import build_object
-from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, resolve_render_backend
+from lerobot_env_adamanip.sim.renderer import empty_scene
 
 FIELD_OF_VIEW = np.deg2rad(26)
 OVERSAMPLING = 2
@@ -85,12 +83,8 @@ def _camera_side(obj: ArticulatedObject) -> float:
 
 def _studio(obj: ArticulatedObject) -> ManiSkillScene:
     """A scene with a floor that has no end, soft light from everywhere, and a lamp that casts a shadow."""
-    backend = parse_sim_and_render_backend("physx_cpu", MANISKILL_NAMES[resolve_render_backend()])
-    try:
-        raw = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(backend.render_device)])
-    except RuntimeError as error:
-        raise no_vulkan_device(error) from error
-    scene = ManiSkillScene([raw], device=backend.device, backend=backend)
+    scene = empty_scene()
+    raw = scene.sub_scenes[0]
     raw.set_environment_map(_surroundings())
     side = _camera_side(obj)
     raw.set_ambient_light([0.10, 0.10, 0.10])

@@ -18,25 +18,25 @@ from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
 from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
-from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_env_adamanip.cameras import CAMERAS
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim.contacts import HandTouch
 from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
-from lerobot_env_adamanip.sim.episode_views import Views
 from lerobot_env_adamanip.sim.freeze_gc import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver
-from lerobot_env_adamanip.sim.observation import SimObservation
-from lerobot_env_adamanip.sim.physics_backend import device_for, require_one_on_cpu, told_without_a_device
 from lerobot_env_adamanip.sim.placement import Placement, randomization
 from lerobot_env_adamanip.sim.reachability import placement_check
-from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
+from lerobot_env_adamanip.sim.renderer import device_for, keep_shaders, translate_renderer_errors, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
-from lerobot_env_adamanip.sim.scene import CAMERA, IMAGE_CAMERA, ObjectScene, add_lights, front_cameras, person_camera
-from lerobot_env_adamanip.sim.sensors import RenderedSensor
+from lerobot_env_adamanip.sim.scene import ObjectScene, add_lights, camera_config, draw_cameras, person_camera
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
+from lerobot_env_adamanip.sim.views import SimObservation, Views
 
+CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
+"""ManiSkill's names of CPU physics."""
 _PLACEMENT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
@@ -92,7 +92,7 @@ class AdaManipTask(BaseEnv):
         sim_backend: str = "auto",
         **kwargs: Any,
     ) -> None:
-        require_one_on_cpu(sim_backend, num_envs)
+        _require_one_on_cpu(sim_backend, num_envs)
         placeable = None if assets is None else placement_check(self.definition, poses)
         self.object_ids, self._assets = select_objects(self.category, objects, assets, placeable), assets
         self.randomization = randomization(poses)
@@ -101,9 +101,9 @@ class AdaManipTask(BaseEnv):
         self._image_size, self._depth_size, self._shader, self._workspace = image_size, depth_size, shader, workspace
         self._cloud_source, self._renderer = resolve_cloud_source(cloud_source), render_backend
         kwargs.setdefault("reconfiguration_freq", 1)
-        device = device_for(self._cloud_source, render_backend, kwargs)
+        device = device_for(render_backend, kwargs)
         kwargs |= {"robot_uids": robot_uids, "sim_backend": "physx_cpu", "render_backend": device}
-        with told_without_a_device():
+        with translate_renderer_errors():
             super().__init__(*args, num_envs=1, **kwargs)
         self._is_built = True
 
@@ -119,10 +119,10 @@ class AdaManipTask(BaseEnv):
         return self._arm.execute(action)
 
     def observe(self, *, image: bool = True) -> SimObservation:
-        """Returns what is seen and felt at this moment; an image only if it is asked for."""
+        """Returns what is seen and felt at this moment; pictures only if they are asked for."""
         points, arm = self.views.points(), self.arm_state()
-        seen = self.views.image() if image else None
-        return SimObservation(seen, points, arm.qpos, arm.qvel, self.effort, self.feedback)
+        images = {name: self.views.image(name) for name in (CAMERAS if image else ())}
+        return SimObservation(images, points, arm.qpos, arm.qvel, self.effort, self.feedback)
 
     @property
     def obj(self) -> ArticulatedObject:
@@ -177,24 +177,15 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        cameras = self._cameras(self._camera_sizes)
+        """Cameras of plain ManiSkill; those of key frames are in `views`."""
+        names = () if self._obs_mode == "none" else CAMERAS
+        cameras = [self._camera(self._image_size, name) for name in names]
         return [without_reflections(camera) for camera in cameras] if self.scene.can_render() else cameras
 
-    def _camera(self, size: int) -> CameraConfig:
-        """The front camera of this episode, for pictures of ``size`` [px]."""
-        return self._cameras({CAMERA: size})[0]
-
-    def _cameras(self, sizes: Mapping[str, int]) -> list[CameraConfig]:
-        rng, shift = self._stream(_CAMERA_STREAM), self.randomization.camera_position
-        return front_cameras(rng, shift, sizes=sizes, shader=self._shader)
-
-    @property
-    def _camera_sizes(self) -> dict[str, int]:
-        """Plain ManiSkill observes by itself, at the size it asked for; a cloud of key frames does not depend on it."""
-        if self._obs_mode != "none":
-            return {CAMERA: self._image_size}
-        larger = {IMAGE_CAMERA: self._image_size} if self._image_size > self._depth_size else {}
-        return {CAMERA: self._depth_size, **larger}
+    def _camera(self, size: int, name: str) -> CameraConfig:
+        """One of this episode's cameras, for pictures of ``size`` [px]."""
+        poses = draw_cameras(self._stream(_CAMERA_STREAM), self.randomization.camera_position)
+        return camera_config(name, poses[name], size, self._shader)
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
@@ -250,15 +241,16 @@ class AdaManipTask(BaseEnv):
             limits=self.definition.motion,
         )
         self.mechanism_driver.apply()
-        self.views = self._make_views()
-
-    def _make_views(self) -> Views:
-        rendered = None
-        if self._cloud_source == "render":
-            own = self._sensors.get(IMAGE_CAMERA)
-            rendered = RenderedSensor(self.scene, self._sensors[CAMERA], own, self._image_size)
-        sizes = self._image_size, self._depth_size
-        return Views(self._objects, self.agent, self._camera, *sizes, self._workspace, self._renderer, rendered)
+        self.views = Views(
+            self._objects,
+            self.agent,
+            self._camera,
+            self._image_size,
+            self._depth_size,
+            self._workspace,
+            self._renderer,
+            self._cloud_source,
+        )
 
     def _stream(self, stream: int) -> np.random.Generator:
         """A generator of its own for each kind of draw: the hidden draw leaves every other as it is."""
@@ -294,3 +286,14 @@ class AdaManipTask(BaseEnv):
         """1 while the success conditions hold."""
         reward: torch.Tensor = info["success"].float()
         return reward
+
+
+def _require_one_on_cpu(sim_backend: str, num_envs: int) -> None:
+    """Raises `ConfigurationError` for physics on a GPU, or several environments in a process."""
+    if sim_backend not in CPU_BACKENDS or num_envs != 1:
+        raise ConfigurationError(
+            "AdaManip tasks run one environment per process on CPU physics: their joint limits change at run time.",
+            got=f"sim_backend={sim_backend!r}, num_envs={num_envs}",
+            allowed=f"sim_backend {', '.join(CPU_BACKENDS)}; num_envs 1",
+            hint="leave both out; several environments: gymnasium's AsyncVectorEnv, lerobot-eval --eval.batch_size=N",
+        )

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_env_adamanip.cameras import FRONT
 from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
-from lerobot_env_adamanip.sim.episode_views import Views
-from lerobot_env_adamanip.sim.raycast_shading import shaded_picture
-from lerobot_env_adamanip.sim.render_on_demand import PictureScene
-from lerobot_env_adamanip.sim.sensors import RaycastSensor
+from lerobot_env_adamanip.sim.picture_scene import PictureScene
+from lerobot_env_adamanip.sim.ray_camera import RaycastSensor, shaded_picture
+from lerobot_env_adamanip.sim.views import Views
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 """(H, W, 3) RGB and (H, W) depth [mm], 0 where nothing was seen."""
@@ -54,7 +54,7 @@ class TwinEye:
     ) -> None:
         self._views, self._robot, self._urdf = views, robot, urdf
         self._size, self.source, self._render_backend = size, source, render_backend
-        self._config = views.camera(size)
+        self._config = views.camera(size, FRONT)
         self._scene: _DepthScene | None = None
         self._rays: RaycastSensor | None = None
         self._ready = False
@@ -77,8 +77,8 @@ class TwinEye:
         return shaded_picture(self._config, self._views.bodies()), depth.reshape(self._size, self._size)
 
     def parameters(self) -> dict[str, Any]:
-        """Returns intrinsics and pose in the base frame, see `CameraParameters.to_json`; nothing is rendered."""
-        return camera_parameters(pinhole(self._config), self._size).to_json()
+        """Returns intrinsics and pose in the base frame, see `camera_parameters`; nothing is rendered."""
+        return camera_parameters(pinhole(self._config))
 
     def _rendered(self) -> _DepthScene | None:
         """Returns the scene to render, made at the first picture; None where nothing renders."""

@@ -1,4 +1,4 @@
-"""Pictures on demand: what the physics scene looks like, by a renderer that starts when the first one is asked for."""
+"""Rendered pictures: a second scene that shows the bodies of the physics scene, made for the first picture."""
 
 from __future__ import annotations
 
@@ -9,36 +9,32 @@ from typing import Any
 import numpy as np
 import sapien
 from mani_skill.envs.scene import ManiSkillScene
-from mani_skill.envs.utils.system.backend import parse_sim_and_render_backend
 from mani_skill.sensors.camera import Camera, CameraConfig
 from mani_skill.utils.building.ground import build_ground
 from numpy.typing import NDArray
 from sapien.wrapper.actor_builder import ActorBuilder
 
-from lerobot_adamanip.util.errors import no_vulkan_device
+from lerobot_adamanip.contract.pointcloud import Cloud
 from lerobot_env_adamanip.sim.articulation import add_visual
-from lerobot_env_adamanip.sim.camera import pinhole, take_image
-from lerobot_env_adamanip.sim.render_device import MANISKILL_NAMES, has_vulkan_driver, resolve_render_backend
-from lerobot_env_adamanip.sim.rendering import keep_shaders, without_reflections
+from lerobot_env_adamanip.sim.camera import pinhole, points_in_world
+from lerobot_env_adamanip.sim.renderer import empty_scene, without_reflections
 from lerobot_env_adamanip.sim.scene import Visible, add_lights
 from lerobot_env_adamanip.sim.triangles import robot_outlines
 
 
 class PictureScene:
-    """A second scene that is only looked at: the looks of the first one's bodies, at their poses of the moment.
-
-    The scene in which physics runs has no renderer and is not touched.
+    """The looks of the physics scene's bodies, at their poses of the moment. That scene has no renderer.
 
     Args:
-        visible: all to be seen but arm and ground.
+        visible: all that can be seen but arm and ground.
         robot: SAPIEN's articulation of the arm.
         urdf: its description.
         ground_z: height of the ground [m].
-        camera: what takes the pictures.
+        camera: that takes the pictures.
         render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
 
     Raises:
-        SimulatorError: there is nothing to render with.
+        SimulatorError: nothing renders here.
     """
 
     def __init__(
@@ -51,7 +47,7 @@ class PictureScene:
         camera: CameraConfig,
         render_backend: str = "auto",
     ) -> None:
-        self._scene = _empty_scene(render_backend)
+        self._scene = empty_scene(render_backend)
         build_ground(self._scene, altitude=ground_z)
         self._looks: list[tuple[Any, Any]] = []
         self._pinhole, self._outlines = pinhole(camera), robot_outlines(urdf)
@@ -66,12 +62,29 @@ class PictureScene:
 
     def take(self) -> NDArray[np.uint8]:
         """Returns a picture (H, W, 3) of this moment."""
+        self._render()
+        image: NDArray[np.uint8] = self.texture("rgb")
+        return image
+
+    def points(self) -> Cloud:
+        """Returns (M, 3) [m], robot base frame, in scan order: a point of each pixel that sees something."""
+        self._render()
+        millimetres = self.texture("position").reshape(-1, 3)
+        seen = millimetres[millimetres[:, 2] < -1].astype(np.float32) * np.float32(1e-3)
+        return points_in_world(seen, self._camera.get_params()["cam2world_gl"][0].cpu().numpy())
+
+    def texture(self, name: str) -> NDArray[Any]:
+        """Returns ``rgb``, ``depth`` or ``position`` (H, W, C) of the latest picture."""
+        wanted = {"rgb": False, "depth": False, "position": False, "segmentation": False, name: True}
+        return np.asarray(self._camera.get_obs(**wanted)[name][0].cpu().numpy())
+
+    def _render(self) -> None:
         for look, entity in self._looks:
             look.pose = entity.pose
             if (outline := self._outlines.get(entity.name)) is not None:
                 _show(look.components[0], self._pinhole.may_see(outline, entity.pose.to_transformation_matrix()))
         self._scene.update_render(update_sensors=True, update_human_render_cameras=False)
-        return take_image(self._camera)
+        self._camera.capture()
 
     def _add(self, entity: Any, component: Any) -> None:
         look = sapien.Entity()
@@ -81,23 +94,11 @@ class PictureScene:
 
 
 def _show(component: Any, seen: bool) -> None:
-    """Leaves out what is beside the picture: an arm's links are three quarters of a picture's work without a GPU."""
+    """Disables what is beside the picture: an arm's links are three quarters of its work without a GPU."""
     if seen and not component.is_enabled:
         component.enable()
     elif not seen and component.is_enabled:
         component.disable()
-
-
-def _empty_scene(render_backend: str) -> ManiSkillScene:
-    if not has_vulkan_driver():  # SAPIEN would print errors of its own first
-        raise no_vulkan_device("no Vulkan driver is installed")
-    backend = parse_sim_and_render_backend("physx_cpu", MANISKILL_NAMES[resolve_render_backend(render_backend)])
-    try:
-        keep_shaders(backend.render_device)
-        raw = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(backend.render_device)])
-    except RuntimeError as error:
-        raise no_vulkan_device(error) from error
-    return ManiSkillScene([raw], device=backend.device, backend=backend)
 
 
 def _component(body: Visible) -> Any:

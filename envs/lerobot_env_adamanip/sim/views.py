@@ -1,0 +1,131 @@
+"""Clouds and pictures of one episode, each made when it is asked for."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mani_skill.sensors.camera import CameraConfig
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract.keyframes import Feedback
+from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
+from lerobot_env_adamanip.cameras import FRONT
+from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
+from lerobot_env_adamanip.sim.picture_scene import PictureScene
+from lerobot_env_adamanip.sim.ray_camera import Body, RaycastSensor, shaded_picture, visible_bodies
+from lerobot_env_adamanip.sim.robot import joint_snapshot, set_joints
+from lerobot_env_adamanip.sim.scene import ObjectScene
+
+
+@dataclass(frozen=True)
+class SimObservation:
+    """One moment of the simulator.
+
+    Attributes:
+        images: camera -> (H, W, 3); empty if none was asked for.
+        points_in_base: (M, 3) [m], robot base frame, in scan order: what the front camera sees, at least of the
+            workspace.
+        qpos: (7,) arm joint positions [rad].
+        qvel: (7,) arm joint velocities [rad/s].
+        effort: (7,) external joint torque of the arm [N m].
+        feedback: of the latest key frame.
+    """
+
+    images: dict[str, NDArray[np.uint8]]
+    points_in_base: Cloud
+    qpos: NDArray[np.float64]
+    qvel: NDArray[np.float64]
+    effort: NDArray[np.float64]
+    feedback: Feedback
+
+
+@dataclass
+class Views:
+    """The cameras of one episode.
+
+    Attributes:
+        objects: what stands before the arm.
+        agent: ManiSkill's, of the arm.
+        camera: (size [px], name) -> a camera's configuration.
+        image_size: of pictures [px].
+        depth_size: of the depth picture whose pixels are the points [px].
+        workspace: whose points are wanted.
+        render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
+        cloud_source: see `lerobot_adamanip.episode.options.CLOUD_SOURCES`.
+    """
+
+    objects: ObjectScene
+    agent: Any
+    camera: Callable[[int, str], CameraConfig]
+    image_size: int
+    depth_size: int
+    workspace: Workspace
+    render_backend: str
+    cloud_source: str
+
+    def points(self) -> Cloud:
+        """Returns (M, 3) [m], robot base frame: what is seen now, at least of the workspace."""
+        return self.depth_scene.points() if self.cloud_source == "render" else self.rays.points()
+
+    def image(self, name: str = FRONT) -> NDArray[np.uint8]:
+        """Returns a camera's picture (H, W, 3) of this moment; raises `SimulatorError` if nothing renders here."""
+        if name not in self._scenes:
+            self._scenes[name] = self._picture_scene(self.image_size, name)
+        return self._scenes[name].take()
+
+    def shaded_image(self) -> NDArray[np.uint8]:
+        """Returns the front camera's picture (H, W, 3) without a renderer: shapes without colours of their own."""
+        return shaded_picture(self.camera(self.image_size, FRONT), self.bodies())
+
+    @functools.cached_property
+    def rays(self) -> RaycastSensor:
+        """Ray-cast front camera."""
+        return RaycastSensor(self.camera(self.depth_size, FRONT), self.bodies(), self.workspace)
+
+    @functools.cached_property
+    def depth_scene(self) -> PictureScene:
+        """Rendered front camera of the size of `rays`."""
+        return self._picture_scene(self.depth_size, FRONT)
+
+    @functools.cached_property
+    def _scenes(self) -> dict[str, PictureScene]:
+        return {}
+
+    def _picture_scene(self, size: int, name: str) -> PictureScene:
+        return PictureScene(
+            self.objects.visible,
+            self._robot,
+            self._urdf,
+            ground_z=self.objects.ground_z,
+            camera=self.camera(size, name),
+            render_backend=self.render_backend,
+        )
+
+    def bodies(self) -> list[Body]:
+        """Returns the bodies that rays can meet."""
+        return visible_bodies(self.objects.visible, self._robot, self._urdf)
+
+    def joints(self) -> NDArray[np.float32]:
+        """Returns the positions of all joints, (13,), see `lerobot_adamanip.contract.schema.JOINT_NAMES`."""
+        return joint_snapshot(self._robot, self.objects.articulation._objs[0])
+
+    def set_joints(self, joints: NDArray[np.float32]) -> None:
+        """Puts everything where ``joints`` (13,) had it, at rest. No physics is stepped."""
+        set_joints(self._robot, self.objects.articulation._objs[0], joints)
+
+    def camera_parameters(self) -> dict[str, Any]:
+        """Returns the front camera's calibration for its picture, see `sim.camera.camera_parameters`."""
+        return camera_parameters(pinhole(self.camera(self.image_size, FRONT)))
+
+    @property
+    def _robot(self) -> Any:
+        return self.agent.robot._objs[0]
+
+    @property
+    def _urdf(self) -> Path:
+        return Path(self.agent.urdf_path)
