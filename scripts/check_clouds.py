@@ -131,7 +131,7 @@ def views(task: Any, seed: int, every: int) -> Iterator[Counts]:
 
 def check(category: str, seeds: list[int], every: int) -> list[tuple[str, Counts]]:
     """Compares a category on seeds; scenes that cannot be placed count nothing."""
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     warnings.filterwarnings("ignore")
     task, found = make_task(category, cloud_source="render"), []

@@ -93,7 +93,7 @@ def cast_depth(task: Any) -> NDArray[np.uint16]:
 
 def scenes(categories: tuple[str, ...], wanted: int, source: str) -> Iterator[Any]:
     """Puts up so many scenes, as many of each category as of the others; those that cannot be placed are left out."""
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     for index, category in enumerate(categories):
         share = wanted // len(categories) + (index < wanted % len(categories))

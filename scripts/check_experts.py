@@ -80,7 +80,7 @@ class BlindEnvironment:
 def run_batch(episodes: list[Episode]) -> list[Episode]:
     """Runs episodes of one preset and category one after the other in one simulator."""
     warnings.filterwarnings("ignore")
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     task = make_task(episodes[0].category, mechanism_rules=episodes[0].preset)
     try:

@@ -189,7 +189,7 @@ _tasks: dict[tuple[str, bool], Any] = {}
 def task_of(category: str, hold: bool) -> Any:
     """Returns this process's simulator of a category; one at a time."""
     if (category, hold) not in _tasks:
-        from lerobot_env_adamanip.keyframe_env import make_task
+        from lerobot_env_adamanip.simulator import make_task
 
         warnings.filterwarnings("ignore")
         while _tasks:

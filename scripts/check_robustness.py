@@ -98,7 +98,7 @@ def _broken(env: Any, felt: Any) -> Iterator[str]:
 def check(category: str, seeds: list[int]) -> list[dict[str, Any]]:
     """Runs seeds of a category in one simulator; returns what went wrong with each, and whether it could be placed."""
     warnings.filterwarnings("ignore")
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     env, found = make_task(category), []
     try:

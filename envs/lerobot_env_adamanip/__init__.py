@@ -28,9 +28,9 @@ if not os.environ.get(NO_PLUGIN):
         AdaManipPenEnvConfig,
         AdaManipPressureCookerEnvConfig,
         AdaManipSafeEnvConfig,
+        AdaManipSuiteEnvConfig,
         AdaManipWindowEnvConfig,
     )
-    from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
     from lerobot_env_adamanip.twin.config_devices import (
         AdamanipFrankaSimConfig,
         AdamanipScriptedConfig,

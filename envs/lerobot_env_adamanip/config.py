@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import gymnasium as gym
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.schema import (
     ACTION,
@@ -24,17 +23,14 @@ from lerobot_adamanip.contract.schema import (
     STATE,
     STATE_DIM,
 )
+from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
 from lerobot_env_adamanip.cameras import CAMERAS
 from lerobot_env_adamanip.sim.render_device import observes_images
 
 if TYPE_CHECKING:
-    from lerobot_env_adamanip.vector import LazyAsyncVectorEnv
-
-_log = logging.getLogger(__name__)
-type VectorEnv = gym.vector.VectorEnv[Any, Any, Any] | LazyAsyncVectorEnv
-type VectorEnvs = dict[str, dict[int, VectorEnv]]
+    from lerobot_env_adamanip.vector import VectorEnv
 
 
 def hidden_value() -> Any:
@@ -44,7 +40,7 @@ def hidden_value() -> Any:
 
 @dataclass
 class AdaManipEnvConfig(EnvConfig):
-    """What the environments share; see `lerobot_adamanip.episode.options.EnvironmentOptions`."""
+    """Options of every environment; see `lerobot_adamanip.episode.options.EnvironmentOptions`."""
 
     category: ClassVar[str] = ""
 
@@ -139,38 +135,26 @@ class AdaManipEnvConfig(EnvConfig):
         self._options(self.category)
 
     def _options(self, category: str, **others: Any) -> EnvironmentOptions:
-        return EnvironmentOptions(
-            category=category,
-            objects=self.objects,
-            assets=self.assets,
-            num_points=self.num_points,
-            image_size=self.image_size,
-            poses=self.poses,
-            mechanism_rules=self.mechanism_rules,
-            max_key_frames=self.episode_length,
-            hidden_overrides=self.hidden_overrides,
-            split=self.split,
-            cloud_source=self.cloud_source,
-            render_backend=self.render_backend,
-            episode_log=self.episode_log,
-            run_label=self.run_label,
-            logged_seeds=self.logged_seeds,
-            workspace=Workspace(self.workspace_lower, self.workspace_upper),
-            **others,
-        )
+        shared = [item.name for item in fields(EnvironmentOptions) if item.name not in ("category", "observe_images")]
+        values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
+        workspace = Workspace(self.workspace_lower, self.workspace_upper)
+        values |= {"category": category, "max_key_frames": self.episode_length, "workspace": workspace}
+        return EnvironmentOptions(**{**values, **others})
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of `KeyframeEnv`."""
         return {"options": self.options}
 
-    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> VectorEnvs:
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
+        from lerobot_env_adamanip.vector import make_vector_env
+
         options = self._options(self.category, observe_images=self._observes_images(), run_id=self._new_run_id())
         return {self.type: {0: make_vector_env(options, n_envs, use_async_envs)}}
 
     def _observes_images(self) -> bool:
-        """Returns whether pictures are observed; where they are not, they are no feature either."""
+        """Returns whether pictures are observed; if not, they are removed from the features."""
         observed = observes_images(self.observe_images)
         if not observed:
             for name in CAMERAS:
@@ -182,30 +166,6 @@ class AdaManipEnvConfig(EnvConfig):
         from lerobot_adamanip.evaluation.log import new_run_id
 
         return new_run_id() if self.episode_log else None
-
-
-def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bool) -> VectorEnv:
-    """Returns ``n_envs`` equal environments as one, clouds (3 N,); an ended one waits until the next rollout."""
-    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-    from lerobot_env_adamanip.vector import FlatCloud, LazyAsyncVectorEnv, freeze_after_episode_end
-
-    if n_envs < 1:
-        raise ConfigurationError(
-            "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
-        )
-    _log.info(
-        "%s: %s scenes, %s objects%s.",
-        *(options.category, options.split, options.objects),
-        "" if options.split == "test" else " (for a test result: --env.split=test)",
-    )
-    functions = [lambda: FlatCloud(KeyframeEnv(options=options))] * n_envs
-    # More than one simulator in a process would render one after the other; a process each uses every core.
-    if use_async_envs and n_envs > 1:
-        return LazyAsyncVectorEnv(functions)
-    return gym.vector.SyncVectorEnv(
-        [freeze_after_episode_end(function) for function in functions],
-        autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
-    )
 
 
 @dataclass
@@ -295,3 +255,43 @@ class AdaManipLampEnvConfig(AdaManipEnvConfig):
 
     # Fix the hidden mode for an evaluation: 0 push, 1 turn +, 2 turn -, or leave it to the draw.
     mode: int | None = hidden_value()
+
+
+@EnvConfig.register_subclass("adamanip")
+@dataclass
+class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
+    """One vector environment per category; ``lerobot-eval`` reports each, and all together.
+
+    A category's simulators start when its turn comes and end after it, so the suite needs no more memory than one.
+    """
+
+    category: ClassVar[str] = ALL
+
+    # Which categories: names separated by commas, or all.
+    categories: str = ALL
+
+    def _check_options(self) -> None:
+        for name in self.chosen():
+            self._options(name)
+
+    def chosen(self) -> tuple[str, ...]:
+        """Returns the names of the categories; raises `ConfigurationError` for one that there is not."""
+        if self.categories == ALL:
+            return tuple(CATEGORIES)
+        names = tuple(name.strip() for name in self.categories.split(",") if name.strip())
+        if not names or len(set(names)) != len(names) or not set(names) <= set(CATEGORIES):
+            raise ConfigurationError(
+                "Unknown categories.",
+                got=repr(self.categories),
+                allowed=f"{ALL}, or of {', '.join(CATEGORIES)}",
+                hint="--env.categories=safe,microwave",
+            )
+        return names
+
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
+        """Returns ``{category: {0: vector environment}}``; one seed is another scene in each category."""
+        from lerobot_env_adamanip.vector import make_vector_env
+
+        common = {"observe_images": self._observes_images(), "run_id": self._new_run_id()}
+        options = [self._options(name, seed_offset=category_offset(name), **common) for name in self.chosen()]
+        return {each.category: {0: make_vector_env(each, n_envs, use_async_envs)} for each in options}

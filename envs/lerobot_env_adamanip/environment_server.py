@@ -1,4 +1,4 @@
-"""``create_adamanip_envs``: what LeRobot's environment server asks of a simulator. Imports nothing of LeRobot."""
+"""Environments for LeRobot's environment server: ``create_adamanip_envs``. Imports nothing of LeRobot."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import gymnasium as gym
 import numpy as np
 
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.contract.seeds import CATEGORY_STRIDE
+from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import FlatCloud
 
 PREVIEW = "preview"
-"""Camera of pictures for people alone: without a Vulkan device they are shaded shapes, which no policy has seen."""
+"""Camera of pictures that only people see: without a Vulkan device they are shaded shapes, unknown to policies."""
 
 
 class ServedEnv(FlatCloud):
-    """A `KeyframeEnv` with a picture in every observation, for the server renders none but observed ones.
+    """A `KeyframeEnv` with a picture in every observation: the server shows only observed ones.
 
     Observation: ``agent_pos`` (24,), ``effort`` (7,), ``point_cloud`` (3 N,) [m] as datasets have it, and ``pixels``:
         ``front`` (H, W, 3) where images are observed, else `PREVIEW`, rendered or shaded.
@@ -64,6 +64,7 @@ def create_adamanip_envs(
     require_known(options)
     names = list(CATEGORIES) if task == ALL else [name.strip() for name in task.split(",")]
     common = {"observe_images": False, "run_id": new_run_id() if options.get("episode_log") else None, **options}
-    offsets = {name: CATEGORY_STRIDE * place for place, name in enumerate(CATEGORIES)} if len(names) > 1 else {}
-    chosen = [EnvironmentOptions(**{"category": name, "seed_offset": offsets.get(name, 0), **common}) for name in names]
+    chosen = [EnvironmentOptions(**{"category": name, **common}) for name in names]
+    if len(names) > 1:
+        chosen = [one.changed(seed_offset=category_offset(one.category)) for one in chosen]
     return {one.category: {0: env_cls([functools.partial(ServedEnv, one)] * n_envs)} for one in chosen}

@@ -1,4 +1,4 @@
-"""Imported for its effects, by a process that others start as copies of: simulator and fingerprint are there then."""
+"""Imported for its effects by the process that workers are forked from: simulator and fingerprint are there then."""
 
 from lerobot_env_adamanip.fingerprint import code_fingerprint
 from lerobot_env_adamanip.simulator import require_simulator

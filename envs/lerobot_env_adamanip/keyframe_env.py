@@ -1,4 +1,4 @@
-"""The environment LeRobot sees: one step is one key frame, one observation is one rendered view."""
+"""The environment that LeRobot uses: one step is one key frame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import depth_size
-from lerobot_adamanip.contract.schema import ACTION_DIM, FPS
+from lerobot_adamanip.contract.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
@@ -23,38 +23,35 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
 from lerobot_adamanip.util.fingerprint import versions
-from lerobot_env_adamanip.cameras import FRONT
+from lerobot_env_adamanip.cameras import CAMERAS, FRONT
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
-from lerobot_env_adamanip.simulator import make_task, require_simulator, sensors_name
-from lerobot_env_adamanip.spaces import observation_space
+from lerobot_env_adamanip.simulator import make_task, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 Observation = dict[str, Any]
 SCENE_TRIES = 4
-"""Scenes that a reset tries before it gives up: the seed's own, and others that follow from it."""
+"""Scenes that a reset tries before it fails: the seed's own, and others that follow from it."""
 _logger = logging.getLogger(__name__)
 
 
 class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
-    """AdaManip at key frames. The simulator starts with the first reset, so that building one costs nothing.
+    """AdaManip at key frames. The simulator starts with the first reset.
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
         (H, W, 3) unless ``observe_images`` is off. Reset and step info hold ``is_success`` (bool) and nothing hidden.
-    Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``; who steps on gets
-        observations, no reward, and leaves the episode's record as it was.
+    Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``; later steps return
+        observations, no reward, and leave the episode's record as it was.
 
     Implements `lerobot_adamanip.episode.rollout.SimulatedEnvironment`.
 
     Args:
-        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`; ``safe`` if nothing names one.
+        category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`; ``safe`` by default.
         options: all options at once ...
-        values: ... or some of them by name, see `EnvironmentOptions`: ``objects``, ``assets``, ``num_points``,
-            ``image_size``, ``observe_images``, ``poses``, ``mechanism_rules``, ``max_key_frames``,
-            ``hidden_overrides``, ``split``, ``cloud_source``, ``render_backend``, ``episode_log``, ``workspace``.
+        values: ... or some of them by name, see `EnvironmentOptions`.
 
     Raises:
         ConfigurationError: there is no such option, or a value cannot work.
@@ -65,7 +62,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def __init__(
         self, category: str | None = None, *, options: EnvironmentOptions | None = None, **values: Any
     ) -> None:
-        self.options = _options(category, options, values)
+        require_known(values)
+        named = {} if category is None else {"category": category}
+        self.options = (options or EnvironmentOptions()).changed(**named, **values)
         self.category, self.num_points = self.options.category, self.options.num_points
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
@@ -78,7 +77,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
         self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
-        self.observation_space = observation_space(self.options)
+        self.observation_space = _observation_space(self.options)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
@@ -87,8 +86,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode. ``seed`` decides object, poses and hidden state; equal seeds give equal episodes.
 
-        A seed stands for a scene of the environment's split; one of another split is mapped into it. Where the arm
-        cannot reach what it drew, scenes that follow from the seed are tried, and the log says so.
+        A seed is mapped into the environment's split. If the arm cannot reach what it draws, scenes that follow from
+        the seed are tried, and the log says so.
 
         Options: ``object_id`` chooses the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
 
@@ -101,7 +100,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
         chosen = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim = self._started()
-        self._monitor = self._record = self._image = None  # a reset that fails leaves no episode to go on with
+        self._monitor = self._record = self._image = None  # after a reset that fails there is no episode
         drawn = self._placed(sim, wanted, chosen)
         self._monitor = EpisodeMonitor(
             sim, sim.placement.annotations, seed=drawn, given_seed=given, provenance=self._provenance
@@ -116,7 +115,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self.observe(), reward, success, truncated, {"is_success": success}
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """As `step`, but nobody looks: returns whether the task is done, and whether the key frames are used up."""
+        """As `step` without an observation: returns whether the task is done, and whether key frames are used up."""
         sim, monitor = self._running(), self._episode()
         sim.execute(np.asarray(action))
         self._image = None
@@ -129,7 +128,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return success, truncated
 
     def observe(self) -> Observation:
-        """Returns what is seen and felt now."""
+        """Returns the observation of this moment."""
         seen = self._running().observe(image=self.options.observe_images)
         self._image = seen.images.get(FRONT)
         observation: Observation = {
@@ -137,15 +136,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             "effort": seen.effort.astype(np.float32),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
-        if seen.images:
-            observation["pixels"] = seen.images
-        return observation
+        return {**observation, "pixels": seen.images} if seen.images else observation
 
     def render(self) -> NDArray[np.uint8]:
-        """Returns the front camera's image (H, W, 3) of this moment; black before the first episode.
+        """Returns the front camera's picture (H, W, 3) of this moment; black before the first episode.
 
-        Unless images are observed, it is taken only now. Where there is no Vulkan device, it is a shaded picture of
-        shapes without their colours, and a warning says so.
+        Without a Vulkan device it shows shaded shapes without their colours, and a warning says so.
         """
         size = self.options.image_size
         if self._image is None:
@@ -168,7 +164,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._sim.close()
             self._sim = self._monitor = self._record = None
 
-    # For experts, recorders and reports: `lerobot_adamanip.episode.rollout.KeyframeEnvironment` ---------------------
+    # For experts, recorders and reports: `lerobot_adamanip.episode.rollout` -----------------------------------------
 
     @property
     def max_key_frames(self) -> int:
@@ -177,12 +173,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     @property
     def feedback(self) -> Feedback:
-        """What was felt at the latest key frame."""
+        """What the arm felt at the latest key frame."""
         return self._running().feedback
 
     @property
     def labels(self) -> KeyFrameLabels:
-        """What the latest key frame tried, and what came of it: not for policies or experts."""
+        """What the latest key frame tried, and its result: not for policies or experts."""
         return self._episode().labels
 
     @property
@@ -191,29 +187,29 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._running().placement.annotations
 
     def part_positions(self) -> dict[str, float]:
-        """Returns the object's joint positions as they stand now [rad or m]: what a camera sees of an open door."""
+        """Returns the object's joint positions now [rad or m]."""
         return self._running().joint_positions()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the object's joints as `labels` counts them: the one that opens first."""
+        """Names of the object's joints in the order of `labels`: the one that opens first."""
         return self._running().mechanism.joints
 
     def joints(self) -> NDArray[np.float32]:
-        """Returns the positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records."""
+        """Returns the positions of all joints, (13,), see `schema.JOINT_NAMES`: for records."""
         return self._running().views.joints()
 
     def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Returns the image (H, W, 3) with everything where ``joints`` (13,) say, at rest; raises `SimulatorError`.
+        """Returns the picture (H, W, 3) with all ``joints`` (13,) as given, at rest; raises `SimulatorError`.
 
-        The episode cannot be gone on with after that.
+        The episode cannot be continued after that.
         """
         views = self._running().views
         views.set_joints(joints)
         return views.image()
 
     def fingerprint(self) -> dict[str, str]:
-        """Returns what decides how an episode comes out: hashes of the code, versions and what makes observations.
+        """Returns hashes of the code that decides episodes, versions, and what makes observations.
 
         Keys: those of `code_fingerprint`, ``versions``, ``renderer``. Starts no simulator.
         """
@@ -221,34 +217,28 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return {**code_fingerprint(), "versions": installed, "renderer": sensors_name(self.options)}
 
     def hidden_state(self) -> dict[str, Any]:
-        """Returns the hidden state: privileged; for the static expert and records only."""
+        """Returns the hidden state: for the static expert and records only."""
         return self._running().hidden_state()
 
     def episode_record(self) -> dict[str, Any]:
-        """Returns what is worth keeping of the episode until its end, JSON-able; see `EpisodeRecord`."""
+        """Returns the record of the episode until its end, JSON-able; see `EpisodeRecord`."""
         return (self._record or self._episode().record()).to_json()
 
     def camera_parameters(self) -> dict[str, Any]:
-        """Returns intrinsics (3, 3) [px], camera pose in the base frame (4, 4, OpenCV axes) and size, JSON-able."""
+        """Returns the front camera's calibration, JSON-able; see `sim.camera.camera_parameters`."""
         return self._running().views.camera_parameters()
 
     # Inside -----------------------------------------------------------------------------------------------------
 
     def _started(self) -> AdaManipTask:
         if self._sim is None:
+            shared = ("objects", "assets", "poses", "mechanism_rules", "image_size", "cloud_source", "workspace")
             self._sim = make_task(
                 self.category,
-                objects=self.options.objects,
-                assets=self.options.assets,
-                poses=self.options.poses,
-                mechanism_rules=self.options.mechanism_rules,
-                image_size=self.options.image_size,
+                **{name: getattr(self.options, name) for name in (*shared, "render_backend")},
+                hidden_overrides=dict(self.options.hidden_overrides),
                 depth_size=depth_size(self.num_points),
                 shader="minimal",  # without a GPU a picture takes three quarters of what ManiSkill's default takes
-                hidden_overrides=dict(self.options.hidden_overrides),
-                cloud_source=self.options.cloud_source,
-                workspace=self.options.workspace,
-                render_backend=self.options.render_backend,
             )
         return self._sim
 
@@ -277,18 +267,19 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._sim
 
 
+def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
+    shapes = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (options.num_points, 3)}
+    spaces: dict[str, gym.Space[Any]] = {
+        key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
+    }
+    if options.observe_images:
+        picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
+        spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(CAMERAS, picture))
+    return gym.spaces.Dict(spaces)
+
+
 def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:
-    """The log of an environment's episodes, and what made them. Without a log they belong to no evaluation."""
+    """Returns an environment's log and the provenance of its episodes. Without a log they belong to no evaluation."""
     log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log), options.logged_seeds)
     run_id = None if log is None else options.run_id or new_run_id()
     return log, Provenance(environment_fingerprint(), __version__, options.mechanism_rules, run_id, options.run_label)
-
-
-def _options(category: str | None, options: EnvironmentOptions | None, values: dict[str, Any]) -> EnvironmentOptions:
-    require_known(values)
-    if options is None:
-        return EnvironmentOptions(category=category or "safe", **values)
-    return options.changed(**({} if category is None else {"category": category}), **values)
-
-
-__all__ = ["KeyframeEnv", "make_task", "require_simulator"]

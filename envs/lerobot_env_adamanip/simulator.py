@@ -1,66 +1,92 @@
-"""Starting the simulator, and saying what will make observations without starting it."""
+"""Starting the simulator. Importing this starts and imports none."""
 
 from __future__ import annotations
 
 import functools
 import importlib.metadata
 import importlib.util
+import logging
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 
 from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_env_adamanip.cloud_source import resolve_cloud_source
-from lerobot_env_adamanip.sapien_import import import_sapien
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
+from lerobot_adamanip.episode.rollout import SimulatedEnvironment
+from lerobot_adamanip.util.errors import require_choice
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
-
-def sensors_name(options: EnvironmentOptions) -> str:
-    """Returns what makes observations: embreex and its version, the renderer's devices, or both."""
-    if importlib.util.find_spec("sapien") is None or importlib.util.find_spec("mani_skill") is None:
-        require_simulator()
-    source = resolve_cloud_source(options.cloud_source)
-    cast = f"embreex {importlib.metadata.version('embreex')}" if source == "raycast" else ""
-    if cast and not options.observe_images:
-        return cast
-    import_sapien()
-    from lerobot_env_adamanip.sim.renderer import renderer_name
-
-    return "; ".join(filter(None, (cast, renderer_name())))
+_log = logging.getLogger(__name__)
 
 
 def require_simulator() -> None:
-    """Imports the simulator; raises `SimulatorError` if it is not installed."""
-    import lerobot_env_adamanip.sim.tasks  # noqa: F401  (registers the tasks)
-
-
-@functools.cache
-def placement_check(poses: str = "randomized") -> PlacementCheck:
-    """Returns the function that says why an object cannot be placed before the arm, an empty text if it can.
-
-    Args:
-        poses: preset of their randomization.
-
-    Raises:
-        SimulatorError: the simulator is not installed.
-    """
-    require_simulator()
-    from lerobot_env_adamanip.sim import reachability as reach
-    from lerobot_env_adamanip.sim.tasks import TASKS
-
-    return lambda obj: reach.placement_check(TASKS[obj.category].definition, poses)(obj)
+    """Imports the simulator and registers the tasks; raises `SimulatorError` if it is not installed."""
+    import lerobot_env_adamanip.sim.tasks  # noqa: F401
 
 
 def make_task(category: str, **options: Any) -> AdaManipTask:
     """Builds the ManiSkill task of a category, without observations of its own.
 
     Raises:
-        SimulatorError: the simulator is not installed, or finds nothing to render with.
+        SimulatorError: the simulator is not installed.
     """
     require_simulator()
     made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
     return cast("AdaManipTask", made)
+
+
+def make_keyframe_env(options: EnvironmentOptions) -> SimulatedEnvironment:
+    """Builds a `KeyframeEnv`. Spawned workers are given this function; commands check their options before."""
+    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+    return KeyframeEnv(options=options)
+
+
+@functools.cache
+def placement_check(poses: str = "randomized") -> PlacementCheck:
+    """Returns a function that says why an object cannot be placed before the arm, an empty text if it can.
+
+    Args:
+        poses: see `lerobot_adamanip.episode.options.POSES`.
+
+    Raises:
+        SimulatorError: the simulator is not installed.
+    """
+    require_simulator()
+    from lerobot_env_adamanip.sim import reachability
+    from lerobot_env_adamanip.sim.tasks import TASKS
+
+    return lambda obj: reachability.placement_check(TASKS[obj.category].definition, poses)(obj)
+
+
+def resolve_cloud_source(wanted: str) -> str:
+    """Returns ``raycast`` or ``render``; the latter, with a warning, if rays are wanted and embreex is missing."""
+    require_choice("source of clouds", wanted, CLOUD_SOURCES)
+    if wanted == "raycast" and importlib.util.find_spec("embreex") is None:
+        _warn_once("embreex is not installed, so clouds are rendered, some ten times slower: pip install embreex")
+        return "render"
+    return wanted
+
+
+@functools.cache
+def _warn_once(text: str) -> None:
+    _log.warning(text)
+
+
+def sensors_name(options: EnvironmentOptions) -> str:
+    """Returns what makes observations: embreex and its version, the renderer's devices, or both."""
+    if importlib.util.find_spec("sapien") is None or importlib.util.find_spec("mani_skill") is None:
+        require_simulator()
+    rays = resolve_cloud_source(options.cloud_source) == "raycast"
+    names = [f"embreex {importlib.metadata.version('embreex')}"] if rays else []
+    if options.observe_images or not rays:
+        from lerobot_env_adamanip.sim.sapien_import import import_sapien
+
+        import_sapien()
+        from lerobot_env_adamanip.sim.renderer import renderer_name
+
+        names.append(renderer_name())
+    return "; ".join(names)

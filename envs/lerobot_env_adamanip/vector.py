@@ -1,23 +1,28 @@
-"""Vector environments as LeRobot's rollouts want them: ended episodes wait, processes start late and may not hang.
+"""Vector environments for LeRobot's rollouts: ended episodes wait, processes start late and may not hang.
 
-LeRobot 0.6.1 has the like under private names; these depend on none, so that a renamed one costs the plugin nothing.
+LeRobot 0.6.1 has similar ones under private names, which may change.
 """
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
 
-from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_adamanip.util.jobs import preload
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+_log = logging.getLogger(__name__)
 
 Make = Callable[[], gym.Env[Any, Any]]
 Transition = tuple[Any, float, bool, bool, dict[str, Any]]
 WORKER_TIMEOUT_S = 600.0
-"""A process that answers no later than this has hung: a reset takes seconds, the first one a minute."""
+"""Time limit of an answer: a reset takes seconds, the first one a minute."""
 
 
 class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
@@ -39,8 +44,8 @@ class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
 class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
     """Repeats an ended episode's last observation, with no reward, until a rollout starts the next.
 
-    LeRobot steps all environments of a batch until the slowest has ended. Gymnasium resets an ended one by itself,
-    giving neither seed nor options; a rollout gives one of them, and that alone starts an episode.
+    LeRobot steps a batch until its slowest environment has ended. Gymnasium resets an ended one with neither seed nor
+    options; a rollout gives one of them.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -48,7 +53,7 @@ class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
         self._last: Transition | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Starts an episode if asked to by a rollout; else returns the ended one's last observation."""
+        """Starts an episode if seed or options are given; else returns the ended one's last observation."""
         if self._last is not None and seed is None and not options:
             return self._last[0], self._last[4]
         self._last = None
@@ -64,22 +69,17 @@ class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
         return observation, float(reward), terminated, truncated, info
 
 
-def freeze_after_episode_end(make: Make) -> Make:
-    """Returns a maker of frozen environments."""
-    return lambda: FreezeAfterEpisodeEnd(make())
-
-
 class LazyAsyncVectorEnv:
-    """A process per environment, started at first use and ended by `close`, after which it can be used again.
+    """A process per environment, started at first use and ended by `close`; it can be used again after that.
 
-    So a suite holds the processes of one category at a time.
+    A suite therefore holds the processes of one category at a time.
 
     Args:
         makers: one per environment; picklable by cloudpickle.
     """
 
     def __init__(self, makers: Sequence[Make]) -> None:
-        preload("lerobot_env_adamanip.fork_server_preload")  # while whoever made this loads a policy
+        preload("lerobot_env_adamanip.fork_server_preload")  # while the caller loads a policy
         self._makers = list(makers)
         self._env: gym.vector.AsyncVectorEnv | None = None
         self.num_envs = len(self._makers)
@@ -125,7 +125,7 @@ class LazyAsyncVectorEnv:
     def _started(self) -> gym.vector.AsyncVectorEnv:
         if self._env is None:
             self._env = gym.vector.AsyncVectorEnv(
-                [freeze_after_episode_end(make) for make in self._makers],
+                [_frozen(make) for make in self._makers],
                 context="forkserver",
                 shared_memory=True,
                 autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
@@ -145,3 +145,31 @@ class LazyAsyncVectorEnv:
                 allowed="an answer within that time",
                 hint="adamanip doctor; --eval.use_async_envs=false shows where it stands",
             ) from error
+
+
+type VectorEnv = gym.vector.VectorEnv[Any, Any, Any] | LazyAsyncVectorEnv
+
+
+def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bool) -> VectorEnv:
+    """Returns ``n_envs`` equal environments as one, clouds (3 N,); an ended one waits until the next rollout."""
+    if n_envs < 1:
+        raise ConfigurationError(
+            "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
+        )
+    _log.info(
+        "%s: %s scenes, %s objects%s.",
+        *(options.category, options.split, options.objects),
+        "" if options.split == "test" else " (for a test result: --env.split=test)",
+    )
+    functions = [lambda: FlatCloud(KeyframeEnv(options=options))] * n_envs
+    # More than one simulator in a process would render one after the other; a process each uses every core.
+    if use_async_envs and n_envs > 1:
+        return LazyAsyncVectorEnv(functions)
+    return gym.vector.SyncVectorEnv(
+        [_frozen(function) for function in functions],
+        autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
+    )
+
+
+def _frozen(make: Make) -> Make:
+    return lambda: FreezeAfterEpisodeEnd(make())

@@ -67,7 +67,7 @@ def collection(root: Path, category: str, *, per_object: int, workers: int) -> N
 
 def simulator(category: str, repeats: int) -> Numbers:
     """Returns control steps and key frames per second, and how many times longer a rendered cloud takes than a cast."""
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     task = make_task(category, objects=object_id(category, 0))
     try:
@@ -99,7 +99,7 @@ def _key_frames_per_second(category: str) -> float:
 
 def observation(category: str, repeats: int) -> dict[str, dict[str, float]]:
     """Returns source of the cloud -> median time of an observation after a key frame of an expert [ms]."""
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     found = {}
     for source in CLOUD_SOURCES:

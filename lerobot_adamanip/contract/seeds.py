@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import require_choice
 
 SPLITS = {"test": (0, 10**6), "validation": (10**6, 2 * 10**6), "train": (2**24, 2**31)}
@@ -32,6 +33,11 @@ def scene_seed(seed: int, split: str) -> int:
     """
     first, end = SPLITS[require_choice("split of scenes", split, SPLITS, hint=CHOOSE_SPLIT)]
     return seed if first <= seed < end else first + seed % (end - first)
+
+
+def category_offset(category: str) -> int:
+    """Returns the number added to seeds of a category in a suite; see `CATEGORY_STRIDE`."""
+    return CATEGORY_STRIDE * list(CATEGORIES).index(category)
 
 
 def split_of(seed: int) -> str | None:

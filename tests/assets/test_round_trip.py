@@ -46,7 +46,7 @@ def test_proposals_are_near_the_poses_we_know(tmp_path: Path, name: str) -> None
 def test_an_expert_opens_an_object_of_others_as_it_was_proposed(tmp_path: Path, name: str) -> None:
     from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.keyframe_env import make_task
+    from lerobot_env_adamanip.simulator import make_task
 
     obj = make_object(name)
     category = obj.category

@@ -19,10 +19,9 @@ from torch import nn
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.evaluation.groups import first_episodes
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_env_adamanip import keyframe_env
-from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
+from lerobot_env_adamanip import vector
+from lerobot_env_adamanip.config import AdaManipSafeEnvConfig, AdaManipSuiteEnvConfig
 from lerobot_env_adamanip.episode_log import EpisodeLog
-from lerobot_env_adamanip.suite import AdaManipSuiteEnvConfig
 
 
 class OneStep(gym.Env[Any, Any]):
@@ -59,7 +58,7 @@ def one_step(env: Any, seeds: list[int], **_: object) -> dict[str, torch.Tensor]
 def test_the_log_holds_what_was_asked_for(
     episodes: int, batch: int, suite: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keyframe_env, "KeyframeEnv", OneStep)
+    monkeypatch.setattr(vector, "KeyframeEnv", OneStep)
     monkeypatch.setattr(lerobot_eval, "PreTrainedPolicy", nn.Module)
     monkeypatch.setattr(lerobot_eval, "rollout", one_step)
     log = str(tmp_path / "log.jsonl")

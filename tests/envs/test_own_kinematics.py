@@ -41,7 +41,7 @@ def test_sapien_keeps_its_own(installed: dict[str, str], name: str) -> None:
 
 
 def test_who_came_first_is_told(installed: dict[str, str]) -> None:
-    begin = "import sapien; from lerobot_env_adamanip.sapien_import import import_sapien; import_sapien(); "
+    begin = "import sapien; from lerobot_env_adamanip.sim.sapien_import import import_sapien; import_sapien(); "
     done = told(begin + MODULE, installed)
     assert done.stdout.split() != [OWN], "without the guard it is replaced"
     assert "pip uninstall pin" in done.stderr

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.hardware.camera_frames import simulated_calibration
-from lerobot_env_adamanip.keyframe_env import make_task
+from lerobot_env_adamanip.simulator import make_task
 
 pytestmark = pytest.mark.sim
 

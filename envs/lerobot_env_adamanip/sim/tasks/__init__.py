@@ -4,7 +4,7 @@ The classes, `SafeTask` and so on, are made from the table in `categories` and c
 """
 
 from lerobot_adamanip.util.errors import no_simulator
-from lerobot_env_adamanip.sapien_import import import_sapien
+from lerobot_env_adamanip.sim.sapien_import import import_sapien
 
 import_sapien()  # before ManiSkill does
 

@@ -8,7 +8,7 @@ from mani_skill.utils.registration import register_env
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import GENTLE
 from lerobot_env_adamanip.sim.kinematics import DOWN_REST, HIGH_REST
-from lerobot_env_adamanip.sim.nominal_pose import ExternalStand
+from lerobot_env_adamanip.sim.placement import ExternalStand
 from lerobot_env_adamanip.sim.tasks.base import AdaManipTask
 from lerobot_env_adamanip.sim.tasks.category_task import (
     LIFT_REACH,

@@ -13,7 +13,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, MotionLimits
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.kinematics import LEVEL_REST
-from lerobot_env_adamanip.sim.nominal_pose import ExternalStand, Stand, external_stand, generated_stand
+from lerobot_env_adamanip.sim.placement import ExternalStand, Stand, external_stand, generated_stand
 from lerobot_env_adamanip.sim.placement import ReachRequirement
 
 Reaches = Callable[[ArticulatedObject], tuple[ReachRequirement, ...]]

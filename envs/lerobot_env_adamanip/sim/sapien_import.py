@@ -1,0 +1,54 @@
+"""Importing SAPIEN with the kinematics library that it brings."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from typing import Any
+
+from lerobot_adamanip.util.errors import no_simulator
+
+KINEMATICS_LIBRARY = "pinocchio"
+_log = logging.getLogger(__name__)
+
+
+def import_sapien() -> None:
+    """Imports SAPIEN with its own kinematics library; warns if it was imported before with another one.
+
+    SAPIEN prefers an installed `pinocchio` (of `pin`, which LeRobot's kinematics brings) to its own build. Postures
+    then differ in their last digits, contacts amplify that, and the same seed gives another episode.
+
+    Raises:
+        SimulatorError: SAPIEN is not installed.
+    """
+    if "sapien" not in sys.modules:
+        with warnings.catch_warnings():
+            # Physics needs no Vulkan library, and pictures without one fail with an error that says more.
+            warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
+            try:
+                _import_sapien_without(KINEMATICS_LIBRARY)
+            except ImportError as error:
+                raise no_simulator(error) from error
+    from sapien.wrapper.pinocchio_model import PinocchioModel
+
+    if PinocchioModel.__module__ != "sapien.pysapien_pinocchio":
+        _log.warning(
+            "SAPIEN was imported with the installed package %s: episodes are not those of the same seeds elsewhere. "
+            "Import lerobot_env_adamanip's environments first, or pip uninstall pin.",
+            KINEMATICS_LIBRARY,
+        )
+
+
+def _import_sapien_without(name: str) -> None:
+    """Imports SAPIEN as if there were no package of this name."""
+    modules: dict[str, Any] = sys.modules
+    missing = object()
+    before = modules.get(name, missing)
+    modules[name] = None  # Python's mark of a module that cannot be imported
+    try:
+        import sapien  # noqa: F401
+    finally:
+        del modules[name]
+        if before is not missing:
+            modules[name] = before
