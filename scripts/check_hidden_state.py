@@ -85,7 +85,7 @@ def frames_until_held(
         goal = expert.send(felt)
     if look:
         seen = task.observe(image=image)
-        frames[-1].update(cloud=seen.points_in_base, **({"image": seen.image} if image else {}))
+        frames[-1].update(cloud=seen.points_in_base, **({"image": seen.images["front"]} if image else {}))
     return frames
 
 

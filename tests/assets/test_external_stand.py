@@ -17,8 +17,7 @@ from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.experts import make_expert
-from lerobot_env_adamanip.sim.placement import ExternalStand, external_stand, generated_stand
-from lerobot_env_adamanip.sim.placement import ReachRequirement
+from lerobot_env_adamanip.sim.placement import ExternalStand, ReachRequirement, external_stand, generated_stand
 
 PULL = (ReachRequirement("lever", ({"lever": 1.0}, {"lever": 1.0, "leaf": 0.77})),)
 RULE = ExternalStand(wide_farthest={"leaf": 0.5})

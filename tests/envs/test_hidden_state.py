@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from envs_helpers import ROOT
+from envs_helpers import ROOT, at_once_or_at_night
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal
@@ -39,7 +39,7 @@ def task(category: str, tasks: Any) -> Any:
     return tasks(category)
 
 
-@pytest.mark.parametrize("category", CATEGORIES)
+@at_once_or_at_night("category", CATEGORIES, ("door", "safe"))
 def test_nothing_shows_until_the_part_is_held(script: Any, task: Any, category: str) -> None:
     """Every number of arm, object and observation, to the bit, in every frame; cloud and image of the held one."""
     for seed in TELLTALE.get(category, (31,)):
@@ -52,7 +52,7 @@ def test_nothing_shows_until_the_part_is_held(script: Any, task: Any, category: 
             assert script.differences(first, other) == ()
 
 
-@pytest.mark.parametrize("category", TELLTALE)
+@at_once_or_at_night("category", TELLTALE, ("door",))
 def test_the_same_comparison_notices_joints_that_are_not_held(script: Any, task: Any, category: str) -> None:
     task.holds_the_untried = False
     for seed in TELLTALE[category]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from envs_helpers import at_once_or_at_night
 
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -39,7 +40,7 @@ def adaptive_rows(env: KeyframeEnv, category: str, seed: int) -> list[Row]:
     return rows
 
 
-@pytest.mark.parametrize("category", CATEGORIES)
+@at_once_or_at_night("category", CATEGORIES, ("safe", "lamp"))
 def test_an_adaptive_episode_is_labelled_as_it_went(envs: Any, category: str) -> None:
     env = envs(category)
     rows = [row for seed in (3, 4) for row in adaptive_rows(env, category, seed)]

@@ -1,4 +1,4 @@
-"""The cache of meshes: whole files of one's own, and not more and more of them."""
+"""The cache of mesh files: written once, into a folder that only this user can write to."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Non
 def forget() -> None:
     """As a new process would start."""
     mesh_files.cache_folder.cache_clear()
-    mesh_files._is_whole.cache_clear()
 
 
 def test_a_mesh_is_written_once_and_is_what_it_was() -> None:
@@ -40,18 +39,6 @@ def test_a_mesh_is_written_once_and_is_what_it_was() -> None:
     assert mesh_files.mesh_file(SHAPE).stat().st_ino == written
     mesh = trimesh.load(path, process=False)
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), (0.2, 0.4, 0.6), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "damage", [lambda content: content[: len(content) // 2], lambda content: b"v 0 0 0\n" + content]
-)
-def test_a_file_that_is_not_what_was_written_is_written_again(damage: object) -> None:
-    path = mesh_files.mesh_file(SHAPE)
-    content = path.read_bytes()
-    assert callable(damage)
-    path.write_bytes(damage(content))
-    forget()
-    assert mesh_files.mesh_file(SHAPE).read_bytes() == content
 
 
 @pytest.mark.parametrize("how", ["open to all", "a link"])
@@ -67,14 +54,3 @@ def test_a_folder_that_others_could_have_filled_is_not_used(tmp_path: Path, how:
     assert folder != expected
     assert mesh_files.is_private(folder)
     assert mesh_files.mesh_file(SHAPE).parent == folder
-
-
-def test_a_cache_that_grew_too_large_loses_what_was_not_used_for_longest(tmp_path: Path) -> None:
-    for age in range(10):
-        path = tmp_path / f"{age}.obj"
-        path.write_bytes(b"x" * 100)
-        os.utime(path, (1000 - age, 1000 - age))
-    mesh_files.shrink(tmp_path, 1000)
-    assert len(list(tmp_path.glob("*.obj"))) == 10
-    mesh_files.shrink(tmp_path, 900)
-    assert sorted(path.stem for path in tmp_path.glob("*.obj")) == ["0", "1", "2", "3"]

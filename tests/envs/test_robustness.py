@@ -6,7 +6,7 @@ import importlib.util
 from typing import Any
 
 import pytest
-from envs_helpers import ROOT
+from envs_helpers import ROOT, at_once_or_at_night
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 
@@ -23,6 +23,6 @@ def script() -> Any:
     return module
 
 
-@pytest.mark.parametrize("category", CATEGORIES)
+@at_once_or_at_night("category", CATEGORIES, ("safe",))
 def test_random_wild_and_malformed_actions_do_no_harm(script: Any, category: str) -> None:
     assert [each["wrong"] for each in script.check(category, [1, 2])] == [[], []]

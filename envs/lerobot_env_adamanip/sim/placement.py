@@ -1,9 +1,13 @@
-"""Where object, robot and camera stand: randomisation, and the check that the arm reaches what it has to."""
+"""Placement of object, robot and camera: nominal poses, their randomisation, and the check that the arm reaches all.
+
+External assets keep their real size. The robot's base is the origin, so floor and object move: a door whose lever is a
+metre up stands on a floor below the base.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +20,13 @@ from lerobot_env_adamanip.sim.kinematics import ArmKinematics, Pull
 
 Array = NDArray[np.float64]
 
+LEAST_PLINTH, HIGHEST_PLINTH = 0.04, 0.7
+"""Heights of the plinth under a generated object [m]."""
 PATH_STEPS = 6
 """Poses checked on each leg of a path."""
 APPROACH_STEPS, APPROACHING = 8, Pull(steps=5)
-"""Poses checked on each leg of the way to a part, and how the elbow is drawn to rest on it: in a motion there is one
-pull a control tick, so several for each pose here."""
+"""Poses checked on each leg of the way to a part. A motion pulls the elbow to rest at each control tick, so several
+times for each pose here."""
 
 
 @dataclass(frozen=True)
@@ -82,60 +88,137 @@ class ReachRequirement:
         object.__setattr__(self, "paths", paths)
 
 
-def draw_placement(
-    rng: np.random.Generator,
+@dataclass(frozen=True)
+class ExternalStand:
+    """Nominal place of a category's external assets, robot base frame.
+
+    Attributes:
+        part_y: largest distance of the first part to the side [m].
+        wide: a leaf whose handle is farther from its hinge than this [m] counts as wide.
+        wide_x: distance of a wide leaf's front from the robot's base [m].
+        wide_y: distance of a wide leaf's handle from the arm's middle plane, away from the hinge [m].
+        farthest: joint -> bound of the positions that the arm must reach [rad or m].
+        wide_farthest: the same of wide leaves.
+    """
+
+    part_y: float = 0.12
+    wide: float = 0.5
+    wide_x: float = 0.73
+    wide_y: float = 0.08
+    farthest: Mapping[str, float] = field(default_factory=dict)
+    wide_farthest: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Nominal place of one object, robot base frame, and the motions the arm must be able to make there.
+
+    Attributes:
+        x, y: of the middle of its front [m].
+        floor_z: of the surface it stands on [m].
+        reaches: part motions.
+    """
+
+    x: float
+    y: float
+    floor_z: float
+    reaches: tuple[ReachRequirement, ...]
+
+    @property
+    def ground_z(self) -> float:
+        """Height of the ground: below the robot's base if the object needs it [m]."""
+        return min(self.floor_z, 0.0)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        obj: ArticulatedObject,
+        kinematics: ArmKinematics,
+        spread: Randomization,
+        *,
+        tries: int = 30,
+        must_reach: bool = True,
+    ) -> Placement:
+        """Draws poses around this stand until the arm reaches every part, held and moved.
+
+        Args:
+            rng: generator of this episode's layout.
+            obj: the object.
+            kinematics: of the arm.
+            spread: half widths.
+            tries: draws at most.
+            must_reach: whether unreachable draws are an error; else the last draw is returned.
+
+        Raises:
+            UnreachableError: none of the draws could be reached.
+        """
+        for _ in range(tries):
+            pose = _drawn_pose(rng, spread, self.x, self.y, self.floor_z)
+            start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
+            if (annotations := _reachable(obj, pose, kinematics, self.reaches, start)) is not None:
+                return Placement(pose, start, annotations)
+        if not must_reach:
+            return Placement(pose, start, {part.name: part.in_frame(pose) for part in obj.parts})
+        raise UnreachableError(
+            f"{obj.object_id} cannot be placed where the arm reaches its parts.",
+            got=f"{tries} draws around x = {self.x:.2f} m, floor at {self.floor_z:.2f} m",
+            allowed="every part within reach, on the way to it, held and turned",
+            hint="--env.poses=fixed, or another object",
+        )
+
+
+def generated_stand(
+    obj: ArticulatedObject, reaches: tuple[ReachRequirement, ...], *, nominal_x: float, part_height: float
+) -> Stand:
+    """Returns the stand of a generated object: in front of the robot, its first part at ``part_height`` [m]."""
+    floor = float(np.clip(part_height - obj.parts[0].grasp[2, 3], LEAST_PLINTH, HIGHEST_PLINTH))
+    return Stand(nominal_x, 0.0, floor, reaches)
+
+
+def external_stand(
     obj: ArticulatedObject,
-    kinematics: ArmKinematics,
     reaches: tuple[ReachRequirement, ...],
-    spread: Randomization,
+    rule: ExternalStand,
     *,
     nominal_x: float,
-    floor_z: float,
-    nominal_y: float = 0.0,
-    tries: int = 30,
-    must_reach: bool = True,
-) -> Placement:
-    """Draws poses until the arm reaches every part, held and turned; one draw decides everything.
+    part_height: float,
+) -> Stand:
+    """Returns the stand of an external asset: lifted, lowered and shifted until its first part is in reach."""
+    part = obj.parts[0]
+    floor = min(part_height - float(part.grasp[2, 3]), HIGHEST_PLINTH)
+    # The object is yawed by half a turn: its +y is the base's -y.
+    aside, hinge = -float(part.grasp[1, 3]), _hinge_y(part)
+    if hinge is None or abs(float(part.grasp[1, 3]) - hinge) <= rule.wide:
+        wanted = float(np.clip(aside, -rule.part_y, rule.part_y))
+        return Stand(nominal_x, wanted - aside, floor, _capped(reaches, rule.farthest))
+    wanted = rule.wide_y * float(np.sign(hinge - part.grasp[1, 3]))
+    return Stand(rule.wide_x, wanted - aside, floor, _capped(reaches, {**rule.farthest, **rule.wide_farthest}))
 
-    Args:
-        rng: generator of this episode's layout.
-        obj: the object.
-        kinematics: of the arm.
-        reaches: part motions to check.
-        spread: half widths.
-        nominal_x: distance of the object's front from the robot's base [m].
-        floor_z: height of the surface it stands on [m].
-        nominal_y: of the middle of the object's front [m].
-        tries: draws at most.
-        must_reach: whether none is an error; else the object then stands where the last draw put it.
 
-    Raises:
-        UnreachableError: none of the draws could be reached.
-    """
-    for _ in range(tries):
-        pose = _drawn_pose(rng, spread, nominal_x, nominal_y, floor_z)
-        start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
-        if (annotations := _reachable(obj, pose, kinematics, reaches, start)) is not None:
-            return Placement(pose, start, annotations)
-    if not must_reach:
-        return Placement(pose, start, {part.name: part.in_frame(pose) for part in obj.parts})
-    raise _unreachable(obj, f"{tries} draws around x = {nominal_x:.2f} m, floor at {floor_z:.2f} m")
+def _hinge_y(part: PartAnnotation) -> float | None:
+    """The y of the upright hinge that carries a part, object frame [m]; None if there is none."""
+    hinges = [motion for motion in part.motions if motion.kind == "revolute" and abs(motion.axis[2]) > 0.9]
+    return float(hinges[0].point[1]) if hinges else None
+
+
+def _capped(reaches: tuple[ReachRequirement, ...], farthest: Mapping[str, float]) -> tuple[ReachRequirement, ...]:
+    def leg(positions: Mapping[str, float]) -> dict[str, float]:
+        return {
+            name: float(np.clip(q, -farthest.get(name, np.inf), farthest.get(name, np.inf)))
+            for name, q in positions.items()
+        }
+
+    def path(legs: Path) -> Path:
+        return tuple(leg(positions) for positions in legs)
+
+    return tuple(ReachRequirement(reach.part, *(path(legs) for legs in reach.paths)) for reach in reaches)
 
 
 def _drawn_pose(rng: np.random.Generator, spread: Randomization, x: float, y: float, z: float) -> Array:
-    """An object's pose (4, 4) around its nominal place [m], facing the robot."""
+    """Draws an object's pose (4, 4) around its nominal place [m], facing the robot."""
     x, y = x + rng.uniform(-1, 1) * spread.object_x, y + rng.uniform(-1, 1) * spread.object_y
     yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
     return transform((x, y, z), rotation_about((0.0, 0.0, 1.0), yaw))
-
-
-def _unreachable(obj: ArticulatedObject, tried: str) -> UnreachableError:
-    return UnreachableError(
-        f"{obj.object_id} cannot be placed where the arm reaches its parts.",
-        got=tried,
-        allowed="every part within reach, on the way to it, held and turned",
-        hint="--env.poses=fixed, or another object",
-    )
 
 
 def _reachable(
@@ -155,10 +238,9 @@ def _reachable(
 
 
 def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
-    """Returns whether the arm gets from ``start`` (7,) [rad] straight to before a grasp (4, 4), and on to it.
+    """Returns whether the arm gets from ``start`` (7,) [rad] on straight lines to before a grasp (4, 4), and to it.
 
-    A pose that has a solution is not enough: near its full stretch the arm may not come there on a straight line. The
-    steps are those of `KeyframeDriver`, but fewer.
+    Near its full stretch the arm may reach a pose, but not on a straight line.
     """
     qpos, here = start, kinematics.tcp_in_base(start)
     for goal in (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp):
@@ -172,7 +254,7 @@ def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
 
 
 def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinematics) -> float | None:
-    """Returns how far the wrist strays from rest while holding and moving the part; None if out of reach."""
+    """Returns the largest turn of the wrist from rest while holding and moving the part; None if out of reach."""
     before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
     grasped = kinematics.canonical(before)
     if not grasped.within(2e-3, 0.01):

@@ -1,4 +1,4 @@
-"""Which external assets can be placed before the arm: found out by its kinematics alone, before a scene is made."""
+"""Which external assets can be placed before the arm: by its kinematics alone, without a scene."""
 
 from __future__ import annotations
 
@@ -16,18 +16,14 @@ from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 
 SEED = 0
-"""Of a check's draws: an asset is judged alike in every process."""
+"""Seed of a check's draws."""
 
 
 @functools.cache
 def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObject], str]:
-    """Returns the function that says why an object cannot be placed, an empty text if it can.
+    """Returns a function that says why an object cannot be placed, an empty text if it can.
 
-    An object that is placed once in the draws of one episode is placed by the retries of nearly every other.
-
-    Args:
-        task: of the objects' category.
-        poses: preset of their randomization.
+    One episode's draws are tried: an object placed there is placed in nearly every other.
     """
     spread = randomization(poses)
 
@@ -45,7 +41,7 @@ def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObje
 
 @functools.cache
 def _arm(task: CategoryTask) -> ArmKinematics:
-    """The kinematics of an arm without shapes: no renderer is needed."""
+    """Kinematics of an arm without shapes: no renderer is needed."""
     scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
     loader = scene.create_urdf_loader()
     loader.fix_root_link = True

@@ -1,4 +1,4 @@
-"""What every AdaManip task shares: one object on a plinth before a Panda, one camera, one hidden mechanism."""
+"""Base of the ManiSkill tasks: one object on a plinth before a Panda, one camera, one hidden mechanism."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechani
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_env_adamanip.cameras import CAMERAS
+from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.contacts import HandTouch
 from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
-from lerobot_env_adamanip.sim.freeze_gc import leave_out_what_is_loaded
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver
@@ -30,7 +30,6 @@ from lerobot_env_adamanip.sim.placement import Placement, randomization
 from lerobot_env_adamanip.sim.reachability import placement_check
 from lerobot_env_adamanip.sim.renderer import device_for, keep_shaders, translate_renderer_errors, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
-from lerobot_env_adamanip.sim.scene import ObjectScene, add_lights, camera_config, draw_cameras, person_camera
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 from lerobot_env_adamanip.sim.views import SimObservation, Views
 from lerobot_env_adamanip.simulator import resolve_cloud_source
@@ -41,37 +40,34 @@ _PLACEMENT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
 class AdaManipTask(BaseEnv):
-    """Base of the tasks; what is a category's own stands in its `CategoryTask`.
+    """A task of the category that its `CategoryTask` describes.
 
     Task description: manipulate an articulated object whose mechanism cannot be seen.
     Randomizations: object out of ``objects``; its pose, the arm's start and the camera's pose (``poses``);
-        hidden state, from a stream of its own, so that two episodes that differ in it alone look the same.
+        hidden state, from a stream of its own, so that episodes that differ in it alone look the same.
     Success conditions: a joint beyond its goal, see `Mechanism.goals`.
 
     CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation forbids.
 
-    ManiSkill's ``state`` observation is the arm's joint positions and velocities alone; neither the object's joints nor
-    anything hidden is in it. ``info`` tells the object's joints, which `KeyframeEnv` does not pass on. Plain control
-    knows no key frames: from its first step on the object is not held (see `MechanismDriver`).
-
-    `KeyframeEnv` uses `execute`, `observe`, `views`, `feedback`, `placement` and what follows them.
+    ManiSkill's ``state`` observation is the arm's joint positions and velocities; ``info`` holds the object's joints.
+    Plain control has no key frames: from its first step on the object is not held (see `MechanismDriver`).
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
     SUPPORTED_REWARD_MODES: ClassVar[list[str]] = ["sparse", "none"]
     agent: AdaManipPanda
     definition: ClassVar[CategoryTask]
-    """What is a category's own."""
+    """The category's row."""
     placement: Placement
     """This episode's poses, and the annotated parts in the robot's base frame."""
     holds_the_untried: bool = True
-    """Whether joints are held until they are tried; read at reset. Off, observations tell what is hidden."""
+    """Whether joints are held until they are tried; read at reset. If not, observations show what is hidden."""
     mechanism_driver: MechanismDriver
     """This episode's mechanism, on its object."""
     views: Views
-    """What is seen of this episode."""
+    """This episode's cameras."""
     _is_built = False
-    """Whether ManiSkill's own first reset is over: nobody asked for that scene, which may be out of reach."""
+    """Whether ManiSkill's own first reset is over; that scene may be out of reach."""
 
     def __init__(
         self,
@@ -112,14 +108,14 @@ class AdaManipTask(BaseEnv):
         """Name of the category."""
         return self.definition.category
 
-    # What an environment of key frames uses -----------------------------------------------------------------------
+    # For `KeyframeEnv` ----------------------------------------------------------------------------------------------
 
     def execute(self, action: NDArray[np.float32]) -> Feedback:
         """Runs one key frame, a (10,) action of the contract; see `KeyframeDriver.execute`."""
         return self._arm.execute(action)
 
     def observe(self, *, image: bool = True) -> SimObservation:
-        """Returns what is seen and felt at this moment; pictures only if they are asked for."""
+        """Returns the observation of this moment, with pictures if ``image``."""
         points, arm = self.views.points(), self.arm_state()
         images = {name: self.views.image(name) for name in (CAMERAS if image else ())}
         return SimObservation(images, points, arm.qpos, arm.qvel, self.effort, self.feedback)
@@ -136,7 +132,7 @@ class AdaManipTask(BaseEnv):
 
     @property
     def feedback(self) -> Feedback:
-        """What was felt at the latest key frame."""
+        """What the arm felt at the latest key frame."""
         return self._arm.feedback
 
     @property
@@ -160,7 +156,7 @@ class AdaManipTask(BaseEnv):
         return self.mechanism_driver.joint_positions()
 
     def hidden_state(self) -> dict[str, Any]:
-        """Returns what cannot be seen: privileged, never part of an observation."""
+        """Returns the hidden state: privileged, never part of an observation."""
         return self.mechanism_driver.hidden_state()
 
     def succeeded(self) -> bool:
@@ -172,8 +168,8 @@ class AdaManipTask(BaseEnv):
     @property
     def _default_sim_config(self) -> SimConfig:
         iterations = self.definition.solver_iterations
-        scene = SceneConfig(solver_position_iterations=iterations, contact_offset=CONTACT_OFFSET)
-        return SimConfig(sim_freq=200, control_freq=50, scene_config=scene)
+        config = SceneConfig(solver_position_iterations=iterations, contact_offset=CONTACT_OFFSET)
+        return SimConfig(sim_freq=200, control_freq=50, scene_config=config)
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
@@ -184,15 +180,15 @@ class AdaManipTask(BaseEnv):
 
     def _camera(self, size: int, name: str) -> CameraConfig:
         """One of this episode's cameras, for pictures of ``size`` [px]."""
-        poses = draw_cameras(self._stream(_CAMERA_STREAM), self.randomization.camera_position)
-        return camera_config(name, poses[name], size, self._shader)
+        poses = scene.draw_cameras(self._stream(_CAMERA_STREAM), self.randomization.camera_position)
+        return scene.camera_config(name, poses[name], size, self._shader)
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
-        return person_camera()
+        return scene.person_camera()
 
     def _clear(self) -> None:
-        leave_out_what_is_loaded()
+        scene.freeze_gc_once()
         super()._clear()
 
     def _setup_scene(self) -> None:
@@ -204,14 +200,14 @@ class AdaManipTask(BaseEnv):
         super()._load_agent(options, sapien.Pose())
 
     def _load_lighting(self, options: dict[str, Any]) -> None:
-        add_lights(self.scene, shadow=self.enable_shadow)
+        scene.add_lights(self.scene, shadow=self.enable_shadow)
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
         obj, task = get_object(str(chosen), self._assets), self.definition
         self._rules = make_mechanism(obj, self.mechanism_rules)
         self._stand = task.stand(obj)
-        self._objects = ObjectScene(
+        self._objects = scene.ObjectScene(
             self.scene,
             obj,
             floor_z=self._stand.floor_z,
@@ -253,7 +249,7 @@ class AdaManipTask(BaseEnv):
         )
 
     def _stream(self, stream: int) -> np.random.Generator:
-        """A generator of its own for each kind of draw: the hidden draw leaves every other as it is."""
+        """A generator for each kind of draw: the hidden draw does not change the others."""
         return np.random.default_rng([int(self._episode_seed[0]), stream])
 
     def step(self, action: Any) -> Any:
@@ -265,7 +261,7 @@ class AdaManipTask(BaseEnv):
         self.mechanism_driver.apply()
 
     def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
-        """One control tick of a key frame. What is held in it is decided before it, see `MechanismDriver`."""
+        """One control tick of a key frame, see `MechanismDriver`."""
         driver = self.mechanism_driver
         closing, grasped = self._arm.closing, self._arm.moving_closed
         driver.update(detent=closing, tried=self._touch.joints() if grasped and driver.untried else ())

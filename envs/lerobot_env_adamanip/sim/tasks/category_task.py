@@ -1,4 +1,4 @@
-"""What a task's category decides: where its objects stand, what the arm has to reach, and how it moves there."""
+"""A category's task: where its objects stand, what the arm must reach, and how it moves there."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import is_asset_id
-from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, MotionLimits
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.kinematics import LEVEL_REST
-from lerobot_env_adamanip.sim.placement import ExternalStand, Stand, external_stand, generated_stand
-from lerobot_env_adamanip.sim.placement import ReachRequirement
+from lerobot_env_adamanip.sim.placement import ExternalStand, ReachRequirement, Stand, external_stand, generated_stand
 
 Reaches = Callable[[ArticulatedObject], tuple[ReachRequirement, ...]]
 SWING_REACH = float(np.deg2rad(44))
@@ -25,28 +23,21 @@ LIFT_REACH = 0.045
 
 @dataclass(frozen=True, eq=False)
 class CategoryTask:
-    """One row of the table of tasks; a row equals itself alone.
+    """One row of the table of tasks.
 
     Attributes:
         category: ``safe``.
-        description: of the task, for ManiSkill's documentation.
-        draws: what is randomised beyond what `AdaManipTask` says.
-        success: conditions, in words.
         reaches: the part motions the arm has to be able to make, of an object.
         nominal_x: distance of the object's front from the robot's base [m].
         part_height: where the plinth lifts the first part to [m].
         plinth_least: half of the plinth's least width and depth [m].
         motion: how the arm moves, and when it gives up.
-        solver_iterations: of the physics engine for positions: how hard what touches is, not how exactly joints are
-            driven.
+        solver_iterations: of the physics engine for positions: how hard contacts are.
         external: how external assets stand.
         rest: the arm's posture at the start, and the one its elbow is drawn to (7,) [rad].
     """
 
     category: str
-    description: str
-    draws: str
-    success: str
     reaches: Reaches
     nominal_x: float = 0.66
     part_height: float = 0.72
@@ -57,21 +48,11 @@ class CategoryTask:
     rest: NDArray[np.float64] = field(default_factory=lambda: LEVEL_REST)
 
     def stand(self, obj: ArticulatedObject) -> Stand:
-        """Returns where an object stands nominally, and what the arm must be able to do there."""
+        """Returns an object's nominal place, and the motions the arm must be able to make there."""
         reaches, where = self.reaches(obj), {"nominal_x": self.nominal_x, "part_height": self.part_height}
         if is_asset_id(obj.object_id):
             return external_stand(obj, reaches, self.external, **where)
         return generated_stand(obj, reaches, **where)
-
-    @property
-    def documentation(self) -> str:
-        """The task's docstring, as ManiSkill writes them."""
-        return (
-            f"{CATEGORIES[self.category].instruction}\n\n"
-            f"Task Description: {self.description}\n\n"
-            f"Randomizations: as `AdaManipTask`; {self.draws}\n\n"
-            f"Success Conditions: {self.success}\n"
-        )
 
 
 def turn_then_open(part: str, key: str, final: str, far: float) -> Reaches:
