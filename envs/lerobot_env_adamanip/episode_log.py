@@ -1,72 +1,44 @@
-"""What an episode was: watched from outside, for labels, logs and reports. Nothing here reaches an observation."""
+"""Labels, records and logs of episodes. Nothing here reaches an observation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import object_split
-from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.episode.contact_labels import TryLabeler
 from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.mechanisms import Mechanism
-from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
+from lerobot_adamanip.objects import PartAnnotation
 
-
-class WatchedTask(Protocol):
-    """What the monitor looks at, in the simulator or in a fake."""
-
-    @property
-    def obj(self) -> ArticulatedObject:
-        """The object of this episode."""
-
-    @property
-    def mechanism(self) -> Mechanism[Any]:
-        """Its rules; read for the names of its joints, the one that opens first."""
-
-    @property
-    def feedback(self) -> Feedback:
-        """What was felt last."""
-
-    @property
-    def goal(self) -> tuple[NDArray[np.float64], float]:
-        """The latest commanded tool pose (4, 4), robot base frame [m], and gripper opening."""
-
-    def joint_positions(self) -> dict[str, float]:
-        """Joint name -> position now [rad or m]."""
-
-    def hidden_state(self) -> dict[str, Any]:
-        """This episode's draw."""
-
-    def succeeded(self) -> bool:
-        """Whether the task is done now."""
+if TYPE_CHECKING:  # the simulator is imported at the first reset
+    from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 
 class EpisodeMonitor:
-    """Watches one episode: labels its key frames, counts, and remembers whether it has succeeded.
+    """Labels and counts the key frames of one episode.
 
     Args:
         task: just reset.
         annotations: of the parts, robot base frame, joints at zero.
         seed: of the episode.
         given_seed: that the evaluation gave.
-        provenance: what makes it.
+        provenance: of its record.
 
     Attributes:
         key_frames: so far.
-        success: whether a joint has been beyond its goal at the end of a key frame; once true, it stays so.
+        success: whether a joint has been beyond its goal at the end of a key frame so far.
     """
 
     def __init__(
         self,
-        task: WatchedTask,
+        task: AdaManipTask,
         annotations: Mapping[str, PartAnnotation],
         *,
         seed: int,
@@ -85,7 +57,7 @@ class EpisodeMonitor:
         return self._labeler.labels
 
     def after_key_frame(self) -> bool:
-        """Takes note of a key frame that has just ended. Returns whether the episode has succeeded."""
+        """Counts and labels a key frame that has ended. Returns whether the episode has succeeded."""
         self.key_frames += 1
         goal, gripper = self._task.goal
         self._labeler.after_key_frame(goal, gripper, self._task.feedback, self._task.joint_positions())
@@ -93,7 +65,7 @@ class EpisodeMonitor:
         return self.success
 
     def record(self) -> EpisodeRecord:
-        """Returns what the episode has been so far."""
+        """Returns the record of the episode so far."""
         tries = [labels for labels in self._labeler.history if labels.tried >= 0]
         object_id = self._task.obj.object_id
         return EpisodeRecord(
@@ -118,10 +90,9 @@ class EpisodeMonitor:
 
 
 class EpisodeLog:
-    """The log one environment appends to, and which evaluation of its run an episode belongs to.
+    """The log of one environment, which numbers the evaluations of a run.
 
-    ``lerobot-train`` evaluates the same scenes again and again in the same environments: an environment that has
-    logged an episode and meets it again has begun the next evaluation.
+    ``lerobot-train`` evaluates the same scenes repeatedly: the same episode again begins the next evaluation.
 
     Args:
         path: file that other environments may append to as well.

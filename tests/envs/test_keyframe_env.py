@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_process, stay
 
-from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.seeds import split_of
-from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, rollout
 from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.experts import Outcome, Phase, make_expert
+from lerobot_adamanip.experts import Outcome, Phase
 from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
 from lerobot_env_adamanip.episode_log import EpisodeLog
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
@@ -39,19 +37,6 @@ def check_observation(env: KeyframeEnv, observation: dict[str, Any]) -> None:
     for key in ("agent_pos", "effort", "point_cloud"):
         assert observation[key].dtype == np.float32
         assert np.isfinite(observation[key]).all()
-
-
-def test_reset_and_step_keep_gymnasiums_contract(env: KeyframeEnv) -> None:
-    observation, info = env.reset(seed=5)
-    check_observation(env, observation)
-    assert info == {"is_success": False}
-    observation, reward, terminated, truncated, info = env.step(stay(env))
-    check_observation(env, observation)
-    assert (reward, terminated, truncated) == (0.0, False, False)
-    assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-    assert info["is_success"] is False
-    assert set(info) == {"is_success"}
-    assert env.action_space.contains(stay(env))
 
 
 def test_what_lerobot_asks_of_an_environment(env: KeyframeEnv) -> None:
@@ -159,40 +144,6 @@ def test_unseeded_resets_differ_and_follow_from_the_seed_before(env: KeyframeEnv
         runs.append(hashes)
     assert runs[0] == runs[1]
     assert len(set(runs[0])) == 3
-
-
-# Hidden state -----------------------------------------------------------------------------------------------------
-
-
-def first_of(phases: list[Phase], wanted: Phase) -> int:
-    """Number of observations (the reset's included) before the key frame of that phase has run."""
-    return phases.index(wanted) + 1
-
-
-@pytest.mark.parametrize("seed", [21, 22])
-def test_a_lock_shows_only_when_the_door_is_pulled(env: KeyframeEnv, seed: int) -> None:
-    free, phases, _ = expert_episode(env, seed, hidden_overrides={"locked": False})
-    locked, _, _ = expert_episode(env, seed, hidden_overrides={"locked": True})
-    pulled = first_of(phases, Phase.TRY)
-    assert pulled == 4  # reset, two approaches, grasp
-    assert free[:pulled] == locked[:pulled]
-    assert free[pulled] != locked[pulled]
-
-
-def test_the_knobs_direction_shows_only_when_it_is_turned(env: KeyframeEnv) -> None:
-    runs = [expert_episode(env, 23, hidden_overrides={"locked": True, "direction": direction}) for direction in (1, -1)]
-    phases, turned = runs[0][1], first_of(runs[0][1], Phase.UNLOCK)
-    assert phases[turned - 2] is Phase.GRASP
-    assert runs[0][0][:turned] == runs[1][0][:turned]
-    assert runs[0][0][turned] != runs[1][0][turned]
-    assert all(info["is_success"] for _, _, info in runs)
-
-
-def test_the_knobs_direction_never_shows_on_an_unlocked_safe(env: KeyframeEnv) -> None:
-    one, other = (
-        expert_episode(env, 24, hidden_overrides={"locked": False, "direction": direction})[0] for direction in (1, -1)
-    )
-    assert one == other
 
 
 # Actions nobody should send ----------------------------------------------------------------------------------------
@@ -319,15 +270,3 @@ def test_a_fingerprint_names_code_versions_and_renderer(env: KeyframeEnv) -> Non
     assert "sapien=" in found["versions"]
     assert found["renderer"] != "none"
     assert found == KeyframeEnv("pen").fingerprint()
-
-
-def test_the_environment_is_what_rollouts_take(env: KeyframeEnv) -> None:
-    taken: KeyframeEnvironment = env
-    observation, _ = taken.reset(seed=5)
-    assert taken.max_key_frames == 30
-    assert taken.labels == KeyFrameLabels()  # nothing was tried yet
-    expert = make_expert("safe", "adaptive", taken.annotations, generator=np.random.default_rng(0))
-    heard: list[KeyFrame] = []
-    result = rollout(taken, observation, expert, heard.append)
-    assert result.success
-    assert len(heard) == result.key_frames

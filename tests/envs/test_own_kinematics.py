@@ -11,6 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.sim
 
+ENTRIES = ("lerobot_env_adamanip.fork_server_preload", "lerobot_env_adamanip.tasks")
 OWN = "sapien.pysapien_pinocchio"
 TOLD = "import sys, logging; logging.basicConfig(); "
 MODULE = "from sapien.wrapper.pinocchio_model import PinocchioModel; print(PinocchioModel.__module__)"

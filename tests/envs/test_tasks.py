@@ -56,9 +56,9 @@ def play(env: Any, kind: str) -> list[tuple[Goal, Outcome, float]]:
 
 
 @pytest.mark.parametrize("locked", [True, False])
-@pytest.mark.parametrize("kind", ["adaptive", "static"])
+@pytest.mark.parametrize("kind", ["adaptive", pytest.param("static", marks=pytest.mark.nightly)])
 def test_experts_open_seen_and_unseen_safes(env: Any, kind: str, locked: bool) -> None:
-    for number in (0, 7, 14, 21, 28, 35, 36, 43, 50):
+    for number in (0, 21, 50):
         reset(env, 900 + number, object_id=f"safe_{number:03d}", locked=locked)
         frames = play(env, kind)
         story = [(goal.phase.name, outcome.name) for goal, outcome, _ in frames]
@@ -71,14 +71,6 @@ def test_experts_open_seen_and_unseen_safes(env: Any, kind: str, locked: bool) -
         # In free space the arm is where it was sent, and still, when the key frame is over.
         free = [frame for frame in frames if frame[0].phase in (Phase.APPROACH, Phase.RELEASE)]
         assert all(outcome is Outcome.REACHED and speed < 0.04 for _, outcome, speed in free), (number, story)
-
-
-def test_the_static_expert_needs_fewer_key_frames_when_locked(env: Any) -> None:
-    counts = []
-    for kind in ("adaptive", "static"):
-        reset(env, 31, locked=True)
-        counts.append(len(play(env, kind)))
-    assert counts[1] < counts[0]
 
 
 # The mechanism under force ------------------------------------------------------------------------------------------
