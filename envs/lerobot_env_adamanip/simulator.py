@@ -5,21 +5,17 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import importlib.util
-import logging
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 
 from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
-from lerobot_adamanip.episode.rollout import SimulatedEnvironment
-from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
-
-_log = logging.getLogger(__name__)
 
 
 def require_simulator() -> None:
@@ -38,13 +34,6 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
     return cast("AdaManipTask", made)
 
 
-def make_keyframe_env(options: EnvironmentOptions) -> SimulatedEnvironment:
-    """Builds a `KeyframeEnv`. Spawned workers are given this function; commands check their options before."""
-    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-
-    return KeyframeEnv(options=options)
-
-
 @functools.cache
 def placement_check(poses: str = "randomized") -> PlacementCheck:
     """Returns a function that says why an object cannot be placed before the arm, an empty text if it can.
@@ -60,20 +49,6 @@ def placement_check(poses: str = "randomized") -> PlacementCheck:
     from lerobot_env_adamanip.sim.tasks import TASKS
 
     return lambda obj: reachability.placement_check(TASKS[obj.category].definition, poses)(obj)
-
-
-def resolve_cloud_source(wanted: str) -> str:
-    """Returns ``raycast`` or ``render``; the latter, with a warning, if rays are wanted and embreex is missing."""
-    require_choice("source of clouds", wanted, CLOUD_SOURCES)
-    if wanted == "raycast" and importlib.util.find_spec("embreex") is None:
-        _warn_once("embreex is not installed, so clouds are rendered, some ten times slower: pip install embreex")
-        return "render"
-    return wanted
-
-
-@functools.cache
-def _warn_once(text: str) -> None:
-    _log.warning(text)
 
 
 def sensors_name(options: EnvironmentOptions) -> str:

@@ -64,7 +64,7 @@ class Check:
 
     def _with_replays(self, result: Report, progress: Progress) -> Report:
         from lerobot_adamanip.collection.replay import check_replays
-        from lerobot_env_adamanip.simulator import make_keyframe_env
+        from lerobot_env_adamanip.make_env import make_keyframe_env
 
         count = min(self.replay, result.episodes)
         chosen = [number * result.episodes // count for number in range(count)]

@@ -290,6 +290,6 @@ def factories() -> Factories:
     """Returns the simulator and the scripted experts that demonstrations are recorded with."""
     from lerobot_adamanip.collection.record import Factories
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.simulator import make_keyframe_env
+    from lerobot_env_adamanip.make_env import make_keyframe_env
 
     return Factories(make_keyframe_env, make_expert)

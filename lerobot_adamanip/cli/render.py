@@ -35,7 +35,7 @@ class Render:
     def run(self) -> int:
         """Renders; 0 when the dataset is complete."""
         from lerobot_adamanip.collection.render import add_pictures
-        from lerobot_env_adamanip.simulator import make_keyframe_env
+        from lerobot_env_adamanip.make_env import make_keyframe_env
 
         root = self.root.absolute()
         out = self.out or root.with_name(root.name + "-images")

@@ -43,7 +43,7 @@ class Replay:
     def run(self) -> int:
         """Replays and compares; 0 if everything agrees."""
         from lerobot_adamanip.collection.replay import replay
-        from lerobot_env_adamanip.simulator import make_keyframe_env
+        from lerobot_env_adamanip.make_env import make_keyframe_env
 
         with show_progress({"replay": "key frames"}) as progress:
             advance = functools.partial(progress, "replay")

@@ -7,7 +7,7 @@ import pytest
 
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.reading import load_check
-from lerobot_env_adamanip.simulator import make_keyframe_env
+from lerobot_env_adamanip.make_env import make_keyframe_env
 
 pytestmark = pytest.mark.sim
 SMALL = ["--category", "safe", "--objects", "safe_000,safe_003", "--episodes-per-object", "1", "--num-points", "256"]
