@@ -128,7 +128,7 @@ def test_without_embreex_clouds_are_rendered_and_one_line_says_so(
 ) -> None:
     assert resolve_cloud_source("raycast") == "raycast"
     monkeypatch.setattr(cloud_source.importlib.util, "find_spec", lambda name: None)
-    cloud_source._warn_once.cache_clear()
+    cloud_source._tell_once.cache_clear()
     assert [resolve_cloud_source("raycast") for _ in range(3)] == ["render"] * 3
     assert [record.message for record in caplog.records if "embreex" in record.message] == [caplog.messages[0]]
 
