@@ -27,6 +27,11 @@ def environment(into: Path) -> Staged:
     return stage_environment(ENVIRONMENT, into, code_fingerprint(), results=read_results([EXPERTS]))
 
 
+def as_sample(card: str) -> str:
+    """Returns a card whose heading says that it is a sample."""
+    return card.replace("\n# ", "\n# Sample card: ", 1)
+
+
 def main() -> None:
     """Writes the three cards."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -44,7 +49,7 @@ def main() -> None:
     for name, stage in staged.items() if given.only is None else [(given.only, staged[given.only])]:
         with tempfile.TemporaryDirectory() as scratch:
             card = stage(Path(scratch)).folder / "README.md"
-            (CARDS / f"{name}.md").write_text(card.read_text(encoding="utf-8"), encoding="utf-8")
+            (CARDS / f"{name}.md").write_text(as_sample(card.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":
