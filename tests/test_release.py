@@ -134,6 +134,6 @@ def test_there_are_forms_for_what_is_reported() -> None:
 
 def test_what_a_pull_request_is_asked_for_exists() -> None:
     text = (ROOT / ".github" / "PULL_REQUEST_TEMPLATE.md").read_text(encoding="utf-8")
-    assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/\w+\.md|CHANGELOG\.md)\b", text))
+    assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/[\w/]+\.md|CHANGELOG\.md)\b", text))
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     assert set(re.findall(r"`make ([a-z]+)`", text)) == {"check", "test"} <= set(targets)

@@ -131,7 +131,8 @@ def test_the_page_tells_the_scales_and_methods_as_they_are() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "benchmark.md").read_text(encoding="utf-8")
     found = read_declaration()
     for name, scale in found.scales.items():
-        numbers = (scale.demonstrations, f"{scale.steps:,}", scale.episodes, len(scale.seeds), ", ".join(scale.splits))
+        cell = f"{len(scale.seeds)} × {scale.episodes}"
+        numbers = (scale.demonstrations, f"{scale.steps:,}", cell, ", ".join(scale.splits))
         assert re.search(rf"^\| `{name}` \|.*\| {' . '.join(map(str, numbers))} \|$", page, re.MULTILINE), name
     for name, method in found.methods.items():
         wanted = found.demonstrations[method.demonstrations]

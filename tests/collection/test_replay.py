@@ -17,7 +17,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.video import write_video
-from lerobot_env_adamanip import simulator as factory
+from lerobot_env_adamanip import make_env as factory
 
 ENV = fakes().environment
 Refuses = Callable[[type, Callable[[], Any]], str]

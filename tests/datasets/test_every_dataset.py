@@ -17,7 +17,7 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.reading import read_info
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_env_adamanip import simulator as factory
+from lerobot_env_adamanip import make_env as factory
 
 COLLECTED = (
     "collect", "collect, other seed", "collect --no-images", "collect of several categories", "collect --policy",
