@@ -77,7 +77,7 @@ def test_the_command_prints_one_object_and_writes_a_video(
     tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     video = tmp_path / "videos" / "out.mp4"
-    assert Replay(root=finished, episode=1, video=video, json=True).run() == 0
+    assert Replay(root=finished, episode=1, out=video, json=True).run() == 0
     content = json.loads(capsys.readouterr().out)
     assert content["agrees"] is True
     assert content["success"] is True
