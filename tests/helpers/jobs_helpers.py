@@ -45,7 +45,7 @@ def _do(what: str, beat: Heartbeat) -> None:
     if what == "hang":
         time.sleep(600)
     if what == "slow":
-        for _ in range(30):
+        for _ in range(60):
             time.sleep(0.1)
             beat()
     if what == "refuse":
