@@ -29,13 +29,6 @@ WORDS = {
 }
 """What has been replaced -> what stands instead."""
 ALLOWED = {
-    "envs/lerobot_env_adamanip/keyframe_env.py": ("nobody looks", "what came of it"),
-    "envs/lerobot_env_adamanip/sapien_import.py": ("whoever",),
-    "envs/lerobot_env_adamanip/sim/freeze_gc.py": ("leave_out_what_is_loaded",),
-    "envs/lerobot_env_adamanip/sim/physics_backend.py": ("whoever",),
-    "envs/lerobot_env_adamanip/sim/tasks/base.py": ("leave_out_what_is_loaded",),
-    "envs/lerobot_env_adamanip/simulator.py": ("whoever",),
-    "envs/lerobot_env_adamanip/vector.py": ("whoever",),
     "lerobot_adamanip/cli/check.py": ("mended",),
     "lerobot_adamanip/datasets/repair.py": ("mended",),
     "lerobot_adamanip/evaluation/tries.py": ("tried in vain",),

@@ -15,11 +15,10 @@ from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.plan import EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step
 from lerobot_adamanip.benchmark.result import STEP_COST, StepCost
 from lerobot_adamanip.benchmark.training import last_checkpoint
-from lerobot_adamanip.util import files
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import files, json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
-_NOTE = checked_json.either(STEP_COST, checked_json.table({"begun": checked_json.integer(1, 10**6)}))
+_NOTE = json_fields.either(STEP_COST, json_fields.table({"begun": json_fields.integer(1, 10**6)}))
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class BenchmarkFolder:
         if not path.exists():
             return {}
         try:
-            found: dict[str, Any] = _NOTE("the note", checked_json.read(path))
+            found: dict[str, Any] = _NOTE("the note", json_fields.read(path))
         except ValueError as error:
             raise DatasetError(
                 "The note of a step is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"

@@ -16,7 +16,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, ORIGIN, Origin
 from lerobot_adamanip.evaluation.results import check_command
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.files import write_atomically
 
@@ -124,7 +124,7 @@ def write_cell(path: Path, result: CellResult) -> None:
 def read_cell(path: Path) -> CellResult:
     """Reads a result file; raises `DatasetError` if it is none."""
     try:
-        return parse_cell(checked_json.read(path))
+        return parse_cell(json_fields.read(path))
     except (OSError, ValueError) as error:
         raise DatasetError(
             "Not a result of a benchmark.",
@@ -156,33 +156,33 @@ def parse_cell(content: object) -> CellResult:
     )
 
 
-_LINE = checked_json.text(r"[^\r\n`]{1,4000}", "one line without backquotes")
-_NAME = checked_json.text(rf"({'|'.join(FOLDERS)})(_\d+)?", "the name of a step")
-STEP_COST = checked_json.table(
-    {"begun": checked_json.integer(1, 10**6), "seconds": checked_json.number(0, 10**9), "machine": MACHINE}
+_LINE = json_fields.text(r"[^\r\n`]{1,4000}", "one line without backquotes")
+_NAME = json_fields.text(rf"({'|'.join(FOLDERS)})(_\d+)?", "the name of a step")
+STEP_COST = json_fields.table(
+    {"begun": json_fields.integer(1, 10**6), "seconds": json_fields.number(0, 10**9), "machine": MACHINE}
 )
 """Check of a `StepCost`."""
-_CELL_RESULT = checked_json.table(
+_CELL_RESULT = json_fields.table(
     {
-        "schema": checked_json.integer(SCHEMA, SCHEMA),
-        "cell": checked_json.table(
+        "schema": json_fields.integer(SCHEMA, SCHEMA),
+        "cell": json_fields.table(
             {
                 "method": NAME,
-                "category": checked_json.choice(tuple(CATEGORIES)),
-                "objects": checked_json.choice(OBJECT_SPLITS),
-                "seed": checked_json.integer(0, 2**31),
-                "trials": checked_json.optional(checked_json.integer(0, 1000)),
+                "category": json_fields.choice(tuple(CATEGORIES)),
+                "objects": json_fields.choice(OBJECT_SPLITS),
+                "seed": json_fields.integer(0, 2**31),
+                "trials": json_fields.optional(json_fields.integer(0, 1000)),
             }
         ),
         "title": TITLE,
-        "package": checked_json.text(r"[\w.-]{0,100}", "a distribution's name, or nothing"),
+        "package": json_fields.text(r"[\w.-]{0,100}", "a distribution's name, or nothing"),
         "scale": NAME,
         "options": HASH,
-        "steps": checked_json.mapping(_NAME, checked_json.table({"key": HASH, "command": _LINE}), 100),
+        "steps": json_fields.mapping(_NAME, json_fields.table({"key": HASH, "command": _LINE}), 100),
         **ORIGIN,
         "fingerprint": HASH,
-        "scene_seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
+        "scene_seeds": json_fields.listing(json_fields.integer(0, 2**31), 2, 2),
         "numbers": Metrics.from_json,
-        "costs": checked_json.mapping(_NAME, STEP_COST, 100),
+        "costs": json_fields.mapping(_NAME, STEP_COST, 100),
     }
 )

@@ -79,13 +79,6 @@ class TrainedPolicy:
             action = self._after(self._policy.select_action(self._before(_batch(observation, instruction))))
         return np.asarray(action.squeeze(0).cpu(), np.float32)
 
-    def draws(self, observation: Observation, instruction: str, count: int) -> NDArray[np.float32]:
-        """Returns so many actions (count, 10) that it might take now; it remembers none of them."""
-        with torch.inference_mode():
-            batch = self._before(_batch(observation, instruction))
-            found = [self._after(self._policy.predict_action_chunk(batch)[:, 0]) for _ in range(count)]
-        return np.concatenate([np.asarray(each.cpu(), np.float32) for each in found])
-
     def executed(self, action: Action) -> None:
         """Replaces the latest action in the policy's memory, where it has one."""
         if hasattr(self._policy, "replace_latest"):

@@ -10,7 +10,7 @@ from typing import Any
 
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
 from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, AttemptCounts
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
 SUCCESS = "success"
@@ -90,7 +90,7 @@ def read_attempts(path: Path) -> list[AttemptRecord]:
     """Reads ``meta/attempts.jsonl``; raises `DatasetError` if it is missing or a line of it is no attempt."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
-        return [AttemptRecord(**_ATTEMPT("an attempt", checked_json.parse(line))) for line in lines]
+        return [AttemptRecord(**_ATTEMPT("an attempt", json_fields.parse(line))) for line in lines]
     except (OSError, ValueError) as error:
         raise DatasetError(
             "Cannot read the list of attempts.",
@@ -139,11 +139,11 @@ def _groups(name: str, attempts: list[AttemptRecord]) -> dict[str, list[AttemptR
     return groups
 
 
-_COUNT = checked_json.integer(0, 2**31)
-_LINE = checked_json.text(r"[^\r\n|`]{1,500}", "one line")
-_FIELDS: Mapping[str, checked_json.Check] = {
+_COUNT = json_fields.integer(0, 2**31)
+_LINE = json_fields.text(r"[^\r\n|`]{1,500}", "one line")
+_FIELDS: Mapping[str, json_fields.Check] = {
     "object_id": _LINE, "slot": _COUNT, "attempt": _COUNT, "seed": _COUNT,
-    "hidden_state": checked_json.optional(HIDDEN_STATE), "kept": checked_json.flag, "reason": _LINE,
-    "key_frames": _COUNT, "late": checked_json.flag,
+    "hidden_state": json_fields.optional(HIDDEN_STATE), "kept": json_fields.flag, "reason": _LINE,
+    "key_frames": _COUNT, "late": json_fields.flag,
 }  # fmt: skip
-_ATTEMPT = checked_json.table(_FIELDS)
+_ATTEMPT = json_fields.table(_FIELDS)

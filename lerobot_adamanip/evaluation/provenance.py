@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_adamanip import __version__
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.fingerprint import versions
 
 EQUIVALENT = Path(__file__).with_name("equivalent_fingerprints.json")
@@ -82,14 +82,14 @@ def _commit() -> tuple[str | None, bool]:
     return commit, bool(git("status", "--porcelain", "--untracked-files=no"))
 
 
-HASH = checked_json.text(r"[0-9a-f]{8,64}", "a hash")
-LINE = checked_json.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
-ORIGIN: Mapping[str, checked_json.Check] = {
-    "commit": checked_json.optional(HASH),
-    "changed": checked_json.flag,
-    "version": checked_json.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version"),
-    "versions": checked_json.mapping(LINE, LINE, 30),
+HASH = json_fields.text(r"[0-9a-f]{8,64}", "a hash")
+LINE = json_fields.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
+ORIGIN: Mapping[str, json_fields.Check] = {
+    "commit": json_fields.optional(HASH),
+    "changed": json_fields.flag,
+    "version": json_fields.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version"),
+    "versions": json_fields.mapping(LINE, LINE, 30),
 }
 """Checks of an `Origin`'s fields."""
-MACHINE = checked_json.table({"cores": checked_json.integer(1, 10**5), "gpu": checked_json.flag})
+MACHINE = json_fields.table({"cores": json_fields.integer(1, 10**5), "gpu": json_fields.flag})
 """Check of what `machine_class` returns."""

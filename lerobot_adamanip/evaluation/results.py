@@ -17,7 +17,7 @@ from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS, without_repeats
 from lerobot_adamanip.evaluation.metrics import Metrics, measure
 from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
 
@@ -61,7 +61,7 @@ class ResultRow:
             raise ValueError(f"{name} is not a row")
         labels = {key: value for key, value in content.items() if key in _LABELS}
         rest = {key: value for key, value in content.items() if key not in _LABELS}
-        return cls(**checked_json.table(_LABELS)(name, labels), metrics=Metrics.from_json(name, rest))
+        return cls(**json_fields.table(_LABELS)(name, labels), metrics=Metrics.from_json(name, rest))
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def write_result(path: Path, result: ResultFile) -> None:
 def read_result(path: Path) -> ResultFile:
     """Reads a result file; raises `DatasetError` if it is none."""
     try:
-        return parse_result(checked_json.read(path))
+        return parse_result(json_fields.read(path))
     except (OSError, ValueError) as error:
         raise DatasetError(
             "Not a result file.", got=f"{path}: {error}", allowed="what `write_result` writes", hint="measure again"
@@ -215,25 +215,25 @@ def parse_result(content: object) -> ResultFile:
     return ResultFile(**found)
 
 
-_LABELS: Mapping[str, checked_json.Check] = {
+_LABELS: Mapping[str, json_fields.Check] = {
     "subject": LINE,
-    "preset": checked_json.text(r"[a-z_]{1,30}", "a preset's name"),
-    "category": checked_json.choice(tuple(CATEGORIES)),
-    "objects": checked_json.choice(OBJECT_SPLITS),
-    "train_minutes": checked_json.optional(checked_json.number(0, 10**6)),
+    "preset": json_fields.text(r"[a-z_]{1,30}", "a preset's name"),
+    "category": json_fields.choice(tuple(CATEGORIES)),
+    "objects": json_fields.choice(OBJECT_SPLITS),
+    "train_minutes": json_fields.optional(json_fields.number(0, 10**6)),
 }
-_RESULT = checked_json.table(
+_RESULT = json_fields.table(
     {
-        "schema": checked_json.integer(1, 1),
-        "kind": checked_json.choice(KINDS),
+        "schema": json_fields.integer(1, 1),
+        "kind": json_fields.choice(KINDS),
         "title": LINE,
-        "command": checked_json.text(r"[^\r\n`]{1,2000}", "one line without backquotes"),
+        "command": json_fields.text(r"[^\r\n`]{1,2000}", "one line without backquotes"),
         **ORIGIN,
         "fingerprint": HASH,
         "machine": MACHINE,
-        "scenes": checked_json.optional(checked_json.choice(("test", "validation", "train"))),
-        "seeds": checked_json.listing(checked_json.integer(0, 2**31), 2, 2),
-        "seconds": checked_json.optional(checked_json.number(0, 10**9)),
-        "rows": checked_json.listing(ResultRow.from_json, 1, 10_000),
+        "scenes": json_fields.optional(json_fields.choice(("test", "validation", "train"))),
+        "seeds": json_fields.listing(json_fields.integer(0, 2**31), 2, 2),
+        "seconds": json_fields.optional(json_fields.number(0, 10**9)),
+        "rows": json_fields.listing(ResultRow.from_json, 1, 10_000),
     }
 )

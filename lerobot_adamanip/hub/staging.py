@@ -22,7 +22,7 @@ from lerobot_adamanip.hub.environment import write_environment
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card, tensor_shapes
 from lerobot_adamanip.hub.portable_config import shareable
 from lerobot_adamanip.hub.scan import Names, require_clean
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
@@ -204,9 +204,9 @@ def _checked_checkpoint(folder: Path) -> list[str]:
     """Returns the names of the pipelines' state files; raises `DatasetError` if anything is missing or cut."""
     try:
         for name in ("config.json", "train_config.json"):
-            if not isinstance(checked_json.read(folder / name), dict):
+            if not isinstance(json_fields.read(folder / name), dict):
                 raise ValueError(f"{name} is no table")
-        states = [state for name in PIPELINES for state in _states(checked_json.read(folder / name))]
+        states = [state for name in PIPELINES for state in _states(json_fields.read(folder / name))]
         for name in ("model.safetensors", *states):
             try:
                 tensor_shapes(folder / name)

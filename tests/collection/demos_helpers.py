@@ -114,3 +114,21 @@ class Preparing(InThisProcess):
             return kind(session, count, **options)
 
         return made
+
+
+class NoWorkers:
+    """Stands in for the pool where nothing may be left to record."""
+
+    def __class_getitem__(cls, _: object) -> type[NoWorkers]:
+        return cls
+
+    def __init__(self, *_: object, **__: object) -> None: ...
+
+    def __enter__(self) -> NoWorkers:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def run(self, items: list[object]) -> list[object]:
+        assert items == []
+        return []

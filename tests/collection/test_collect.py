@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes, same_content
+from demos_helpers import HERE, NoWorkers, fakes, make_spec, patiently, same_bytes, same_content
 
-from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
@@ -117,28 +117,10 @@ def test_an_interrupted_assembly_starts_over(tmp_path: Path, finished: Path, mon
     with pytest.raises(KeyboardInterrupt):
         collect(root, make_spec(), fakes(), patiently(), interrupting("assemble", 3))
     assert not root.exists()
-    monkeypatch.setattr(crews, "WorkerPool", NoWorkers)
+    monkeypatch.setattr(executors, "WorkerPool", NoWorkers)
     collect(root, make_spec(), fakes(), patiently())
     same_bytes(finished, root)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset"]
-
-
-class NoWorkers:
-    """Stands in for the pool where nothing may be left to record."""
-
-    def __class_getitem__(cls, _: object) -> type[NoWorkers]:
-        return cls
-
-    def __init__(self, *_: object, **__: object) -> None: ...
-
-    def __enter__(self) -> NoWorkers:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def run(self, items: list[object]) -> list[object]:
-        assert items == []
-        return []
 
 
 def test_a_damaged_episode_file_is_recorded_again(tmp_path: Path, finished: Path) -> None:

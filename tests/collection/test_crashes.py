@@ -16,7 +16,7 @@ import pytest
 from demos_fake_env import make_env, make_expert
 from demos_helpers import InThisProcess, make_spec, same_bytes
 
-from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.record import Factories
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
@@ -33,7 +33,7 @@ RANDOM_MOMENTS = 20
 
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
+    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
 
 
 def run(root: Path) -> None:
@@ -62,7 +62,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a collection that was never interrupted, and nothing else."""
     root = tmp_path_factory.mktemp("whole") / "dataset"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crews, "WorkerPool", InThisProcess)
+        patch.setattr(executors, "WorkerPool", InThisProcess)
         run(root)
     assert sorted(path.name for path in root.parent.iterdir()) == ["dataset", "dataset-failed"]
     return root

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from demos_helpers import ATTEMPTS, InThisProcess, fakes, make_spec, patiently, same_bytes
+from demos_helpers import ATTEMPTS, InThisProcess, NoWorkers, fakes, make_spec, patiently, same_bytes
 
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.parts import Part
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
@@ -20,27 +20,9 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 
-class NoWorkers:
-    """Stands in for the pool where nothing may be left to record."""
-
-    def __class_getitem__(cls, _: object) -> type[NoWorkers]:
-        return cls
-
-    def __init__(self, *_: object, **__: object) -> None: ...
-
-    def __enter__(self) -> NoWorkers:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def run(self, items: list[object]) -> list[object]:
-        assert items == []
-        return []
-
-
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
+    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
 
 
 def record_parts(folder: Path, **changes: Any) -> tuple[Path, ...]:
@@ -61,7 +43,7 @@ def test_two_parts_adopted_are_one_collection(tmp_path: Path, monkeypatch: pytes
     whole = tmp_path / "whole" / "dataset"
     collect(whole, make_spec(**same), fakes(**behaviour), patiently(allow_missing=True))
     parts = record_parts(tmp_path, spec=same, fakes=behaviour)
-    monkeypatch.setattr(crews, "WorkerPool", NoWorkers)
+    monkeypatch.setattr(executors, "WorkerPool", NoWorkers)
     options = patiently(adopt=parts, allow_missing=True)
     summary = collect(tmp_path / "adopted" / "dataset", make_spec(**same), fakes(**behaviour), options)
     assert (summary.episodes, summary.given_up) == (3, 3)

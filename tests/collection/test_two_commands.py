@@ -13,7 +13,7 @@ import demos_fake_env
 import pytest
 from demos_helpers import InThisProcess, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.datasets.filter import filter_episodes
@@ -33,7 +33,7 @@ State = dict[str, bytes]
 @pytest.fixture(scope="module", autouse=True)
 def _here() -> object:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(crews, "WorkerPool", InThisProcess)
+        patch.setattr(executors, "WorkerPool", InThisProcess)
         yield
 
 

@@ -16,7 +16,7 @@ import demos_fake_env
 import pytest
 from demos_helpers import InThisProcess, another, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.parts import Part
 from lerobot_adamanip.collection.render import add_pictures
@@ -38,7 +38,7 @@ BARE = make_spec(observe_images=False)
 
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
+    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
 
 
 def writers(source: Path) -> dict[str, Callable[[Path], object]]:

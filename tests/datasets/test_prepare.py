@@ -11,7 +11,7 @@ import pytest
 from demos_helpers import InThisProcess, Preparing, fakes, make_spec, patiently, same_bytes
 
 from lerobot_adamanip.collection import assemble as assembling
-from lerobot_adamanip.collection import executors as crews
+from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.appending import can_append, in_order
@@ -41,7 +41,7 @@ def test_the_writer_at_hand_can_be_appended_to(tmp_path: Path) -> None:
 
 @pytest.fixture
 def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crews, "WorkerPool", InThisProcess)
+    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
 
 
 def collected(folder: Path, *, spec: dict[str, Any] | None = None, **options: Any) -> Path:
@@ -85,8 +85,8 @@ def test_two_processes_one_and_lerobot_itself_make_the_same_dataset(
     assert len(list((one / "data").rglob("*.parquet"))) > 1
     assert len(list((one / "videos").rglob("*.mp4"))) > 1
     with monkeypatch.context() as patch:
-        patch.setattr(crews, "MIN_PREPARED", 1)
-        patch.setattr(crews, "WorkerPool", Preparing)
+        patch.setattr(executors, "MIN_PREPARED", 1)
+        patch.setattr(executors, "WorkerPool", Preparing)
         same_bytes(one, collected(tmp_path / "two", workers=2))
     monkeypatch.setattr(assembling, "can_append", lambda _: False)
     same_but_for_a_cache_name(one, collected(tmp_path / "stock"))
