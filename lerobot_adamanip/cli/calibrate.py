@@ -36,7 +36,7 @@ class Calibrate:
     """Folder of the pictures and poses."""
 
     out: Path | None = None
-    """Calibration file to write the camera into; others in it stay. Without it, the result is only told."""
+    """Calibration file to add the camera to. Other cameras in it are kept. Left out: the result is only printed."""
 
     key: str = "front"
     """The camera's name in the robot's configuration."""

@@ -34,7 +34,7 @@ class Check:
     of the dataset is moved into DIR.before-repair."""
 
     replay: int = 0
-    """Replay so many episodes, spread over the dataset, in the simulator."""
+    """Number of episodes to replay in the simulator, spread over the dataset, for example 3."""
 
     tolerance: float = 1e-4
     """Largest difference a replay may have in any column, in its own units (m, rad, rad/s, N m)."""

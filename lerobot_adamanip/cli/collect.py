@@ -98,8 +98,8 @@ class Collect:
     """Keep failed episodes too, in a second dataset, DIR-failed."""
 
     policy: Path | None = None
-    """Folder pretrained_model of a policy that is to be corrected: it drives, and the expert, which takes over from any
-    state, says at each key frame what it would do. That is what is recorded as the action (DAgger)."""
+    """Policy to correct: its folder pretrained_model. The policy drives, and the expert labels every key frame with the
+    action that it would take (DAgger)."""
 
     expert_share: float = 0.3
     """With --policy: share of key frames that the expert drives, so that the episode gets on."""

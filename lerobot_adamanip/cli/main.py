@@ -42,7 +42,7 @@ class Entry(NamedTuple):
 
 COMMANDS = {
     "doctor": Entry(
-        "lerobot_adamanip.cli.doctor.command:Doctor", "check what is installed and what can render, and say what to do"
+        "lerobot_adamanip.cli.doctor.command:Doctor", "check the installation and the renderer, and print fixes"
     ),
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
@@ -67,7 +67,7 @@ COMMANDS = {
     ),
     "annotate": Entry(
         "lerobot_adamanip.cli.annotate.command:Annotate",
-        "say in the browser where the parts of somebody's objects are held",
+        "annotate the grasps and joints of external assets in the browser",
     ),
     "calibrate": Entry(
         "lerobot_adamanip.cli.calibrate:Calibrate", "find where a camera is, by a board that the arm shows it"

@@ -55,7 +55,7 @@ class Push:
     """What the environments' env.py opens; all for the nine together."""
 
     release: str | None = None
-    """Tag for what is published now: release-1. Nothing that looks like a version, which LeRobot would load."""
+    """Tag of this publication, for example release-1. A tag that looks like a version is refused."""
 
     private: bool = False
     """Make the repository private."""

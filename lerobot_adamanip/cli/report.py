@@ -38,8 +38,8 @@ class Report:
     """Names of the logs, in the same order; file names by default."""
 
     episodes: int | None = None
-    """Count only the first so many episodes of each evaluation and category, by seed, as lerobot-eval counts the first
-    --eval.n_episodes. Left out: all of them, also the surplus of a last batch that was not full."""
+    """Number of episodes to count, the first by seed, of each evaluation and category; all by default. Give what
+    `lerobot-eval` was given as --eval.n_episodes: it ignores the surplus of its last batch, which the log holds."""
 
     pool: bool = False
     """Count all evaluations of a log on one split of scenes as one."""

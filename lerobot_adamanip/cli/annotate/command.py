@@ -1,4 +1,4 @@
-"""`adamanip annotate`: say in the browser where the parts of somebody's objects are held, and which joints do what."""
+"""`adamanip annotate`: annotate the grasps and joints of external assets in the browser."""
 
 from __future__ import annotations
 
