@@ -20,6 +20,8 @@ from lerobot_adamanip.hardware.features import LABEL_NAME, SCALAR_NAMES, SENT_NA
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED, FPS = 1000, 30
+TICK = 0.02
+"""One control tick of the simulation [s]."""
 TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave", "--robot.clock=lockstep")
 
 pytestmark = [pytest.mark.sim, pytest.mark.timeout(1800)]
@@ -83,17 +85,16 @@ def test_what_is_recorded_is_the_contract_and_nothing_hidden(short: Path) -> Non
 
 @pytest.mark.parametrize("name", ["short", pytest.param("recorded", marks=pytest.mark.nightly)])
 def test_what_was_asked_is_what_was_sent_and_time_is_steps(name: str, request: pytest.FixtureRequest) -> None:
-    table = rows(request.getfixturevalue(name))
-    assert len(table) >= FPS
-    for _, episode in table.groupby("episode_index"):
+    for _, episode in rows(request.getfixturevalue(name)).groupby("episode_index"):
+        assert len(episode) > 2  # how many rows two seconds give is the machine's to say
         states, actions = np.stack(episode["observation.state"].to_numpy()), np.stack(episode["action"].to_numpy())
         sent = states[:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]]
         stamps, done = (states[:, SCALAR_NAMES.index(name)] for name in (STAMP_NAME, LABEL_NAME))
         # What the arm accepted stands in the next row.
         np.testing.assert_array_equal(sent[1:], actions[:-1].astype(np.float32))
-        steps = np.diff(stamps)
-        assert abs(steps.mean() - 1 / FPS) < 1e-3
-        assert steps.max() < 0.045  # two control ticks at most
+        # A step is whole control ticks; it is 1 / FPS to within one of them, and none is lost.
+        np.testing.assert_allclose(stamps - stamps[0], np.arange(len(stamps)) / FPS, atol=TICK + 1e-3)
+        assert np.diff(stamps).max() < 2 * TICK + 0.005
         assert done[0] == 0.0
         assert done[-1] == (name == "recorded")  # it is opened
 
