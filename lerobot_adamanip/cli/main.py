@@ -41,9 +41,7 @@ class Entry(NamedTuple):
 
 
 COMMANDS = {
-    "doctor": Entry(
-        "lerobot_adamanip.cli.doctor.command:Doctor", "check the installation and the renderer, and print fixes"
-    ),
+    "doctor": Entry("lerobot_adamanip.cli.doctor:Doctor", "check the installation and the renderer, and print fixes"),
     "collect": Entry("lerobot_adamanip.cli.collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
     "replay": Entry("lerobot_adamanip.cli.replay:Replay", "replay a recorded episode in the simulator and compare"),
     "render": Entry("lerobot_adamanip.cli.render:Render", "add pictures to a dataset that was collected without them"),

@@ -11,9 +11,9 @@ from importlib import metadata
 
 import pytest
 
-from lerobot_adamanip.cli.doctor import checks
-from lerobot_adamanip.cli.doctor.checks import Check
-from lerobot_adamanip.cli.doctor.command import Doctor
+from lerobot_adamanip.cli import doctor_checks as checks
+from lerobot_adamanip.cli.doctor import Doctor
+from lerobot_adamanip.cli.doctor_checks import Check
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util import mixed_precision
 from lerobot_env_adamanip.sim import render_device
@@ -56,18 +56,18 @@ def test_every_environment_is_looked_for() -> None:
     assert all(f"adamanip_{name}" in env.found for name in CATEGORIES)
 
 
-@pytest.mark.parametrize("renders", [True, False])
-def test_the_backend_that_auto_takes_is_the_probes_answer(monkeypatch: pytest.MonkeyPatch, renders: bool) -> None:
-    monkeypatch.setattr(render_device, "_has_gpu", lambda: True)
-    monkeypatch.setattr(render_device, "rendering_device", lambda: "cuda" if renders else "cpu")
-    assert checks.check_render_backend().found == f"auto is {'cuda' if renders else 'cpu'}"
-
-
-def test_no_backend_is_called_ok_where_nothing_renders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(render_device, "can_render", lambda: False)
-    found = checks.check_render_backend()
-    assert not found.ok
-    assert found.found.startswith("none: ")
+@pytest.mark.parametrize(
+    ("device", "has_gpu", "found"),
+    [("cuda", True, "auto is cuda"), ("cpu", True, "auto is cpu"), ("none", False, "none: ")],
+)
+def test_the_render_backend_is_the_probes_answer(
+    monkeypatch: pytest.MonkeyPatch, device: str, has_gpu: bool, found: str
+) -> None:
+    monkeypatch.setattr(render_device, "_has_gpu", lambda: has_gpu)
+    monkeypatch.setattr(render_device, "rendering_device", lambda: device)
+    check = checks.check_render_backend()
+    assert check.found.startswith(found)
+    assert check.ok == (device != "none")
 
 
 @pytest.mark.parametrize(("problem", "ok"), [(None, True), ("could not create a primitive", False)])
