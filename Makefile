@@ -70,10 +70,8 @@ release: .venv/.simulates  ## build wheel and source archive in dist/, test them
 	$(BIN)/python -m build --no-isolation --outdir dist
 	$(BIN)/python scripts/smoke_test_release.py dist --share-packages
 
-AGAINST ?= 13a4740
-bench: pictures  ## measure speed, then compare with an older revision: `make bench AGAINST=HEAD~10`
+bench: pictures  ## measure speed on this machine
 	$(BIN)/adamanip bench
-	$(BIN)/adamanip bench --against $(AGAINST)
 
 demo: setup  ## collect, train and evaluate on a few safes
 	bash scripts/demo.sh

@@ -23,8 +23,6 @@ ROOT = Path(__file__).resolve().parents[1]
 CORE = "lerobot_adamanip"
 MAX_FILE_LINES, MAX_TABLE_LINES, MAX_FUNCTION_LINES = 300, 350, 40
 MODULE_OF_OTHERS = re.compile(r"(lerobot_env_adamanip|lerobot_policy_adamanip|sapien|mani_skill|diffusers)[.:]\w")
-IMPORTS_FROM_TABLES = {"lerobot_adamanip.cli.main"}
-"""Modules that import what a table of constants in the same file names."""
 BY_NOBODY = {"mplib", "pytorch3d", "pickle"}
 ALLOWED = {"lerobot_adamanip.hardware.arm_process.mailbox": {"pickle"}}
 """Pickles in memory that a process shares with the child it has started, and with nobody else."""
@@ -178,7 +176,7 @@ def test_modules_are_imported_by_string_only_from_our_own_tables() -> None:
                 argument = argument.values[0]
             constant = isinstance(argument, ast.Constant) and str(argument.value).startswith("lerobot_")
             table = isinstance(argument, ast.Name) and argument.id.isupper()
-            if not (constant or table or name in IMPORTS_FROM_TABLES):
+            if not (constant or table):
                 wrong.append(f"{name}:{call.lineno}")
     assert wrong == []
 

@@ -1,4 +1,4 @@
-"""Arguments that several commands take, and how they print: text for a person, or one JSON object."""
+"""Arguments of several commands, and printing of results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PLOT_FORMATS = (".png", ".pdf", ".svg")
 
 
 def check_plot(path: Path | None) -> None:
-    """Raises `ConfigurationError` for a picture of a kind that cannot be drawn."""
+    """Raises `ConfigurationError` for a file name of no known picture format."""
     if path is not None and path.suffix.lower() not in _PLOT_FORMATS:
         raise ConfigurationError(
             "Unknown kind of picture.", got=path, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
-from lerobot.utils.feature_utils import dataset_to_policy_features
+from lerobot.policies.factory import make_policy, make_pre_post_processors
+from torch.utils.data import DataLoader, RandomSampler
 
 from lerobot_adamanip.catalog import object_id
 from lerobot_adamanip.cli.collect import factories
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.contract.observation import workspace_cloud
-from lerobot_adamanip.contract.pointcloud import Workspace, as_points
-from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, POINT_CLOUD
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 from lerobot_adamanip.datasets.reading import open_dataset
 from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
@@ -30,18 +30,13 @@ from lerobot_adamanip.episode.rollout import next_goal, rollout
 SEED = 2025
 OBJECTS = 4
 STEPS_PER_REPEAT = 20
-BEFORE, NOW = "diffusion", "fast"
-"""Presets that are compared: the default of 0.1, and today's."""
+PRESETS = ("diffusion", "fast")
+"""Presets of dp3_adaptive that are compared."""
 Numbers = dict[str, Any]
 
 
-def median_ms(action: Callable[[], object], repeats: int) -> float:
-    """Returns the median time of an action [ms] over repeats, after a warm-up."""
-    return compare_ms({"it": action}, repeats)["it"]
-
-
-def compare_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Returns the median time of each action [ms]; they take turns, so that a busy machine slows all of them."""
+def median_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Returns the median time of each action [ms], after a warm-up; they take turns."""
     times: dict[str, list[float]] = {name: [] for name in actions}
     for _ in range(1 + repeats):
         for name, action in actions.items():
@@ -51,8 +46,8 @@ def compare_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[s
     return {name: round(statistics.median(each[1:]), 3) for name, each in times.items()}
 
 
-def collection(root: Path, category: str, *, per_object: int, workers: int) -> Numbers:
-    """Collects adaptive demonstrations into ``root``; returns episodes per minute, starting the simulators included."""
+def collection(root: Path, category: str, per_object: int, workers: int) -> Numbers:
+    """Collects adaptive demonstrations into ``root``; returns episodes per minute, with the simulators' start."""
     names = tuple(object_id(category, number) for number in range(OBJECTS))
     environment = EnvironmentOptions(category, observe_images=False)
     spec = CollectionSpec(environment, names, episodes_per_object=per_object, seed=SEED)
@@ -66,19 +61,19 @@ def collection(root: Path, category: str, *, per_object: int, workers: int) -> N
 
 
 def simulator(category: str, repeats: int) -> Numbers:
-    """Returns control steps and key frames per second, and how many times longer a rendered cloud takes than a cast."""
+    """Returns control steps and key frames per second, and the time of a rendered cloud in ray-cast clouds."""
     from lerobot_env_adamanip.simulator import make_task
 
     task = make_task(category, objects=object_id(category, 0))
     try:
         task.reset(seed=SEED)
         still = np.zeros(task.action_space.shape, np.float32)
-        step = median_ms(lambda: [task.step(still) for _ in range(STEPS_PER_REPEAT)], repeats) / STEPS_PER_REPEAT
+        times = median_ms({"steps": lambda: [task.step(still) for _ in range(STEPS_PER_REPEAT)]}, repeats)
     finally:
         task.close()
-    clouds = {source: observation(category, 5)[source]["total"] for source in CLOUD_SOURCES}
+    clouds = {source: each["total"] for source, each in observation(category, 5).items()}
     return {
-        "steps_per_second": round(1e3 / step, 2),
+        "steps_per_second": round(1e3 * STEPS_PER_REPEAT / times["steps"], 2),
         "key_frames_per_second": round(_key_frames_per_second(category), 2),
         "rendered_by_cast": round(clouds["render"] / clouds["raycast"], 2),
     }
@@ -98,17 +93,17 @@ def _key_frames_per_second(category: str) -> float:
 
 
 def observation(category: str, repeats: int) -> dict[str, dict[str, float]]:
-    """Returns source of the cloud -> median time of an observation after a key frame of an expert [ms]."""
+    """Returns cloud source -> median time of an observation after a key frame of an expert [ms]."""
     from lerobot_env_adamanip.simulator import make_task
 
-    found = {}
+    result = {}
     for source in CLOUD_SOURCES:
         task = make_task(category, objects=object_id(category, 0), cloud_source=source)
         try:
-            found[source] = {"total": _observation_ms(task, repeats)}
+            result[source] = {"total": _observation_ms(task, repeats)}
         finally:
             task.close()
-    return found
+    return result
 
 
 def _observation_ms(task: Any, repeats: int) -> float:
@@ -128,7 +123,7 @@ def _observation_ms(task: Any, repeats: int) -> float:
 
 
 class Policies:
-    """Policies of the presets `BEFORE` and `NOW` on a dataset.
+    """Times of dp3_adaptive's presets on a dataset.
 
     Args:
         root: folder of the dataset; read when something is measured.
@@ -140,56 +135,45 @@ class Policies:
         self.root, self.batch_size, self.device = root, batch_size, device
 
     def training(self, repeats: int) -> Numbers:
-        """Returns preset -> time of a training step [ms], and of the preset `NOW` one read row by row (plain)."""
-        steps = {name: self._step(name) for name in (BEFORE, NOW)}
-        times = compare_ms({**steps, "plain": partial(steps[NOW], row_by_row=True)}, repeats)
-        presets: Numbers = {name: {"ms": {"total": times[name]}} for name in (BEFORE, NOW)}
-        return {**presets, "plain_ms": times["plain"], "speedup": round(times["plain"] / times[NOW], 2)}
+        """Returns preset -> time of a training step [ms]."""
+        times = median_ms({preset: self._step(preset) for preset in PRESETS}, repeats)
+        return {preset: {"ms": {"total": times[preset]}} for preset in PRESETS}
 
     def action(self, repeats: int) -> Numbers:
-        """Returns preset -> time to an action [ms] in one environment and in ten, and `NOW`'s speed-up."""
-        actors = {name: self._actor(name) for name in (BEFORE, NOW)}
-        found: Numbers = {name: {} for name in (BEFORE, NOW, "speedup")}
-        for size in (1, 10):
-            times = compare_ms({name: partial(actor, size) for name, actor in actors.items()}, repeats)
-            for name, value in {**times, "speedup": round(times[BEFORE] / times[NOW], 2)}.items():
-                found[name][f"batch_{size}"] = value
-        return found
+        """Returns preset -> time of an action [ms] in one environment and in ten."""
+        actors = {preset: self._actor(preset) for preset in PRESETS}
+        sizes = {f"batch_{size}": size for size in (1, 10)}
+        times = {
+            name: median_ms({preset: partial(act, size) for preset, act in actors.items()}, repeats)
+            for name, size in sizes.items()
+        }
+        return {preset: {name: times[name][preset] for name in sizes} for preset in PRESETS}
 
     def _policy(self, preset: str) -> tuple[Any, Any, Any, Any]:
         """Returns policy, preprocessor, postprocessor and dataset, as lerobot-train makes them."""
         from lerobot_policy_adamanip import DP3AdaptiveConfig
-        from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
-        from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import make_dp3_adaptive_pre_post_processors
 
         meta = LeRobotDatasetMetadata(f"local/{self.root.name}", root=self.root)
-        features = dataset_to_policy_features(meta.features)
-        outputs = {key: value for key, value in features.items() if value.type is FeatureType.ACTION}
-        config = DP3AdaptiveConfig(preset=preset, device=self.device, output_features=outputs)
-        inputs = {key: value for key, value in features.items() if key not in outputs}
-        points = max(config.num_points or 0, inputs[POINT_CLOUD].shape[0] // 3)
-        config.input_features = {**inputs, POINT_CLOUD: PolicyFeature(FeatureType.STATE, (points, 3))}
-        dataset = open_dataset(self.root, delta_timestamps=resolve_delta_timestamps(config, meta))
-        policy = DP3AdaptivePolicy(config, dataset_stats=meta.stats, dataset_meta=dataset.meta).to(self.device)
-        return policy, *make_dp3_adaptive_pre_post_processors(config, meta.stats), dataset
+        config = DP3AdaptiveConfig(preset=preset, device=self.device)
+        policy = make_policy(config, ds_meta=meta)
+        processors = make_pre_post_processors(config, dataset_stats=meta.stats)
+        return policy, *processors, open_dataset(self.root, delta_timestamps=resolve_delta_timestamps(config, meta))
 
-    def _step(self, preset: str) -> Callable[..., None]:
+    def _step(self, preset: str) -> Callable[[], None]:
         policy, before, _, dataset = self._policy(preset)
         policy.train()
         settings = policy.config.get_optimizer_preset()
-        optimizer, rng = settings.build(policy.get_optim_params()), np.random.default_rng(0)
+        optimizer = settings.build(policy.get_optim_params())
+        rows = RandomSampler(dataset, replacement=True, num_samples=2**20)
+        batches = iter(DataLoader(dataset, self.batch_size, sampler=rows))
 
-        def step(*, row_by_row: bool = False) -> None:
-            rows = rng.integers(len(dataset), size=self.batch_size).tolist()
-            items = [dataset[row] for row in rows] if row_by_row else _items(dataset, rows)
-            batch = torch.utils.data.default_collate(items)
-            batch[POINT_CLOUD] = _enough_points(batch[POINT_CLOUD], policy.config.num_points)
-            policy.forward(before(batch))[0].backward()
+        def step() -> None:
+            policy.forward(before(next(batches)))[0].backward()
             torch.nn.utils.clip_grad_norm_(policy.parameters(), settings.grad_clip_norm)
             optimizer.step()
             optimizer.zero_grad()
             policy.update()
-            self._synchronise()
+            self._synchronize()
 
         return step
 
@@ -202,28 +186,14 @@ class Policies:
             latest = {
                 key: item[key][-1] if f"{key}_is_pad" in item else item[key] for key in policy.config.input_features
             }
-            seen = {key: value.unsqueeze(0).repeat(size, *(1,) * value.dim()) for key, value in latest.items()}
-            seen[POINT_CLOUD] = _enough_points(seen[POINT_CLOUD], policy.config.num_points)
+            observation = {key: value.unsqueeze(0).repeat(size, *(1,) * value.dim()) for key, value in latest.items()}
             policy.reset()
             with torch.inference_mode():
-                after(policy.select_action(before(seen)))
-            self._synchronise()
+                after(policy.select_action(before(observation)))
+            self._synchronize()
 
         return act
 
-    def _synchronise(self) -> None:
+    def _synchronize(self) -> None:
         if self.device == "cuda":
             torch.cuda.synchronize()
-
-
-def _items(dataset: Any, rows: list[int]) -> list[Any]:
-    """Returns rows as torch's DataLoader asks for them: at once, if the dataset can."""
-    at_once = getattr(dataset, "__getitems__", None)
-    return [dataset[row] for row in rows] if at_once is None else list(at_once(rows))
-
-
-def _enough_points(cloud: torch.Tensor, num_points: int) -> torch.Tensor:
-    """Returns clouds (..., N, 3) of at least ``num_points``, by repetition: time does not depend on where they are."""
-    cloud = as_points(cloud)
-    times = -(-num_points // cloud.shape[-2])
-    return torch.cat([cloud] * times, dim=-2) if times > 1 else cloud

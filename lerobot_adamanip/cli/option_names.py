@@ -1,4 +1,4 @@
-"""Options of a command line that its subcommand does not know: refused with the name that it may mean."""
+"""Check a command line's options: unknown ones get the nearest known name."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ FORMER: Mapping[str, Mapping[str, str]] = {
     "report": {"--plot": "--out", "--result": "--out"},
     "calibrate": {"--output": "--out"},
 }
-"""Subcommand -> former name of an option -> its name now; DIR is the first argument."""
+"""Subcommand -> former name of an option -> present name; DIR is the first argument."""
 
 
 def check_options(command: str, options: type[Any], arguments: Sequence[str]) -> None:
-    """Raises `ConfigurationError` for an option that does not exist, or has a value that is not among its choices.
+    """Raises `ConfigurationError` for an unknown option, or a value that is not among an option's choices.
 
     Args:
         command: name of the subcommand.
@@ -40,41 +40,36 @@ def check_options(command: str, options: type[Any], arguments: Sequence[str]) ->
         typed, equals, value = argument.partition("=")
         name = typed.replace("_", "-")
         if name not in known:
-            raise _unknown(command, typed, known)
+            raise _unknown_option(command, typed, name, known)
         if choices := known[name]:
-            given = value if equals else "".join(arguments[place + 1 : place + 2])
-            require_choice(f"value of {name}", given, choices)
+            value = value if equals else "".join(arguments[place + 1 : place + 2])
+            require_choice(f"value of {name}", value, choices)
 
 
-def _unknown(command: str, typed: str, known: Mapping[str, tuple[str, ...]]) -> ConfigurationError:
-    name = FORMER.get(command, {}).get(typed.replace("_", "-"))
-    if name is not None:
-        use = f"adamanip {command} {name if name == 'DIR' else f'... {name}'}"
-        said = f"{typed} of `adamanip {command}` is {'the first argument' if name == 'DIR' else name} now."
-        return ConfigurationError(said, got=typed, allowed=name, hint=use)
+def _unknown_option(command: str, typed: str, name: str, known: Mapping[str, tuple[str, ...]]) -> ConfigurationError:
+    if (new := FORMER.get(command, {}).get(name)) is not None:
+        what = f"{typed} of `adamanip {command}` is {'the first argument' if new == 'DIR' else new} now."
+        hint = f"adamanip {command} {new if new == 'DIR' else f'... {new}'}"
+        return ConfigurationError(what, got=typed, allowed=new, hint=hint)
     near = nearest(typed, known)
-    return ConfigurationError(
-        f"Unknown option of `adamanip {command}`.",
-        got=typed,
-        allowed=listed(sorted(known)),
-        hint=f"did you mean {near}?" if near else f"adamanip {command} --help",
-    )
+    hint = f"did you mean {near}?" if near else f"adamanip {command} --help"
+    what = f"Unknown option of `adamanip {command}`."
+    return ConfigurationError(what, got=typed, allowed=listed(sorted(known)), hint=hint)
 
 
 def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yields each option as it is typed, and the values it can have, empty where they are not a few words."""
+    """Yields the name of each option as typed, and its choices; none if it takes any value."""
     from tyro.conf import Positional
 
-    place = get_args(Positional[int])[1]
+    positional = get_args(Positional[int])[1]
     hints = get_type_hints(options, include_extras=True)
     for field in dataclasses.fields(options):
-        kind, renamed = hints[field.name], None
+        kind, name = hints[field.name], field.name
         notes = getattr(kind, "__metadata__", ())
-        if place in notes:
+        if positional in notes:
             continue
         for note in notes:
-            renamed = getattr(note, "name", None) or renamed
+            name = getattr(note, "name", None) or name
             kind = get_args(kind)[0]
-        name = (renamed or field.name).replace("_", "-")
         choices = get_args(kind) if get_origin(kind) is Literal else ()
-        yield f"--{'no-' if field.default is True else ''}{name}", choices
+        yield f"--{'no-' if field.default is True else ''}{name.replace('_', '-')}", choices

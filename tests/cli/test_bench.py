@@ -1,4 +1,4 @@
-"""`adamanip bench`: how it judges, compares and prints. Its numbers are no test: speed depends on the machine."""
+"""`adamanip bench`: how it judges and prints. Its numbers are no test: speed depends on the machine."""
 
 from __future__ import annotations
 
@@ -39,33 +39,7 @@ def test_a_missed_limit_is_told_and_no_error(
     assert "at most 100" in capsys.readouterr().out
 
 
-def test_two_revisions_take_turns_and_their_common_numbers_are_compared(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    turns = []
-
-    def bench_of(tree: Any, options: list[str]) -> dict[str, Any]:
-        turns.append(tree == bench.ROOT)
-        slow = {**RESULTS, "action_ms": {"fast": {"batch_1": 260.0}}, "collection": {"episodes_per_minute": 4.75}}
-        return RESULTS if tree == bench.ROOT else slow
-
-    monkeypatch.setattr(bench, "_bench_of", bench_of)
-    assert cli.main(["bench", "--against", "HEAD", "--repeats", "2", "--json"]) == 0
-    assert turns == [False, True] * 2
-    numbers = json.loads(capsys.readouterr().out)["numbers"]
-    assert {name: each["ratio"] for name, each in numbers.items()} == {
-        "collection.episodes_per_minute": 2.0,
-        "simulator.rendered_by_cast": 1.0,
-        "observation_ms.raycast.total": 1.0,
-        "observation_ms.render.total": 1.0,
-        "action_ms.fast.batch_1": 2.0,
-    }
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["--device", "tpu"], "Cannot measure that"), (["--workers", "0"], "Cannot"), (["--against", "no"], "not here")],
-)
-def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("arguments", [["--device", "tpu"], ["--workers", "0"]])
+def test_mistakes_are_one_message(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", *arguments]) == 2
-    assert message in capsys.readouterr().err
+    assert "Cannot measure that" in capsys.readouterr().err

@@ -34,11 +34,11 @@ class Probe:
 
 @pytest.fixture(autouse=True)
 def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = ModuleType("adamanip_probe")
+    module = ModuleType("lerobot_adamanip.cli.probe")
     module.Probe = Probe  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "adamanip_probe", module)
-    monkeypatch.setitem(cli.COMMANDS, "probe", cli.Entry("adamanip_probe:Probe", "a probe"))
-    monkeypatch.setitem(cli.COMMANDS, "absent", cli.Entry("adamanip_no_such_module:Absent", "not there"))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(cli.COMMANDS, "probe", cli.Entry("probe:Probe", "a probe"))
+    monkeypatch.setitem(cli.COMMANDS, "absent", cli.Entry("no_such_module:Absent", "not there"))
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +93,7 @@ def test_unknown_command_lists_the_known_and_guesses(capsys: pytest.CaptureFixtu
 
 def test_a_missing_module_harms_only_its_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["absent"]) == 2
-    assert "adamanip_no_such_module" in capsys.readouterr().err
+    assert "no_such_module" in capsys.readouterr().err
     assert cli.main(["probe"]) == 0
 
 
