@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from asset_folders import joint, write_urdf
 
-from lerobot_adamanip.cli.annotate.view import triangles
 from lerobot_adamanip.objects import ArticulatedObject, Link
+from lerobot_env_adamanip.sim.triangles import shapes_triangles
 
 
 def export_object(obj: ArticulatedObject, folder: Path) -> Path:
@@ -32,7 +32,7 @@ def _shapes(link: Link, folder: Path) -> str:
     for number, shape in enumerate(link.shapes):
         path = folder / "meshes" / f"{link.name}_{number}.obj"
         path.parent.mkdir(parents=True, exist_ok=True)
-        trimesh.Trimesh(*triangles(shape), process=False).export(path)
+        trimesh.Trimesh(**trimesh.triangles.to_kwargs(shapes_triangles([shape]))).export(path)
         mesh = f'<geometry><mesh filename="meshes/{path.name}"/></geometry>'
         color = " ".join(str(round(c ** (1 / 2.2), 5)) for c in shape.material.color)
         text += f'<visual>{mesh}<material name="m"><color rgba="{color} 1"/></material></visual>'

@@ -18,9 +18,9 @@ from lerobot_adamanip.assets.kinematics import link_poses
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import read_urdf
 from lerobot_adamanip.catalog import make_object, seen_objects
-from lerobot_adamanip.cli.annotate.view import triangles
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_env_adamanip.sim.triangles import shapes_triangles
 
 INCH = 0.0254
 DECOMPOSED = "tu\u0308r"
@@ -63,7 +63,7 @@ def moved_extent(obj: ArticulatedObject, joint: str) -> float:
         origins[link.name] = origins[link.parent] + (np.zeros(3) if link.joint is None else link.joint.origin)
         if link.parent in moved or (link.joint is not None and link.joint.name == joint):
             moved.add(link.name)
-            points += [triangles(shape)[0] + origins[link.name] for shape in link.shapes if shape.visible]
+            points.append(shapes_triangles(link.shapes).reshape(-1, 3) + origins[link.name])
     return float(np.ptp(np.concatenate(points), axis=0).max())
 
 

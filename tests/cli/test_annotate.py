@@ -14,7 +14,6 @@ import pytest
 from lerobot_adamanip.assets import load_object
 from lerobot_adamanip.assets.annotation.session import DRAFT_NAME, Draft
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.cli import main as cli
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -113,12 +112,9 @@ def test_a_larger_scale_takes_the_grasps_along(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "Nothing to show"),
-        (["{}", "--object", "safe_003"], "Nothing to show"),
         (["{}", "--category", "teapot"], "Unknown value of --category"),
         (["{}/nowhere"], "does not exist"),
         (["{}"], "No safe found"),
-        (["--object", "safe:x"], "Unknown object id"),
     ],
 )
 def test_mistakes_are_one_message(
@@ -142,33 +138,18 @@ def test_a_dragged_gripper_moves_the_grasp_wherever_the_joints_stand(tmp_path: P
     from lerobot_adamanip.cli.annotate.app import AnnotationApp
 
     app = AnnotationApp(server, [partnet_safe(tmp_path / "101564")], "safe")
-    draft, before = app._draft, np.array(app._gizmo.position)
-    assert draft is not None
+    editor = app.editor
+    assert editor is not None
+    draft, before = editor.draft, np.array(editor.gizmo.position)
     grasp = draft.annotation.parts["handle"].grasp
-    app._move("door", 0.5)
+    editor.move("door", 0.5)
     opened = draft.object().part("handle").moved({"door": 0.5 * draft.object().joint("door").limits[1]})
-    np.testing.assert_allclose(app._gizmo.position, opened[:3, 3], atol=1e-6)
-    app._dragged()  # dropped where it was
+    np.testing.assert_allclose(editor.gizmo.position, opened[:3, 3], atol=1e-6)
+    editor.dragged()  # dropped where it was
     np.testing.assert_allclose(draft.annotation.parts["handle"].grasp, grasp, atol=1e-6)
-    app._gizmo.position = np.asarray(app._gizmo.position) + 0.01 * opened[:3, 2]  # towards the door that stands open
-    app._dragged()
-    app._move("door", 0.0)
-    np.testing.assert_allclose(np.asarray(app._gizmo.position) - before, 0.01 * grasp[:3, 2], atol=1e-6)
+    editor.gizmo.position = np.asarray(editor.gizmo.position) + 0.01 * opened[:3, 2]  # towards the door that is open
+    editor.dragged()
+    editor.move("door", 0.0)
+    np.testing.assert_allclose(np.asarray(editor.gizmo.position) - before, 0.01 * grasp[:3, 2], atol=1e-6)
     app.autosave()
     assert json.loads((tmp_path / "101564" / DRAFT_NAME).read_text())["category"] == "safe"
-
-
-def test_a_generated_object_can_be_looked_at(server: Any) -> None:
-    from lerobot_adamanip.cli.annotate.app import show
-    from lerobot_adamanip.cli.annotate.view import triangles
-
-    safe = make_object(seen_objects("safe")[3])
-    show(server, safe)
-    for link in safe.links:
-        for shape in link.shapes:
-            vertices, faces = triangles(shape)
-            assert faces.max() < len(vertices)
-            if shape.kind != "mesh":
-                radius = np.ptp(vertices @ shape.pose_in_link[:3, :3], axis=0) / 2
-                half = (shape.size[1] + (shape.size[0] if shape.kind == "capsule" else 0), shape.size[0], shape.size[0])
-                np.testing.assert_allclose(radius, shape.size if shape.kind == "box" else half, rtol=0.02)

@@ -32,7 +32,7 @@ class Draft:
     """The annotation of one folder. Grasps are in the object frame, joints at rest.
 
     Attributes:
-        folder: of the object.
+        folder, path: of the object, and of its ``adamanip.json``.
         annotation: as it stands.
         origin: where it came from, in words.
         changed: whether there are changes that no file holds yet.
@@ -44,7 +44,7 @@ class Draft:
         Raises:
             ConfigurationError: the URDF, a mesh, or an annotation that is there cannot be read. Nothing is overwritten.
         """
-        self.folder, self.category = folder, category
+        self.folder, self.category, self.path = folder, category, folder / ANNOTATION_NAME
         self.urdf: Urdf = read_urdf(folder / URDF_NAME)
         self.annotation, self.origin = self._found()
         self.changed = False
@@ -150,8 +150,8 @@ class Draft:
             save_annotation(self.folder / DRAFT_NAME, self.annotation)
             self.changed = False
 
-    def save(self) -> Path:
-        """Writes ``adamanip.json`` and removes the draft; returns its path.
+    def save(self) -> None:
+        """Writes ``adamanip.json`` and removes the draft.
 
         Raises:
             ConfigurationError: the object could not be used with it; the changes are kept as a draft.
@@ -161,8 +161,6 @@ class Draft:
         except ConfigurationError:
             self.autosave()
             raise
-        path = self.folder / ANNOTATION_NAME
-        save_annotation(path, self.annotation)
+        save_annotation(self.path, self.annotation)
         (self.folder / DRAFT_NAME).unlink(missing_ok=True)
         self.changed, self.origin = False, "saved annotation"
-        return path

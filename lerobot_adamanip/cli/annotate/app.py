@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.assets.annotation.session import Draft
-from lerobot_adamanip.assets.roles import ROLES, JointRole
+from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.cli.annotate.view import ObjectView, add_gripper, place
 from lerobot_adamanip.contract.rotations import matrix_from_quaternion, transform
-from lerobot_adamanip.objects.base import ArticulatedObject, Pose
+from lerobot_adamanip.objects.base import Pose
 from lerobot_adamanip.util.errors import AdaManipError
 
 HELP = """**The grey gripper shows where the part is held.** Drag its arrows and rings. It approaches along its blue
 arrow and closes along its green one. Move the joints to see whether it stays with the part. Front: towards +x (red
 axis)."""
+UNSAVED = "Not saved yet (a draft is kept)."
 
 
 class AnnotationApp:
@@ -32,86 +33,100 @@ class AnnotationApp:
     """
 
     def __init__(self, server: Any, folders: Sequence[Path], category: str) -> None:
-        self._server, self._folders, self._roles = server, list(folders), ROLES[category]
-        self._category, self._lock = category, threading.RLock()
-        self._panel: list[Any] = []
-        self._view: ObjectView | None = None
-        self._draft: Draft | None = None
-        self._positions: dict[str, float] = {}
-        _scenery(server)
-        names = [folder.name for folder in self._folders]
-        self._chooser = server.gui.add_dropdown("Object", names, initial_value=names[0])
-        by_hand(self._chooser, lambda: self._open(names.index(self._chooser.value)))
-        self._save = server.gui.add_button("Save", color="green")
-        self._save.on_click(lambda _: self._saved())
+        self._server, self._category, self._lock = server, category, threading.RLock()
+        self.editor: ObjectEditor | None = None
+        _add_scenery(server)
+        by_name = {folder.name: folder for folder in folders}
+        chooser = server.gui.add_dropdown("Object", list(by_name), initial_value=folders[0].name)
+        by_hand(chooser, lambda: self._open(by_name[chooser.value]))
+        server.gui.add_button("Save", color="green").on_click(lambda _: self._save())
         self._status = server.gui.add_markdown("")
-        self._open(0)
+        self._open(folders[0])
 
     def autosave(self) -> None:
         """Writes changes to the draft, if there are any."""
-        with self._lock:
-            if self._draft is not None and self._draft.changed:
-                self._guarded(self._draft.autosave)
+        if (editor := self.editor) is not None and editor.draft.changed:
+            self.attempt(editor.draft.autosave)
 
-    # One object ----------------------------------------------------------------------------------------------------
+    def attempt(self, action: Callable[[], object], done: str = "", failed: str = "") -> bool:
+        """Runs one action at a time; tells that it is ``done``, or that it ``failed`` and why. Returns whether it is.
 
-    def _open(self, number: int) -> None:
+        Both texts are Markdown; an empty ``done`` leaves what stands there.
+        """
         with self._lock:
-            self.autosave()
-            self._clear()
-            if not self._guarded(lambda: self._load(self._folders[number])) or self._draft is None:
-                return
-            self._tell(f"{self._folders[number].name}: {self._draft.origin}.")
-            self._show_object()
-            self._add_panel()
-            _aim(self._server, self._view)
+            try:
+                action()
+            except (AdaManipError, OSError) as error:
+                self._status.content = f"{failed}```\n{error}\n```"
+                return False
+            self._status.content = done or self._status.content
+            return True
+
+    def _open(self, folder: Path) -> None:
+        self.autosave()
+        self.attempt(lambda: self._load(folder))
 
     def _load(self, folder: Path) -> None:
-        self._draft = Draft(folder, self._category)
-        self._draft.object()
+        if self.editor is not None:
+            self.editor.remove()
+            self.editor = None
+        draft = Draft(folder, self._category)
+        self.editor = ObjectEditor(self._server, draft, self.attempt)
+        self._status.content = f"{folder.name}: {draft.origin}."
 
-    def _clear(self) -> None:
-        for handle in self._panel:
-            handle.remove()
-        if self._view is not None:
-            self._view.remove()
-        self._panel, self._view, self._draft, self._positions = [], None, None, {}
+    def _save(self) -> None:
+        if self.editor is not None:
+            draft = self.editor.draft
+            saved = f"**Saved** {draft.path.parent.name}/{draft.path.name}."
+            self.attempt(draft.save, saved, failed="**Not saved**, kept as a draft:\n")
 
-    def _show_object(self) -> None:
-        assert self._draft is not None
-        if self._view is not None:
-            self._view.remove()
-        self._view = ObjectView(self._server, self._draft.object())
-        self._view.move(self._positions)
 
-    def _saved(self) -> None:
-        with self._lock:
-            if self._draft is None:
-                return
-            try:
-                path = self._draft.save()
-            except (AdaManipError, OSError) as error:
-                self._tell(f"**Not saved**, kept as a draft:\n```\n{error}\n```")
-            else:
-                self._tell(f"**Saved** {path.parent.name}/{path.name}.")
+class ObjectEditor:
+    """One object on the page, with controls for its joints and parts, and a gripper at the part that is edited.
 
-    # The panel -----------------------------------------------------------------------------------------------------
+    Args:
+        server: viser's.
+        draft: the annotation of the object; `ConfigurationError` if there is no object with it.
+        attempt: see `AnnotationApp.attempt`.
+    """
 
-    def _add_panel(self) -> None:
-        assert self._draft is not None
-        gui, draft = self._server.gui, self._draft
-        scale = gui.add_number("Metres per unit", draft.annotation.scale, min=0.001, max=1000.0, step=0.001)
+    def __init__(self, server: Any, draft: Draft, attempt: Callable[..., bool]) -> None:
+        self.draft, self._server, self._attempt = draft, server, attempt
+        self._positions: dict[str, float] = {}
+        self._view = ObjectView(server, draft.object())
+        roles = ROLES[draft.category]
+        scale = server.gui.add_number("Metres per unit", draft.annotation.scale, min=0.001, max=1000.0, step=0.001)
         by_hand(scale, lambda: self._change(lambda: draft.set_scale(float(scale.value)), redraw=True))
-        self._panel += [scale]
-        for role in self._roles.joints:
-            self._add_joint(role, "opens" if role is self._roles.final else "releases")
-        self._add_parts()
-        self._panel.append(gui.add_markdown(HELP))
+        self._panel = [scale]
+        for role, purpose in zip(roles.joints, ("opens", "releases"), strict=True):
+            self._add_joint(role, purpose)
+        self._add_parts({part.name: part for part in roles.parts})
+        self._panel.append(server.gui.add_markdown(HELP))
+        self._aim()
 
-    def _add_joint(self, role: JointRole, what: str) -> None:
-        assert self._draft is not None
-        gui, draft = self._server.gui, self._draft
-        folder = gui.add_folder(f"Joint {role.name} ({what})")
+    def remove(self) -> None:
+        """Takes the object and its controls off the page."""
+        for handle in (*self._panel, self._view):
+            handle.remove()
+
+    def move(self, joint: str, fraction: float) -> None:
+        """Moves a joint by a fraction of its range, and the gripper with it."""
+        self._positions[joint] = fraction * self._view.obj.joint(joint).limits[1]
+        self._view.move(self._positions)
+        self._place_gizmo()
+
+    def dragged(self) -> None:
+        """Takes the gripper's pose on the page for the part's grasp."""
+
+        def take() -> None:
+            shown = transform(np.asarray(self.gizmo.position), matrix_from_quaternion(np.asarray(self.gizmo.wxyz)))
+            self.draft.set_grasp(self._part.value, np.linalg.inv(self._carried()) @ shown)
+
+        self._change(take)
+
+    def _add_joint(self, role: JointRole, purpose: str) -> None:
+        gui, draft = self._server.gui, self.draft
+        folder = gui.add_folder(f"Joint {role.name} ({purpose})")
         self._panel.append(folder)
         choice, names = draft.annotation.joints[role.name], [joint.name for joint in draft.urdf.moving]
         with folder:
@@ -120,13 +135,10 @@ class AnnotationApp:
             opened = gui.add_number("Open", choice.open, step=0.001)
             slider = gui.add_slider(f"Move {role.name}", -1.0 if role.either_way else 0.0, 1.0, 0.01, 0.0)
 
-        def show() -> None:
-            now = draft.annotation.joints[role.name]
-            chosen.value, rest.value, opened.value = now.joint, now.rest, now.open
-
         def choose() -> None:
             self._change(lambda: draft.set_joint(role, chosen.value), redraw=True)
-            show()
+            now = draft.annotation.joints[role.name]
+            chosen.value, rest.value, opened.value = now.joint, now.rest, now.open
 
         def limit() -> None:
             self._change(lambda: draft.set_range(role.name, float(rest.value), float(opened.value)), redraw=True)
@@ -134,28 +146,18 @@ class AnnotationApp:
         by_hand(chosen, choose)
         by_hand(rest, limit)
         by_hand(opened, limit)
-        by_hand(slider, lambda: self._move(role.name, float(slider.value)))
+        by_hand(slider, lambda: self._attempt(lambda: self.move(role.name, float(slider.value))))
 
-    def _move(self, joint: str, fraction: float) -> None:
-        with self._lock:
-            if self._view is not None:
-                self._positions[joint] = fraction * self._view.obj.joint(joint).limits[1]
-                self._view.move(self._positions)
-                self._place_gizmo()
-
-    def _add_parts(self) -> None:
-        assert self._draft is not None
-        gui, draft = self._server.gui, self._draft
+    def _add_parts(self, parts: dict[str, PartRole]) -> None:
+        gui, draft = self._server.gui, self.draft
         folder = gui.add_folder("Part")
-        parts = {part.name: part for part in self._roles.parts}
         with folder:
             self._part = gui.add_dropdown("Edit", list(parts), initial_value=next(iter(parts)))
             link = gui.add_dropdown("On link", list(draft.urdf.links))
             sides = gui.add_checkbox("Round: hold from any side", False)
             again = gui.add_button("Propose again")
-        self._gizmo = self._server.scene.add_transform_controls("/grasp", scale=0.12, depth_test=False)
-        self._gripper = add_gripper(self._server, "/grasp/gripper")
-        self._panel += [folder, self._gripper, self._gizmo]
+        self.gizmo = self._server.scene.add_transform_controls("/grasp", scale=0.12, depth_test=False)
+        self._panel += [folder, add_gripper(self._server, "/grasp/gripper"), self.gizmo]
 
         def show() -> None:
             held = draft.annotation.parts[self._part.value]
@@ -171,50 +173,30 @@ class AnnotationApp:
         by_hand(link, relink)
         by_hand(sides, lambda: self._change(lambda: draft.set_round(self._part.value, bool(sides.value))))
         again.on_click(lambda _: relink())
-        by_hand(self._gizmo, self._dragged)
+        by_hand(self.gizmo, self.dragged)
 
-    # The gripper ---------------------------------------------------------------------------------------------------
+    def _change(self, change: Callable[[], None], *, redraw: bool = False) -> None:
+        if self._attempt(change, UNSAVED) and redraw:
+            self._view.remove()
+            self._view = ObjectView(self._server, self.draft.object())
+            self._view.move(self._positions)
+            self._place_gizmo()
 
     def _carried(self) -> Pose:
         """The motion (4, 4) that the joints, as they stand, give to what holds the part."""
-        assert self._draft is not None
-        part = self._draft.object().part(self._part.value)
+        part = self.draft.object().part(self._part.value)
         return replace(part, grasp=np.eye(4)).moved(self._positions)
 
     def _place_gizmo(self) -> None:
-        assert self._draft is not None
-        place(self._gizmo, self._carried() @ self._draft.annotation.parts[self._part.value].grasp)
+        place(self.gizmo, self._carried() @ self.draft.annotation.parts[self._part.value].grasp)
 
-    def _dragged(self) -> None:
-        with self._lock:
-            if self._draft is None:
-                return
-            shown = transform(np.asarray(self._gizmo.position), matrix_from_quaternion(np.asarray(self._gizmo.wxyz)))
-            self._draft.set_grasp(self._part.value, np.linalg.inv(self._carried()) @ shown)
-            self._tell("Not saved yet (a draft is kept).")
-
-    # ----------------------------------------------------------------------------------------------------------------
-
-    def _change(self, change: Callable[[], None], *, redraw: bool = False) -> bool:
-        with self._lock:
-            done = self._guarded(change)
-            if done:
-                if redraw:
-                    self._show_object()
-                    self._place_gizmo()
-                self._tell("Not saved yet (a draft is kept).")
-            return done
-
-    def _guarded(self, action: Callable[[], object]) -> bool:
-        try:
-            action()
-        except (AdaManipError, OSError) as error:
-            self._tell(f"```\n{error}\n```")
-            return False
-        return True
-
-    def _tell(self, text: str) -> None:
-        self._status.content = text
+    def _aim(self) -> None:
+        """Looks at the object from the front, the side and above."""
+        far = 1.25 * float(np.linalg.norm(self._view.obj.size)) + 0.2
+        target = np.array([0.0, 0.0, self._view.obj.size[2] / 2])
+        eye = target + far * np.array([0.9, -0.3, 0.35])
+        for camera in (self._server.initial_camera, *(client.camera for client in self._server.get_clients().values())):
+            camera.position, camera.look_at = eye, target
 
 
 def by_hand(handle: Any, action: Callable[[], object]) -> None:
@@ -222,49 +204,10 @@ def by_hand(handle: Any, action: Callable[[], object]) -> None:
     handle.on_update(lambda event: action() if event.client is not None else None)
 
 
-def show(server: Any, obj: ArticulatedObject) -> None:
-    """Shows an object that cannot be changed: sliders, and a gripper at each part."""
-    _scenery(server)
-    view, positions = ObjectView(server, obj), dict[str, float]()
-    grippers = {part.name: add_gripper(server, f"/grasp_{part.name}") for part in obj.parts}
-    server.gui.add_markdown(f"**{obj.object_id}**: {obj.description}")
-
-    def move(name: str, value: float) -> None:
-        positions[name] = value
-        view.move(positions)
-        for part in obj.parts:
-            place(grippers[part.name], part.moved(positions))
-
-    for link in obj.links:
-        if link.joint is not None and link.joint.kind != "fixed":
-            _slide(server, link.joint.name, link.joint.limits, move)
-    for part in obj.parts:
-        place(grippers[part.name], part.grasp)
-    _aim(server, view)
-
-
-def _slide(server: Any, name: str, limits: tuple[float, float], move: Callable[[str, float], None]) -> None:
-    slider = server.gui.add_slider(f"Move {name}", limits[0], limits[1], (limits[1] - limits[0]) / 200, 0.0)
-    by_hand(slider, lambda: move(name, float(slider.value)))
-
-
-def _scenery(server: Any) -> None:
+def _add_scenery(server: Any) -> None:
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(cast_shadow=False)  # shadows are too much for a machine without a GPU
     server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5)
     server.scene.add_frame("/axes", axes_length=0.15, axes_radius=0.003)
     server.gui.configure_theme(control_width="medium", show_logo=False)
     server.gui.main_panel.dock_right()
-
-
-def _aim(server: Any, view: ObjectView | None) -> None:
-    """Looks at the object from the front, the side and above."""
-    if view is None:
-        return
-    width, depth, height = view.obj.size
-    far = 1.25 * float(np.linalg.norm((width, depth, height))) + 0.2
-    target = np.array([0.0, 0.0, height / 2])
-    eye = target + far * np.array([0.9, -0.3, 0.35])
-    server.initial_camera.position, server.initial_camera.look_at = eye, target
-    for client in server.get_clients().values():
-        client.camera.position, client.camera.look_at = eye, target

@@ -24,14 +24,11 @@ class Annotate:
     what was not saved is kept as a draft and loaded again.
     """
 
-    directory: Annotated[Path | None, tyro.conf.Positional] = None
+    directory: Annotated[Path, tyro.conf.Positional]
     """A folder with a mobility.urdf, or a directory of such folders."""
 
     category: Category = "safe"
     """Which kind of object it is."""
-
-    object: str | None = None
-    """Look at a generated object instead (safe_003); nothing can be changed."""
 
     host: str = "127.0.0.1"
     """Address to serve the page at; 0.0.0.0 lets other machines in."""
@@ -42,39 +39,23 @@ class Annotate:
     def run(self) -> int:
         """Serves the page until interrupted; 0."""
         folders = self._folders()
-        from lerobot_adamanip.catalog import make_object
-
-        shown = None if self.object is None else make_object(self.object)
         server = start_server(self.host, self.port)
-        from lerobot_adamanip.cli.annotate.app import AnnotationApp, show
+        from lerobot_adamanip.cli.annotate.app import AnnotationApp
 
         print(f"open http://{'localhost' if self.host in ('127.0.0.1', '0.0.0.0') else self.host}:{server.get_port()}")
-        app = None if shown is not None else AnnotationApp(server, folders, self.category)
-        if shown is not None:
-            show(server, shown)
+        app = AnnotationApp(server, folders, self.category)
         try:
             while True:
                 time.sleep(AUTOSAVE_PERIOD)
-                if app is not None:
-                    app.autosave()
+                app.autosave()
         except KeyboardInterrupt:
             print("closed")
         finally:
-            if app is not None:
-                app.autosave()
+            app.autosave()
             server.stop()
         return 0
 
     def _folders(self) -> list[Path]:
-        if (self.directory is None) == (self.object is None):
-            raise ConfigurationError(
-                "Nothing to show.",
-                got=f"directory {self.directory}, --object {self.object}",
-                allowed="one of the two",
-                hint="adamanip annotate assets/safe/sa1 --category safe",
-            )
-        if self.directory is None:
-            return []
         from lerobot_adamanip.assets import AssetSource
         from lerobot_adamanip.assets.urdf import URDF_NAME
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_about, transform
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Pose, Shape
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Pose
 
 HAND = (
     # Where (tool frame: z approach, y closing), full extents, grey; a Panda's hand with its fingers open.
@@ -20,31 +20,21 @@ HAND = (
 
 
 class ObjectView:
-    """An object in the scene under ``/object``; its frame is the world's."""
+    """An external asset, all of whose shapes are meshes, in the scene under ``/object``; its frame is the world's."""
 
     def __init__(self, server: Any, obj: ArticulatedObject) -> None:
-        self._server, self.obj = server, obj
-        self._frames: dict[str, Any] = {}
-        self._paths: dict[str, str] = {}
+        self.obj = obj
         self._root = server.scene.add_frame("/object", show_axes=False)
+        self._frames: dict[str | None, Any] = {None: self._root}
         for link in obj.links:
-            self._add(link)
+            path = f"{self._frames[link.parent].name}/{link.name}"
+            self._frames[link.name] = server.scene.add_frame(path, show_axes=False)
+            for number, shape in enumerate(shape for shape in link.shapes if shape.visible):
+                # The material's colour is linear, the screen's is sRGB.
+                color = tuple(int(255 * np.clip(c, 0.0, 1.0) ** (1 / 2.2)) for c in shape.material.color)
+                look = {"color": color, "flat_shading": True, "side": "double"}
+                server.scene.add_mesh_simple(f"{path}/shape_{number}", shape.vertices, shape.faces, **look)
         self.move({})
-
-    def _add(self, link: Link) -> None:
-        path = f"{self._paths[link.parent] if link.parent else '/object'}/{link.name}"
-        self._paths[link.name] = path
-        self._frames[link.name] = self._server.scene.add_frame(path, show_axes=False)
-        for number, shape in enumerate(shape for shape in link.shapes if shape.visible):
-            vertices, faces = triangles(shape)
-            self._server.scene.add_mesh_simple(
-                f"{path}/shape_{number}",
-                vertices,
-                faces,
-                color=screen_color(shape.material),
-                flat_shading=True,
-                side="double",
-            )
 
     def move(self, positions: Mapping[str, float]) -> None:
         """Moves the joints [rad or m]; those not named go to zero."""
@@ -76,35 +66,3 @@ def joint_pose(joint: Joint, position: float) -> Pose:
 def place(handle: Any, pose: Pose) -> None:
     """Moves something in the scene to a pose (4, 4)."""
     handle.position, handle.wxyz = pose[:3, 3], quaternion_from_matrix(pose[:3, :3])
-
-
-def screen_color(material: Material) -> tuple[int, int, int]:
-    """Returns the sRGB colour of a material's linear one."""
-    red, green, blue = (int(255 * np.clip(c, 0.0, 1.0) ** (1 / 2.2)) for c in material.color)
-    return red, green, blue
-
-
-def triangles(shape: Shape) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Returns a shape's surface, (V, 3) in its link's frame and (F, 3)."""
-    import trimesh
-
-    if shape.kind == "mesh":
-        assert shape.vertices is not None
-        assert shape.faces is not None
-        vertices, faces = np.asarray(shape.vertices, np.float64), shape.faces
-    else:
-        # trimesh's cylinders and capsules lie along z, ours along x.
-        along_x = rotation_about((0.0, 1.0, 0.0), np.pi / 2)
-        if shape.kind == "box":
-            mesh, turn = trimesh.creation.box(extents=2 * np.asarray(shape.size)), np.eye(3)
-        elif shape.kind == "cylinder":
-            radius, half = shape.size
-            mesh, turn = trimesh.creation.cylinder(radius=radius, height=2 * half, sections=40), along_x
-        else:
-            radius, half = shape.size
-            ball = np.asarray(trimesh.creation.icosphere(2, radius).vertices)
-            ends = np.concatenate([ball + np.array((0, 0, z)) for z in (-half, half)])
-            mesh, turn = trimesh.convex.convex_hull(ends), along_x
-        vertices, faces = mesh.vertices @ turn.T, mesh.faces
-    pose = shape.pose_in_link
-    return np.asarray(vertices @ pose[:3, :3].T + pose[:3, 3], np.float32), np.asarray(faces, np.int32)

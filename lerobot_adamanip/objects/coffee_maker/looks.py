@@ -242,10 +242,7 @@ def _side_knob(design: CoffeeMakerDesign) -> list[Shape]:
     x = design.head_face - 0.075
     root, tip = np.array([x, y - 0.002 * design.wand_side, z]), np.array([x, y + 0.026 * design.wand_side, z])
     middle = root + 0.45 * (tip - root)
-    return [
-        rod(root, middle, 0.008, design.chrome, round_ends=False),
-        rod(middle, tip, 0.019, BLACK, round_ends=False),
-    ]
+    return [rod(root, middle, 0.008, design.chrome, round_ends=False), rod(middle, tip, 0.019, BLACK, round_ends=False)]
 
 
 def _top(design: CoffeeMakerDesign) -> list[Shape]:

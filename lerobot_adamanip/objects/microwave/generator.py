@@ -12,15 +12,7 @@ import numpy as np
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.geometry.rounded import plate
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
-from lerobot_adamanip.objects.microwave.looks import (
-    BLACK,
-    LOOKS,
-    Face,
-    Look,
-    door_front,
-    handle_shapes,
-    panel_shapes,
-)
+from lerobot_adamanip.objects.microwave.looks import BLACK, LOOKS, Face, Look, door_front, handle_shapes, panel_shapes
 
 WALL = 0.018
 DOOR_THICKNESS = 0.030

@@ -61,10 +61,7 @@ class PenDesign:
 
 
 def draw_design(
-    rng: np.random.Generator,
-    kind: str,
-    recipes: Mapping[str, Recipe] = RECIPES,
-    stands: Sequence[str] = STANDS,
+    rng: np.random.Generator, kind: str, recipes: Mapping[str, Recipe] = RECIPES, stands: Sequence[str] = STANDS
 ) -> PenDesign:
     """Draws the parameters of one pen of a kind, a name of ``recipes``, and of its stand, one of ``stands``."""
     recipe = recipes[kind]
