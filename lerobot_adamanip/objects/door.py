@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
 from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
 from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.fittings.leaves import LeafPlan, leaf_shapes
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk
+from lerobot_adamanip.objects.geometry.shapes import chamfered_box, dot, mark
 
 DOOR_UPPER = 1.57
 """Opening limit of the leaf [rad] (paper code: 1.57)."""
@@ -141,16 +141,6 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
     )
 
 
-def make_door(number: int) -> ArticulatedObject:
-    """Builds door ``number`` (57 in the paper's set; any number is an object)."""
-    return build_door(f"door_{number:03d}", draw_design(np.random.default_rng([number, 0xD008])))
-
-
-def make_novel_door(number: int) -> ArticulatedObject:
-    """Builds novel door ``number``."""
-    return build_door(f"door_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0xD008, 1])))
-
-
 def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
     """Builds the links and annotation of a design: joints ``leaf`` and ``lever``, part ``lever``."""
     plan, side = design.plan, design.hinge_side
@@ -197,7 +187,7 @@ def _frame_shapes(design: DoorDesign, surround: Surround, hinge_y: float) -> tup
     shapes.append(chamfered_box((-design.depth / 2 + 0.012, middle, 0.009), (depth, half, 0.009), 0.003, stone))
     # A stop behind the leaf, at its head: what it closes against.
     head = (-THICKNESS - 0.012, middle, surround.top - 0.010)
-    shapes.append(box(head, (0.008, half, 0.008), design.trim, collides=False))
+    shapes.append(mark(head, (0.008, half, 0.008), design.trim))
     height = design.plan.height
     tops = tuple(FLOOR_GAP + share * height for share in (0.12, 0.5, 0.88))
     shapes += knuckles(hinge_y + design.hinge_side * 0.008, tops, 0.034, design.handle.metal)
@@ -223,13 +213,13 @@ def _extra(design: DoorDesign) -> tuple[Shape, ...]:
         at = 0.30 * plan.height if plan.style != "louvres" else 0.03
         return (
             chamfered_box((0.002, middle, at), (0.004, 0.085, 0.024), 0.002, metal, collides=False),
-            box((0.006, middle, at - 0.002), (0.0012, 0.066, 0.009), Material((0.03, 0.03, 0.03), 0.6), collides=False),
+            mark((0.006, middle, at - 0.002), (0.0012, 0.066, 0.009), Material((0.03, 0.03, 0.03), 0.6)),
         )
     if design.extra == "peephole" and plan.style != "half glazed":
         at = 0.80 * plan.height
         return (
-            disk((0.002, middle, at), 0.013, 0.003, metal, collides=False),
-            disk((0.004, middle, at), 0.008, 0.0025, Material((0.02, 0.02, 0.03), 0.1), collides=False),
+            dot((0.002, middle, at), 0.013, 0.003, metal),
+            dot((0.004, middle, at), 0.008, 0.0025, Material((0.02, 0.02, 0.03), 0.1)),
         )
     if design.extra == "number":
         return (
@@ -240,8 +230,11 @@ def _extra(design: DoorDesign) -> tuple[Shape, ...]:
         return (chamfered_box((0.001, middle, lower + 0.074), half, 0.001, METALS[0], collides=False),)
     if design.extra == "vent" and plan.style == "flush":
         dark, pale = Material((0.03, 0.03, 0.03), 0.7), METALS[0]
-        slots = [box((0.001, middle, 0.10), (0.002, 0.11, 0.05), pale, collides=False)]
+        slots = [mark((0.001, middle, 0.10), (0.002, 0.11, 0.05), pale)]
         for row in range(6):
-            slots.append(box((0.003, middle, 0.0625 + row * 0.015), (0.001, 0.10, 0.0035), dark, collides=False))
+            slots.append(mark((0.003, middle, 0.0625 + row * 0.015), (0.001, 0.10, 0.0035), dark))
         return tuple(slots)
     return ()
+
+
+make_door, make_novel_door = makers("door", 0xD008, draw_design, draw_novel_design, build_door)

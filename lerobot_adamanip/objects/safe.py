@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, dot, mark, prism, rod
 
 Range = tuple[float, float]
 
@@ -143,17 +143,6 @@ def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
     )
 
 
-def make_safe(number: int) -> ArticulatedObject:
-    """Builds safe ``number`` (36 in the paper's set; any number is an object)."""
-    design = draw_design(np.random.default_rng([number, 0x5AFE]))
-    return build_safe(f"safe_{number:03d}", design)
-
-
-def make_novel_safe(number: int) -> ArticulatedObject:
-    """Builds novel safe ``number``."""
-    return build_safe(f"safe_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0x5AFE, 1])))
-
-
 def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
     """Builds the links and annotations of a design: joints ``door`` and ``knob``, parts ``handle`` and ``knob``."""
     foot = 0.015 if design.feet else 0.0
@@ -197,7 +186,7 @@ def _body_shapes(design: SafeDesign, foot: float) -> tuple[Shape, ...]:
         chamfered_box((-d, -w + t, z), (d, t, h), 0.006, design.body),
         chamfered_box((-d, w - t, z), (d, t, h), 0.006, design.body),
         box((-2 * d + t, 0, z), (t, w - t, h - t), design.body),
-        box((-d - 0.01, 0, foot + 1.0 * h), (d - DOOR_THICKNESS - 0.01, w - 2 * t, 0.006), dark, collides=False),
+        mark((-d - 0.01, 0, foot + 1.0 * h), (d - DOOR_THICKNESS - 0.01, w - 2 * t, 0.006), dark),
     ]
     hinge_y = design.hinge_side * (w - WALL * 0.45)
     for dz in (-0.32, 0.32):
@@ -216,13 +205,13 @@ def _door_shapes(design: SafeDesign) -> tuple[Shape, ...]:
     if design.trim:
         inset = 0.022
         for z in (-half_h + inset, half_h - inset):
-            shapes.append(box((0.0008, middle, z), (0.0012, half_w - inset, 0.0015), design.metal, collides=False))
+            shapes.append(mark((0.0008, middle, z), (0.0012, half_w - inset, 0.0015), design.metal))
         for y in (-half_w + inset, half_w - inset):
-            shapes.append(box((0.0008, middle + y, 0), (0.0012, 0.0015, half_h - inset), design.metal, collides=False))
+            shapes.append(mark((0.0008, middle + y, 0), (0.0012, 0.0015, half_h - inset), design.metal))
     free_edge = -design.hinge_side * (design.door_width + GAP)
     for z in (-0.3, 0.0, 0.3):
         y = free_edge + design.hinge_side * 0.012
-        bolt = disk((-DOOR_THICKNESS - 0.012, y, z * design.door_height), 0.008, 0.014, _METALS[0], collides=False)
+        bolt = dot((-DOOR_THICKNESS - 0.012, y, z * design.door_height), 0.008, 0.014, _METALS[0])
         shapes.append(bolt)
     return tuple(shapes) + _panel_shapes(design)
 
@@ -232,25 +221,22 @@ def _panel_shapes(design: SafeDesign) -> tuple[Shape, ...]:
     y, z = design.on_door((0.17, 0.86))
     black = Material((0.015, 0.015, 0.018), 0.35)
     if design.panel_style == "plate":
-        return (box((0.001, y, z), (0.002, 0.028, 0.010), _METALS[1], collides=False),)
+        return (mark((0.001, y, z), (0.002, 0.028, 0.010), _METALS[1]),)
     if design.panel_style == "dial":
-        return (
-            disk((0.003, y, z), 0.022, 0.003, _METALS[0], collides=False),
-            disk((0.007, y, z), 0.015, 0.004, black, collides=False),
-        )
-    keys = [box((0.002, y, z), (0.003, 0.026, 0.019), black, collides=False)]
+        return (dot((0.003, y, z), 0.022, 0.003, _METALS[0]), dot((0.007, y, z), 0.015, 0.004, black))
+    keys = [mark((0.002, y, z), (0.003, 0.026, 0.019), black)]
     pale = Material((0.75, 0.76, 0.78), 0.5)
     for row in range(3):
         for column in range(4):
             at = (0.0055, y + (column - 1.5) * 0.011, z + (row - 1.4) * 0.010)
-            keys.append(box(at, (0.001, 0.0042, 0.0036), pale, collides=False))
-    keys.append(box((0.0055, y, z + 0.0155), (0.001, 0.008, 0.0016), Material((0.05, 0.55, 0.12), 0.3), collides=False))
+            keys.append(mark(at, (0.001, 0.0042, 0.0036), pale))
+    keys.append(mark((0.0055, y, z + 0.0155), (0.001, 0.008, 0.0016), Material((0.05, 0.55, 0.12), 0.3)))
     return tuple(keys)
 
 
 def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
     half, radius, metal, x = design.handle_length / 2, design.handle_radius, design.metal, GRASP_REACH
-    foot_plates = tuple(disk((0.002, y, z + s * half), radius * 1.7, 0.002, metal, collides=False) for s in (-1, 1))
+    foot_plates = tuple(dot((0.002, y, z + s * half), radius * 1.7, 0.002, metal) for s in (-1, 1))
     if design.handle_style == "fin":
         return (chamfered_box((x / 2, y, z), (x / 2 + 0.008, radius, half), 0.003, metal), *foot_plates)
     if design.handle_style == "ball bar":
@@ -295,4 +281,7 @@ def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
             chamfered_box(((base + tip) / 2, 0, 0), ((tip - base) / 2, slim, radius * 1.2), 0.002, metal),
         ]
     up = radius * {"octagon": 0.55, "hexagon": 0.55, "cross": 0.95}.get(style, 0.85)
-    return (*shapes, box((tip, 0, up), (0.0012, 0.0018, radius * 0.22), white, collides=False))
+    return (*shapes, mark((tip, 0, up), (0.0012, 0.0018, radius * 0.22), white))
+
+
+make_safe, make_novel_safe = makers("safe", 0x5AFE, draw_design, draw_novel_design, build_safe)

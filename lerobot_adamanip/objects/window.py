@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
 from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
 from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.fittings.leaves import Field, at_field, glazing
@@ -158,16 +158,6 @@ def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
     )
 
 
-def make_window(number: int) -> ArticulatedObject:
-    """Builds window ``number`` (30 in the paper's set; any number is an object)."""
-    return build_window(f"window_{number:03d}", draw_design(np.random.default_rng([number, 0x51D0])))
-
-
-def make_novel_window(number: int) -> ArticulatedObject:
-    """Builds novel window ``number``."""
-    return build_window(f"window_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0x51D0, 1])))
-
-
 def build_window(object_id: str, design: WindowDesign) -> ArticulatedObject:
     """Builds the links and annotation of a design: joints ``sash`` and ``handle``, part ``handle``."""
     side = design.hinge_side
@@ -256,3 +246,6 @@ def _sash_shapes(design: WindowDesign) -> tuple[Shape, ...]:
         shapes.append(chamfered_box((-half, y, z), (half, a, b), 0.004, design.frame))
     glass = (s, w - s, s, h - s)
     return tuple(shapes + glazing(glass, design.hinge_side, THICKNESS, design.frame, bars=design.bars))
+
+
+make_window, make_novel_window = makers("window", 0x51D0, draw_design, draw_novel_design, build_window)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,58 +36,52 @@ def draw_label(rng: np.random.Generator, kind: str) -> Label:
 
 def label_shapes(label: Label, rings: Sequence[Ring], shoulder: float, axis: tuple[float, float]) -> tuple[Shape, ...]:
     """Returns the pictures of a label around a body that ends at ``shoulder`` [m]."""
-    middle, height = 0.48 * shoulder, label.share * shoulder
-    width = ring_at(rings, middle).radius
-    curves = _PRINTS[label.kind](middle, height, width)
     colors = {"paper": label.paper, "ink": label.ink, "accent": label.accent}
+    middle, height = 0.48 * shoulder, label.share * shoulder
+    prints = _prints(label.kind, middle, height, ring_at(rings, middle).radius)
     return tuple(
-        decal(rings, curve, Material(colors[name], 0.7), layer=layer, axis=axis) for name, layer, curve in curves
+        decal(rings, curves, Material(colors[color], 0.7), layer=layer, axis=axis) for color, layer, curves in prints
     )
 
 
 Print = tuple[str, int, Curves]
 """Colour, layer and outline of one print."""
+Bar = tuple[str, int, float, float, float]
+"""Colour, layer, width, lower and upper edge."""
+Oval = tuple[str, int, str, float, float, float]
+"""Colour, layer, ``oval`` or ``rhombus``, width, height and middle."""
+Lines = tuple[float, float, int, float]
+"""Print too small to read: middle of the first line, width, how many, pitch."""
+Drawn = Callable[[float, float, float], list[Print]]
+"""What is drawn around a middle, for a label's height and a body's radius [m]."""
 
 
-def _lines(middle: float, width: float, count: int, pitch: float, name: str = "ink") -> list[Print]:
-    """Print too small to read."""
-    rows: list[Print] = []
+def _prints(kind: str, middle: float, height: float, width: float) -> Iterator[Print]:
+    unit_width, unit_height, rows = _PRINTS[kind]
+    wide, high = unit_width * width, unit_height * height
+    for row in rows:
+        match row:
+            case str(color), int(layer), str(shape), across, tall, at:
+                yield color, layer, oval(across * wide, tall * high, middle + at * high, sharp=shape == "rhombus")
+            case str(color), int(layer), across, low, top:
+                yield _bar(color, layer, across * wide, middle + low * high, middle + top * high)
+            case float(first), across, int(count), pitch:
+                yield from _lines(middle + first * high, across * wide, count, pitch * high)
+            case draw if callable(draw):
+                yield from draw(middle, height, width)
+
+
+def _bar(color: str, layer: int, width: float, bottom: float, top: float) -> Print:
+    return color, layer, patch(width, bottom, top, 65 if width > 0.12 else 25)
+
+
+def _lines(middle: float, width: float, count: int, pitch: float) -> Iterator[Print]:
     for row in range(count):
         z = middle - row * pitch
-        across, lower, upper = patch(width * (0.95, 0.7, 0.85)[row % 3], z - 0.0007, z + 0.0007, 7)
-        rows.append((name, 2, (across, lower, upper)))
-    return rows
+        yield "ink", 2, patch(width * (0.95, 0.7, 0.85)[row % 3], z - 0.0007, z + 0.0007, 7)
 
 
-def _bar(name: str, layer: int, width: float, bottom: float, top: float) -> Print:
-    columns = 65 if width > 0.12 else 25
-    return name, layer, patch(width, bottom, top, columns)
-
-
-def _estate(middle: float, height: float, width: float) -> list[Print]:
-    w = 1.5 * width
-    return [
-        _bar("paper", 1, w, middle - height / 2, middle + height / 2),
-        _bar("accent", 2, w, middle - 0.44 * height, middle - 0.38 * height),
-        ("accent", 2, oval(0.5 * w, 0.26 * height, middle + 0.26 * height)),
-        ("paper", 3, oval(0.36 * w, 0.18 * height, middle + 0.26 * height, sharp=True)),
-        _bar("ink", 2, 0.8 * w, middle - 0.04 * height, middle + 0.04 * height),
-        *_lines(middle - 0.14 * height, 0.6 * w, 3, 0.07 * height),
-    ]
-
-
-def _classic(middle: float, height: float, width: float) -> list[Print]:
-    w = 1.7 * width
-    return [
-        _bar("paper", 1, w, middle - height / 2, middle + height / 2),
-        _bar("accent", 2, w, middle + 0.30 * height, middle + 0.42 * height),
-        _bar("ink", 2, 0.75 * w, middle + 0.02 * height, middle + 0.14 * height),
-        _bar("ink", 2, 0.5 * w, middle - 0.14 * height, middle - 0.06 * height),
-        *_lines(middle - 0.24 * height, 0.6 * w, 3, 0.07 * height),
-    ]
-
-
-def _wave(middle: float, height: float, width: float) -> list[Print]:
+def _waves(middle: float, height: float, width: float) -> list[Print]:
     around = np.linspace(-np.pi, np.pi, 65) * width
     swing = 0.12 * height * np.sin(2 * around / width)
     half = 0.36 * height
@@ -98,89 +92,72 @@ def _wave(middle: float, height: float, width: float) -> list[Print]:
     ]
 
 
-def _band(middle: float, height: float, width: float) -> list[Print]:
-    full, half = 2 * np.pi * width, 0.34 * height
-    return [
-        _bar("paper", 1, full, middle - half, middle + half),
-        _bar("accent", 2, full, middle - half, middle - 0.8 * half),
-        _bar("accent", 2, full, middle + 0.8 * half, middle + half),
-        ("ink", 2, oval(1.3 * width, 1.1 * half, middle)),
-        ("paper", 3, oval(0.9 * width, 0.36 * half, middle)),
-    ]
-
-
-def _dairy(middle: float, height: float, width: float) -> list[Print]:
+def _hills(middle: float, height: float, width: float) -> list[Print]:
     around = np.linspace(-np.pi, np.pi, 65) * width
     hills = middle - 0.20 * height + 0.06 * height * np.cos(3 * around / width)
+    low = np.full(65, middle - 0.42 * height)
     return [
-        ("paper", 1, (around, np.full(65, middle - 0.42 * height), np.full(65, middle + 0.36 * height))),
-        ("accent", 2, (around, np.full(65, middle - 0.42 * height), hills)),
-        ("ink", 3, oval(1.25 * width, 0.36 * height, middle + 0.08 * height)),
-        ("paper", 4, oval(0.9 * width, 0.10 * height, middle + 0.08 * height)),
+        ("paper", 1, (around, low, np.full(65, middle + 0.36 * height))),
+        ("accent", 2, (around, low, hills)),
     ]
 
 
-def _oval_print(middle: float, height: float, width: float) -> list[Print]:
-    return [
-        ("paper", 1, oval(1.35 * width, 0.95 * height, middle)),
-        ("ink", 2, oval(1.05 * width, 0.42 * height, middle + 0.05 * height)),
-        ("paper", 3, oval(0.75 * width, 0.12 * height, middle + 0.05 * height)),
-        *_lines(middle - 0.25 * height, 0.6 * width, 2, 0.08 * height),
-    ]
-
-
-def _shield(middle: float, height: float, width: float) -> list[Print]:
+def _pointed(middle: float, height: float, width: float) -> list[Print]:
     across = np.linspace(-0.7 * width, 0.7 * width, 25)
     point = middle - 0.5 * height * (1 - 0.55 * np.abs(across / (0.7 * width)) ** 2)
-    return [
-        ("paper", 1, (across, point, np.full(25, middle + 0.46 * height))),
-        _bar("ink", 2, 1.4 * width, middle + 0.06 * height, middle + 0.28 * height),
-        ("accent", 2, oval(0.5 * width, 0.26 * height, middle - 0.18 * height)),
-        _bar("paper", 3, 0.95 * width, middle + 0.13 * height, middle + 0.21 * height),
-    ]
+    return [("paper", 1, (across, point, np.full(25, middle + 0.46 * height)))]
 
 
-def _diamond(middle: float, height: float, width: float) -> list[Print]:
-    return [
-        ("paper", 1, oval(1.7 * width, 1.05 * height, middle, sharp=True)),
-        ("ink", 2, oval(1.4 * width, 0.85 * height, middle, sharp=True)),
-        ("paper", 3, oval(0.9 * width, 0.10 * height, middle)),
-        ("accent", 3, oval(0.4 * width, 0.16 * height, middle + 0.16 * height)),
-    ]
-
-
-def _minimal(middle: float, height: float, width: float) -> list[Print]:
-    return [
-        _bar("ink", 1, 0.8 * width, middle + 0.28 * height, middle + 0.34 * height),
-        *_lines(middle + 0.16 * height, 0.5 * width, 2, 0.07 * height),
-        _bar("accent", 1, 0.4 * width, middle - 0.36 * height, middle - 0.34 * height),
-    ]
-
-
-def _pharmacy(middle: float, height: float, width: float) -> list[Print]:
-    w, arm = 2.0 * width, 0.05 * height
-    left = -0.62 * width
+def _cross(middle: float, height: float, width: float) -> list[Print]:
+    """A cross, and the name beside it."""
+    arm, left, at = 0.05 * height, -0.62 * width, middle + 0.28 * height
     across, lower, upper = patch(3 * arm, 0, 0, 5)
-    cross = middle + 0.28 * height
     return [
-        _bar("paper", 1, w, middle - height / 2, middle + height / 2),
-        _bar("accent", 2, w, middle - 0.5 * height, middle - 0.40 * height),
-        ("accent", 2, (across + left, lower + cross - arm / 2, upper + cross + arm / 2)),
-        ("accent", 2, (across / 3 + left, lower + cross - 1.5 * arm, upper + cross + 1.5 * arm)),
-        _bar("ink", 2, 0.72 * width, cross - 0.05 * height, cross + 0.05 * height),
-        *_lines(middle + 0.08 * height, 0.75 * w, 5, 0.08 * height),
+        ("accent", 2, (across + left, lower + at - arm / 2, upper + at + arm / 2)),
+        ("accent", 2, (across / 3 + left, lower + at - 1.5 * arm, upper + at + 1.5 * arm)),
+        _bar("ink", 2, 0.72 * width, at - 0.05 * height, at + 0.05 * height),
     ]
 
 
 def _badge(middle: float, height: float, width: float) -> list[Print]:
+    at = middle + 0.2 * height
     return [
-        ("ink", 1, oval(0.6 * width, 0.6 * width, middle + 0.2 * height)),
-        ("paper", 2, oval(0.36 * width, 0.36 * width, middle + 0.2 * height, sharp=True)),
-        *_lines(middle + 0.2 * height - 0.45 * width, 0.5 * width, 1, 0.01),
+        ("ink", 1, oval(0.6 * width, 0.6 * width, at)),
+        ("paper", 2, oval(0.36 * width, 0.36 * width, at, sharp=True)),
+        *_lines(at - 0.45 * width, 0.5 * width, 1, 0.01),
     ]
 
 
-_PRINTS = {
-    "estate": _estate, "classic": _classic, "wave": _wave, "band": _band, "dairy": _dairy, "oval": _oval_print,
-    "shield": _shield, "diamond": _diamond, "minimal": _minimal, "pharmacy": _pharmacy, "badge": _badge,
+_PRINTS: dict[str, tuple[float, float, tuple[Bar | Oval | Lines | Drawn, ...]]] = {
+    "estate": (1.5, 1.0, (
+        ("paper", 1, 1.0, -0.5, 0.5), ("accent", 2, 1.0, -0.44, -0.38), ("accent", 2, "oval", 0.5, 0.26, 0.26),
+        ("paper", 3, "rhombus", 0.36, 0.18, 0.26), ("ink", 2, 0.8, -0.04, 0.04), (-0.14, 0.6, 3, 0.07),
+    )),
+    "classic": (1.7, 1.0, (
+        ("paper", 1, 1.0, -0.5, 0.5), ("accent", 2, 1.0, 0.30, 0.42), ("ink", 2, 0.75, 0.02, 0.14),
+        ("ink", 2, 0.5, -0.14, -0.06), (-0.24, 0.6, 3, 0.07),
+    )),
+    "band": (1.0, 0.34, (
+        ("paper", 1, 2 * np.pi, -1.0, 1.0), ("accent", 2, 2 * np.pi, -1.0, -0.8), ("accent", 2, 2 * np.pi, 0.8, 1.0),
+        ("ink", 2, "oval", 1.3, 1.1, 0.0), ("paper", 3, "oval", 0.9, 0.36, 0.0),
+    )),
+    "wave": (1.0, 1.0, (_waves,)),
+    "dairy": (1.0, 1.0, (_hills, ("ink", 3, "oval", 1.25, 0.36, 0.08), ("paper", 4, "oval", 0.9, 0.10, 0.08))),
+    "oval": (1.0, 1.0, (
+        ("paper", 1, "oval", 1.35, 0.95, 0.0), ("ink", 2, "oval", 1.05, 0.42, 0.05),
+        ("paper", 3, "oval", 0.75, 0.12, 0.05), (-0.25, 0.6, 2, 0.08),
+    )),
+    "shield": (1.0, 1.0, (
+        _pointed, ("ink", 2, 1.4, 0.06, 0.28), ("accent", 2, "oval", 0.5, 0.26, -0.18), ("paper", 3, 0.95, 0.13, 0.21),
+    )),
+    "diamond": (1.0, 1.0, (
+        ("paper", 1, "rhombus", 1.7, 1.05, 0.0), ("ink", 2, "rhombus", 1.4, 0.85, 0.0),
+        ("paper", 3, "oval", 0.9, 0.10, 0.0), ("accent", 3, "oval", 0.4, 0.16, 0.16),
+    )),
+    "minimal": (1.0, 1.0, (("ink", 1, 0.8, 0.28, 0.34), (0.16, 0.5, 2, 0.07), ("accent", 1, 0.4, -0.36, -0.34))),
+    "pharmacy": (2.0, 1.0, (
+        ("paper", 1, 1.0, -0.5, 0.5), ("accent", 2, 1.0, -0.5, -0.40), _cross, (0.08, 0.75, 5, 0.08),
+    )),
+    "badge": (1.0, 1.0, (_badge,)),
 }  # fmt: skip
+"""Width and height that the rows are shares of, as shares of the body's radius and of the label's height; the rows."""

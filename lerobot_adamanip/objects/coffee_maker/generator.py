@@ -6,13 +6,11 @@ the handle 46 degrees to either side of a machine that itself stands a little as
 
 from __future__ import annotations
 
-import numpy as np
-
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
 from lerobot_adamanip.objects.coffee_maker import looks
-from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign, draw_design, draw_novel_design
+from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign
 from lerobot_adamanip.objects.geometry.rounded import bar, revolved, upright
-from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
+from lerobot_adamanip.objects.geometry.shapes import dot, mark, rod
 
 PORTAFILTER_RANGE = 0.80
 """Nominal turn to either side [rad] (paper code)."""
@@ -21,18 +19,6 @@ DROP_UPPER = 0.05
 GAP = 0.0015
 """Between the group head and what turns below it [m]."""
 BASKET_RADIUS = 0.035
-
-
-def make_coffee_maker(number: int) -> ArticulatedObject:
-    """Builds machine ``number`` (18 in the paper's set; any number is an object)."""
-    design = draw_design(np.random.default_rng([number, 0xCAFA]))
-    return build_coffee_maker(f"coffee_maker_{number:03d}", design)
-
-
-def make_novel_coffee_maker(number: int) -> ArticulatedObject:
-    """Builds novel machine ``number``."""
-    design = draw_novel_design(np.random.default_rng([number, 0xCAFA, 1]))
-    return build_coffee_maker(f"coffee_maker_n{number:03d}", design)
 
 
 def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> ArticulatedObject:
@@ -78,7 +64,7 @@ def _portafilter_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
     if not bottomless:
         bowl = [(0.60 * r, low), *bowl]
     shapes = [revolved((0, 0, 0), bowl, chrome, sides=24)]
-    shapes += [box((0, side * (r + 0.002), -0.005), (0.008, 0.003, 0.003), chrome, collides=False) for side in (-1, 1)]
+    shapes += [mark((0, side * (r + 0.002), -0.005), (0.008, 0.003, 0.003), chrome) for side in (-1, 1)]
     start = 0.072
     shapes.append(rod((r - 0.006, 0, -0.017), (start + 0.012, 0, HANDLE_Z), 0.0075, chrome, round_ends=False))
     shapes += _handle_shapes(design, start)
@@ -102,7 +88,7 @@ def _spout_shapes(design: CoffeeMakerDesign, low: float) -> list[Shape]:
 def _handle_shapes(design: CoffeeMakerDesign, start: float) -> list[Shape]:
     """The bar handle along x: parallel sides where fingers close."""
     (w, h), z, end, grip = design.handle_half, HANDLE_Z, design.handle_length, design.grip
-    collar = disk((start - 0.001, 0, z), 0.92 * w, 0.004, design.chrome, collides=False)
+    collar = dot((start - 0.001, 0, z), 0.92 * w, 0.004, design.chrome)
     if design.handle_style == "straight":
         bars = [bar([(start, z, w, h), (end - 0.004, z, w, h), (end, z, 0.8 * w, 0.8 * h)], grip, squareness=0.7)]
     elif design.handle_style == "ball end":
@@ -121,5 +107,5 @@ def _handle_shapes(design: CoffeeMakerDesign, start: float) -> list[Shape]:
             bar([(front, z, w, h), (tail, z, w, h)], grip),
             bar([(tail, z, w, h), (end - 0.008, z, w + 0.004, h + 0.003), (end, z, 0.8 * w, 0.8 * h)], grip),
         ]
-    cap = disk((end + 0.001, 0, z), 0.5 * w, 0.0015, design.chrome, collides=False)
+    cap = dot((end + 0.001, 0, z), 0.5 * w, 0.0015, design.chrome)
     return [collar, *bars, cap]

@@ -7,7 +7,7 @@ import numpy as np
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign
 from lerobot_adamanip.objects.geometry.rounded import revolved, round_cornered, upright
-from lerobot_adamanip.objects.geometry.shapes import box, disk, rod
+from lerobot_adamanip.objects.geometry.shapes import disk, dot, mark, rod
 
 GLASS = Material((0.01, 0.012, 0.015), 0.12)
 WHITE = Material((0.85, 0.85, 0.83), 0.4)
@@ -54,10 +54,10 @@ def _base(design: CoffeeMakerDesign) -> list[Shape]:
         shapes += [upright((x, s * (w - 0.035), 0.006), 0.014, 0.006, BLACK) for s in (-1, 1)]
     deep, wide = (0.012 - column) / 2 - 0.012, w - 0.026
     middle = column + deep + 0.002
-    shapes.append(box((middle, 0, t), (deep, wide, 0.0012), design.chrome, collides=False))
+    shapes.append(mark((middle, 0, t), (deep, wide, 0.0012), design.chrome))
     for y in np.linspace(-wide + 0.012, wide - 0.012, 13):
-        shapes.append(box((middle, y, t + 0.0006), (deep - 0.008, 0.0022, 0.0012), BLACK, collides=False))
-    lip = box((0.0005, 0, t * 0.55), (0.001, w - 0.055, 0.0035), design.chrome, collides=False)
+        shapes.append(mark((middle, y, t + 0.0006), (deep - 0.008, 0.0022, 0.0012), BLACK))
+    lip = mark((0.0005, 0, t * 0.55), (0.001, w - 0.055, 0.0035), design.chrome)
     return [*shapes, lip]
 
 
@@ -75,11 +75,8 @@ def _housing(design: CoffeeMakerDesign) -> list[Shape]:
         )
         return [_slab(design, head, t - 0.002, top, design.body), panel]
     low = design.group_z + 0.010
-    splash = box(
-        (column + 0.0005, 0, (t + low) / 2),
-        (0.001, design.width / 2 - 0.05, (low - t) / 2 - 0.012),
-        design.chrome,
-        collides=False,
+    splash = mark(
+        (column + 0.0005, 0, (t + low) / 2), (0.001, design.width / 2 - 0.05, (low - t) / 2 - 0.012), design.chrome
     )
     shapes = [
         _slab(design, column, t - 0.002, low + 0.002, design.body, inset=0.004),
@@ -131,28 +128,20 @@ def _panel(design: CoffeeMakerDesign) -> list[Shape]:
         "slot": _slot_panel,
     }
     plate_z = design.group_z + 0.052 if design.body_style != "box" else design.height - 0.020
-    plate = box(
-        (face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome, collides=False
-    )
+    plate = mark((face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome)
     return [*builders[design.panel_style](design, face, z, away), plate]
 
 
 def _gauge(face: float, y: float, z: float, radius: float, chrome: Material) -> list[Shape]:
     return [
-        disk((face + 0.003, y, z), radius, 0.003, chrome, collides=False),
-        disk((face + 0.006, y, z), 0.84 * radius, 0.0008, WHITE, collides=False),
+        dot((face + 0.003, y, z), radius, 0.003, chrome),
+        dot((face + 0.006, y, z), 0.84 * radius, 0.0008, WHITE),
         *(
-            disk(
-                (face + 0.0068, y + 0.66 * radius * np.cos(a), z + 0.66 * radius * np.sin(a)),
-                0.0013,
-                0.0004,
-                BLACK,
-                collides=False,
-            )
+            dot((face + 0.0068, y + 0.66 * radius * np.cos(a), z + 0.66 * radius * np.sin(a)), 0.0013, 0.0004, BLACK)
             for a in np.linspace(-0.6, np.pi + 0.6, 9)
         ),
         rod((face + 0.007, y, z), (face + 0.007, y - 0.45 * radius, z + 0.5 * radius), 0.0009, RED),
-        disk((face + 0.007, y, z), 0.003, 0.001, BLACK, collides=False),
+        dot((face + 0.007, y, z), 0.003, 0.001, BLACK),
     ]
 
 
@@ -160,18 +149,18 @@ def _gauge_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) 
     shapes = _gauge(face, 0.0, z, 0.022, design.chrome)
     for k, material in enumerate((BLACK, BLACK)):
         y = away - np.sign(away) * 0.026 * k
-        shapes.append(box((face + 0.002, y, z), (0.003, 0.009, 0.014), material, collides=False))
-        shapes.append(box((face + 0.005, y, z + 0.006), (0.001, 0.006, 0.004), RED if k else WHITE, collides=False))
-    knob = disk((face + 0.010, -away, z), 0.017, 0.010, BLACK, collides=False)
-    return [*shapes, knob, disk((face + 0.020, -away, z), 0.010, 0.001, design.chrome, collides=False)]
+        shapes.append(mark((face + 0.002, y, z), (0.003, 0.009, 0.014), material))
+        shapes.append(mark((face + 0.005, y, z + 0.006), (0.001, 0.006, 0.004), RED if k else WHITE))
+    knob = dot((face + 0.010, -away, z), 0.017, 0.010, BLACK)
+    return [*shapes, knob, dot((face + 0.020, -away, z), 0.010, 0.001, design.chrome)]
 
 
 def _button_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
     count = 3 if design.width < 0.25 else 4
-    shapes = [box((face + 0.001, 0, z), (0.0015, design.width / 2 - 0.030, 0.021), BLACK, collides=False)]
+    shapes = [mark((face + 0.001, 0, z), (0.0015, design.width / 2 - 0.030, 0.021), BLACK)]
     for y in np.linspace(-1, 1, count) * (design.width / 2 - 0.055):
-        shapes.append(disk((face + 0.004, y, z), 0.0125, 0.003, design.chrome, collides=False))
-        shapes.append(disk((face + 0.0072, y, z), 0.004, 0.0006, Material((0.55, 0.75, 0.95), 0.3), collides=False))
+        shapes.append(dot((face + 0.004, y, z), 0.0125, 0.003, design.chrome))
+        shapes.append(dot((face + 0.0072, y, z), 0.004, 0.0006, Material((0.55, 0.75, 0.95), 0.3)))
     return shapes
 
 
@@ -184,32 +173,32 @@ def _slot_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -
     glow = Material((0.95, 0.55, 0.10), 0.3)
     wide = design.width / 2 - 0.035
     return [
-        box((face + 0.001, 0, z + 0.008), (0.0015, wide, 0.006), BLACK, collides=False),
-        box((face + 0.0028, -0.4 * wide, z + 0.008), (0.0004, 0.4 * wide, 0.0018), glow, collides=False),
-        *(disk((face + 0.003, y, z - 0.014), 0.006, 0.003, design.chrome, collides=False) for y in (-0.02, 0.0, 0.02)),
+        mark((face + 0.001, 0, z + 0.008), (0.0015, wide, 0.006), BLACK),
+        mark((face + 0.0028, -0.4 * wide, z + 0.008), (0.0004, 0.4 * wide, 0.0018), glow),
+        *(dot((face + 0.003, y, z - 0.014), 0.006, 0.003, design.chrome) for y in (-0.02, 0.0, 0.02)),
     ]
 
 
 def _dial_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
-    pointer = box((face + 0.0225, away, z + 0.010), (0.0008, 0.0014, 0.007), WHITE, collides=False)
+    pointer = mark((face + 0.0225, away, z + 0.010), (0.0008, 0.0014, 0.007), WHITE)
     return [
         *_gauge(face, -away, z, 0.020, design.chrome),
-        disk((face + 0.002, away, z), 0.027, 0.002, design.chrome, collides=False),
-        disk((face + 0.012, away, z), 0.021, 0.010, BLACK, collides=False),
+        dot((face + 0.002, away, z), 0.027, 0.002, design.chrome),
+        dot((face + 0.012, away, z), 0.021, 0.010, BLACK),
         pointer,
-        *(disk((face + 0.004, y, z), 0.007, 0.003, design.chrome, collides=False) for y in (-0.012, 0.012)),
+        *(dot((face + 0.004, y, z), 0.007, 0.003, design.chrome) for y in (-0.012, 0.012)),
     ]
 
 
 def _display_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
     blue = Material((0.25, 0.65, 0.9), 0.3)
-    shapes = [box((face + 0.001, 0, z), (0.0015, 0.040, 0.018), GLASS, collides=False)]
+    shapes = [mark((face + 0.001, 0, z), (0.0015, 0.040, 0.018), GLASS)]
     for k in range(4):
         height = 0.004 + 0.002 * ((k * 7) % 3)
-        shapes.append(box((face + 0.0028, (k - 1.5) * 0.013, z), (0.0004, 0.004, height), blue, collides=False))
+        shapes.append(mark((face + 0.0028, (k - 1.5) * 0.013, z), (0.0004, 0.004, height), blue))
     for y in (away, -away):
-        shapes.append(disk((face + 0.007, y, z), 0.015, 0.007, design.chrome, collides=False))
-        shapes.append(disk((face + 0.014, y, z), 0.011, 0.0008, BLACK, collides=False))
+        shapes.append(dot((face + 0.007, y, z), 0.015, 0.007, design.chrome))
+        shapes.append(dot((face + 0.014, y, z), 0.011, 0.0008, BLACK))
     return shapes
 
 
@@ -249,7 +238,7 @@ def _top(design: CoffeeMakerDesign) -> list[Shape]:
     z, w, front, back = design.height + 0.002, design.width / 2 - 0.022, design.head_face - 0.030, -design.depth + 0.022
     if design.top_style == "plain":
         slots = np.linspace(-0.5, 0.5, 5) * w
-        return [box(((front + back) / 2, y, z + 0.002), (0.05, 0.004, 0.0012), BLACK, collides=False) for y in slots]
+        return [mark(((front + back) / 2, y, z + 0.002), (0.05, 0.004, 0.0012), BLACK) for y in slots]
     if design.top_style == "boiler":
         x = (front + back) / 2
         r = min(0.6 * w + 0.02, 0.07)

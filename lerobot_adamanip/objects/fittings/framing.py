@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark, rod
 
 GAP = 0.005
 """Between a leaf and its frame [m]: the back edge of a leaf that swings out needs a little."""
@@ -93,10 +93,10 @@ class Surround:
         for y0, y1, z0, z1 in self._blocks():
             for row in range(int(np.ceil(z0 / course + 0.01)), int(z1 / course - 0.01) + 1):
                 half = (0.0012, (y1 - y0) / 2, 0.0022)
-                shapes.append(box((0.0, (y0 + y1) / 2, row * course), half, joint, collides=False))
+                shapes.append(mark((0.0, (y0 + y1) / 2, row * course), half, joint))
             if not boarding:
                 for y, z in _butts(y0, y1, z0, z1):
-                    shapes.append(box((0.0, y, z), (0.0012, 0.0022, COURSE / 2), joint, collides=False))
+                    shapes.append(mark((0.0, y, z), (0.0012, 0.0022, COURSE / 2), joint))
         return shapes
 
 

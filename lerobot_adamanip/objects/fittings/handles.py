@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import rotation_about
 from lerobot_adamanip.objects.base import TWO_FINGERS, Joint, Link, Material, Shape, any_roll
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh, disk, prism, rod, rotated
+from lerobot_adamanip.objects.geometry.shapes import chamfered_box, convex_mesh, dot, mark, prism, rod, rotated
 
 LEVERS = ("round lever", "return lever", "flat lever", "tapered lever", "swept lever", "paddle lever", "ball lever")
 KNOBS = ("ball knob", "drum knob", "tulip knob", "octagon knob")
@@ -201,7 +201,7 @@ def _knob(design: HandleDesign) -> list[Shape]:
     }  # fmt: skip
     head = lathe([(x + along, radius * share) for along, share in profiles[design.style]], design.metal)
     shapes = [rod((0.002, 0, 0), (x - 0.012, 0, 0), 0.42 * radius, design.metal, round_ends=False), head]
-    shapes.append(disk((x + 0.0185, 0, 0), 0.24 * radius, 0.008, design.metal, collides=False))
+    shapes.append(dot((x + 0.0185, 0, 0), 0.24 * radius, 0.008, design.metal))
     return shapes
 
 
@@ -251,11 +251,11 @@ def plate_shapes(
     elif design.plate == "square rose":
         shapes = [chamfered_box((0.003, y, z), (0.004, half_width, half_width), 0.002, metal, collides=False)]
     else:
-        shapes = [disk((0.003, y, z), 1.05 * half_width, 0.004, metal, collides=False)]
-    shapes.append(disk((0.006, y, z), 0.62 * half_width, 0.006, metal, collides=False))
+        shapes = [dot((0.003, y, z), 1.05 * half_width, 0.004, metal)]
+    shapes.append(dot((0.006, y, z), 0.62 * half_width, 0.006, metal))
     if keyhole:
         if design.plate != "long plate":
-            shapes.append(disk((0.0025, y, below), 0.8 * half_width, 0.003, metal, collides=False))
-        shapes.append(disk((0.004, y, below), 0.0075, 0.0035, METALS[0], collides=False))
-        shapes.append(box((0.0068, y, below - 0.002), (0.001, 0.0013, 0.0045), DARK, collides=False))
+            shapes.append(dot((0.0025, y, below), 0.8 * half_width, 0.003, metal))
+        shapes.append(dot((0.004, y, below), 0.0075, 0.0035, METALS[0]))
+        shapes.append(mark((0.0068, y, below - 0.002), (0.001, 0.0013, 0.0045), DARK))
     return tuple(shapes)

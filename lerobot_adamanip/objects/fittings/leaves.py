@@ -10,7 +10,7 @@ import numpy as np
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.fittings.framing import GAP
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark
 
 GLASS = Material((0.50, 0.66, 0.74), 0.06)
 GLINT = Material((0.74, 0.85, 0.90), 0.06)
@@ -155,7 +155,7 @@ def _slab(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
         count = 4 + plan.seed % 2
         for i in range(1, count):
             at = (0.0, y + (2 * i / count - 1) * a, z)
-            shapes.append(box(at, (0.0012, 0.0018, b - 0.002), dark, collides=False))
+            shapes.append(mark(at, (0.0012, 0.0018, b - 0.002), dark))
         for share in (0.12, 0.86):
             at = (0.004, y, share * plan.height)
             shapes.append(chamfered_box(at, (0.006, a - 0.016, 0.036), 0.003, plan.paint, collides=False))
@@ -165,7 +165,7 @@ def _slab(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
         pane = (u0, u0 + 0.085, v0, 0.90 * plan.height)
         y, z, a, b = at_field(pane, hinge_side)
         rim = chamfered_box((0.001, y, z), (0.004, a + 0.010, b + 0.010), 0.002, dark, collides=False)
-        shapes += [rim, box((0.0048, y, z), (0.0008, a, b), GLASS, collides=False)]
+        shapes += [rim, mark((0.0048, y, z), (0.0008, a, b), GLASS)]
         shapes += _glints(0.0056, y, z, a, b)
     return tuple(shapes)
 

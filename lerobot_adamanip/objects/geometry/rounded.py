@@ -15,19 +15,15 @@ from lerobot_adamanip.objects.geometry.shapes import convex_mesh
 
 SIDES, SMOOTH = 32, 48
 """Of a small body: two rings of them are the 64 corners that SAPIEN leaves a convex solid. Of a large one."""
+Extents = Sequence[float]
+"""Half extents along x, y and z [m]."""
 _QUARTER = np.linspace(0, np.pi / 2, 9)
 _FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Takes a plate's (across, up, out) to (y, z, x): it stands, and faces out of an object's front."""
 
 
 def slab(
-    center: ArrayLike,
-    half: Sequence[float],
-    radius: float,
-    material: Material,
-    *,
-    bevel: float = 0.0,
-    collides: bool = True,
+    center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.0, collides: bool = True
 ) -> Shape:
     """A lying plate: corners rounded about z by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
     points = _rounded(half, radius, upper_bevel=bevel)
@@ -35,13 +31,7 @@ def slab(
 
 
 def plate(
-    center: ArrayLike,
-    half: Sequence[float],
-    radius: float,
-    material: Material,
-    *,
-    bevel: float = 0.0,
-    collides: bool = True,
+    center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.0, collides: bool = True
 ) -> Shape:
     """A standing plate, the twin of `slab`: corners rounded about x, the front rim cut, half extents x, y, z [m]."""
     points = _rounded((half[1], half[2], half[0]), radius, upper_bevel=bevel) @ _FRONT.T
@@ -49,13 +39,7 @@ def plate(
 
 
 def round_cornered(
-    center: ArrayLike,
-    half: Sequence[float],
-    radius: float,
-    material: Material,
-    *,
-    bevel: float = 0.003,
-    collides: bool = True,
+    center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.003, collides: bool = True
 ) -> Shape:
     """A box with vertical edges rounded by ``radius`` and both rims cut by ``bevel``, half extents x, y, z [m]."""
     radius = min(radius, 0.98 * min(half[0], half[1]))
@@ -64,9 +48,7 @@ def round_cornered(
     return convex_mesh(points, transform(center), material, collides=collides)
 
 
-def _rounded(
-    half: Sequence[float], radius: float, *, upper_bevel: float, lower_bevel: float = 0.0
-) -> NDArray[np.float64]:
+def _rounded(half: Extents, radius: float, *, upper_bevel: float, lower_bevel: float = 0.0) -> NDArray[np.float64]:
     """Corner points (P, 3) of a plate in the xy plane whose rims are cut."""
     insets = [(lower_bevel, -half[2]), (0.0, half[2] - upper_bevel), (upper_bevel, half[2])]
     if lower_bevel:

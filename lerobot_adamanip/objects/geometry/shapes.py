@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,6 +80,10 @@ def disk(
 ) -> Shape:
     """A cylinder about x (facing out of an object's front)."""
     return Shape("cylinder", (radius, half_thickness), transform(center), material, collides)
+
+
+mark, dot = partial(box, collides=False), partial(disk, collides=False)
+"""A box, and a disk, as decoration."""
 
 
 def without_collision(shapes: Sequence[Shape]) -> tuple[Shape, ...]:

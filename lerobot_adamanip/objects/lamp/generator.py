@@ -22,7 +22,7 @@ from lerobot_adamanip.objects.base import (
     from_above,
 )
 from lerobot_adamanip.objects.geometry.rounded import revolved, slab
-from lerobot_adamanip.objects.geometry.shapes import box, rod, without_collision
+from lerobot_adamanip.objects.geometry.shapes import box, mark, rod, without_collision
 from lerobot_adamanip.objects.lamp.heads import BRASS, HAND_CLEARANCE, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
 
 BASE_STYLES = ("plate", "block", "stadium", "discs")
@@ -104,11 +104,6 @@ def draw_design(rng: np.random.Generator) -> LampDesign:
     )
 
 
-def make_lamp(number: int) -> ArticulatedObject:
-    """Builds lamp ``number`` (25 in the paper's set; any number is an object)."""
-    return build_lamp(f"lamp_{number:03d}", draw_design(np.random.default_rng([number, 0x1A3B])))
-
-
 def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:
     """Builds links and annotation of a design: joints ``button`` and ``knob``, both under the one part ``knob``."""
     place = design.place()
@@ -188,7 +183,7 @@ def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
             shapes += without_collision([groove])
     pale = sum(design.knob.color) > 1.5
     ink = Material((0.05, 0.05, 0.05), 0.5) if pale else Material((0.85, 0.84, 0.80), 0.5)
-    shapes.append(box((0.45 * radius, 0, top), (0.28 * radius, 0.0011, 0.0004), ink, collides=False))
+    shapes.append(mark((0.45 * radius, 0, top), (0.28 * radius, 0.0011, 0.0004), ink))
     return tuple(shapes)
 
 

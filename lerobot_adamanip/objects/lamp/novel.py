@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Material, Shape
+from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.rounded import revolved
 from lerobot_adamanip.objects.geometry.shapes import rod
-from lerobot_adamanip.objects.lamp.generator import LampDesign, build_lamp, draw_design
+from lerobot_adamanip.objects.lamp.generator import LampDesign, draw_design
 from lerobot_adamanip.objects.lamp.heads import HAND_CLEARANCE, METALS, Head, Place
 
 RADII = {"pagoda": (0.060, 0.072), "stack": (0.046, 0.056), "candle": (0.046, 0.056), "tulip": (0.050, 0.062)}
@@ -99,8 +99,3 @@ def draw_novel_design(rng: np.random.Generator) -> LampDesign:
         knob_style="fluted",
         knob_radius=rng.uniform(0.0202, 0.0218),
     )
-
-
-def make_novel_lamp(number: int) -> ArticulatedObject:
-    """Builds novel lamp ``number``."""
-    return build_lamp(f"lamp_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0x1A3B, 1])))

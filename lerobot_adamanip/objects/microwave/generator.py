@@ -11,7 +11,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
 from lerobot_adamanip.objects.geometry.rounded import plate
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, prism, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, dot, mark, prism, rod
 from lerobot_adamanip.objects.microwave.looks import BLACK, LOOKS, Face, Look, door_front, handle_shapes, panel_shapes
 
 WALL = 0.018
@@ -113,11 +113,6 @@ def draw_design(rng: np.random.Generator) -> MicrowaveDesign:
     )
 
 
-def make_microwave(number: int) -> ArticulatedObject:
-    """Builds microwave ``number`` (37 in the paper's set; any number is an object)."""
-    return build_microwave(f"microwave_{number:03d}", draw_design(np.random.default_rng([number, 0x0FE4])))
-
-
 def build_microwave(object_id: str, design: MicrowaveDesign) -> ArticulatedObject:
     """Builds links and annotations of a design: joints ``door`` and ``button``, parts ``handle`` and ``button``."""
     links = (Link("body", _body_shapes(design), mass=12.0), _leaf(design), _button(design))
@@ -176,11 +171,11 @@ def _body_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
     u = WALL + cavity / 2
     top, bottom = z + h / 2 - WALL, z - h / 2 + WALL
     shapes += [
-        box((middle, design.y(u), bottom), (half, cavity / 2, 0.001), liner, collides=False),
-        box((middle, design.y(u), top), (half, cavity / 2, 0.001), liner, collides=False),
-        box((middle, design.y(WALL), z), (half, 0.001, h / 2 - WALL), liner, collides=False),
-        box((middle, design.y(WALL + cavity), z), (half, 0.0015, h / 2 - WALL), liner, collides=False),
-        box((back + 2 * t, design.y(u), z), (0.001, cavity / 2, h / 2 - WALL), liner, collides=False),
+        mark((middle, design.y(u), bottom), (half, cavity / 2, 0.001), liner),
+        mark((middle, design.y(u), top), (half, cavity / 2, 0.001), liner),
+        mark((middle, design.y(WALL), z), (half, 0.001, h / 2 - WALL), liner),
+        mark((middle, design.y(WALL + cavity), z), (half, 0.0015, h / 2 - WALL), liner),
+        mark((back + 2 * t, design.y(u), z), (0.001, cavity / 2, h / 2 - WALL), liner),
     ]
     return tuple(shapes) + _turntable(design, middle, u, bottom) + _panel_block(design) + _trimmings(design)
 
@@ -222,10 +217,10 @@ def _trimmings(design: MicrowaveDesign) -> tuple[Shape, ...]:
     for side in (-1, 1):
         for row in range(6):
             at = (-0.72 * d, side * w / 2, design.foot + (0.62 + 0.045 * row) * h)
-            shapes.append(box(at, (0.028, 0.0008, 0.0022), dark, collides=False))
+            shapes.append(mark(at, (0.028, 0.0008, 0.0022), dark))
     for column in range(7):
         at = (-0.78 * d + 0.014 * column, 0.28 * w, design.foot + h)
-        shapes.append(box(at, (0.0028, 0.04, 0.0008), dark, collides=False))
+        shapes.append(mark(at, (0.0028, 0.04, 0.0008), dark))
     for x in (-0.05, -d + 0.04):
         for y in (-w / 2 + 0.045, w / 2 - 0.045):
             shapes.append(rod((x, y, 0), (x, y, design.foot), 0.014, dark, round_ends=False))
@@ -250,11 +245,11 @@ def _button_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
     center, half = (back + out) / 2, (out - back) / 2
     material = design.look.button
     if design.button_style == "round":
-        rim = disk((out - 0.0035, 0, 0), half_z + 0.0015, 0.0008, design.look.trim, collides=False)
+        rim = dot((out - 0.0035, 0, 0), half_z + 0.0015, 0.0008, design.look.trim)
         return (disk((center, 0, 0), half_z, half, material), rim)
     if design.button_style == "octagon":
-        rim = disk((out - 0.001, 0, 0), 0.45 * half_z, 0.0013, design.look.trim, collides=False)
+        rim = dot((out - 0.001, 0, 0), 0.45 * half_z, 0.0013, design.look.trim)
         return (prism((center, 0, 0), half_z, half, 8, material), rim)
     radius = 0.004 if design.button_style == "square" else 0.45 * half_z
-    mark = box((out, 0, 0), (0.0003, 0.35 * half_y, 0.0012), design.look.trim, collides=False)
-    return (plate((center, 0, 0), (half, half_y, half_z), radius, material, bevel=0.002), mark)
+    line = mark((out, 0, 0), (0.0003, 0.35 * half_y, 0.0012), design.look.trim)
+    return (plate((center, 0, 0), (half, half_y, half_z), radius, material, bevel=0.002), line)

@@ -8,7 +8,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.rounded import plate
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, rod
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, dot, mark, rod
 
 BLACK = Material((0.012, 0.012, 0.014), 0.35)
 GLASS = Material((0.010, 0.011, 0.013), 0.12)
@@ -169,8 +169,8 @@ def _clock(look: Look, y: float, z: float) -> tuple[Shape, ...]:
         for segment in _SEGMENTS[digit]:
             dy, dz, lies = spots[segment]
             half = (0.0004, half_w if lies else line, line if lies else half_h / 2)
-            shapes.append(box((0.0018, y + offset + dy, z + dz), half, ink, collides=False))
-    dots = [box((0.0018, y, z + dz), (0.0004, 0.0011, 0.0011), ink, collides=False) for dz in (-0.003, 0.003)]
+            shapes.append(mark((0.0018, y + offset + dy, z + dz), half, ink))
+    dots = [mark((0.0018, y, z + dz), (0.0004, 0.0011, 0.0011), ink) for dz in (-0.003, 0.003)]
     return (*shapes, *dots)
 
 
@@ -179,13 +179,13 @@ def _dial(look: Look, y: float, z: float, radius: float, pale: bool) -> tuple[Sh
     ink = _paint((0.05, 0.05, 0.055)) if pale else _paint((0.75, 0.75, 0.74))
     cap = look.trim if look.controls == "retro" or not pale else _paint((0.68, 0.69, 0.70))
     shapes = [
-        disk((0.002, y, z), radius * 0.84, 0.002, look.trim, collides=False),
-        disk((0.009, y, z), radius * 0.74, 0.009, cap, collides=False),
-        box((0.0185, y, z + 0.36 * radius), (0.0008, 0.0013, 0.3 * radius), BLACK, collides=False),
+        dot((0.002, y, z), radius * 0.84, 0.002, look.trim),
+        dot((0.009, y, z), radius * 0.74, 0.009, cap),
+        mark((0.0185, y, z + 0.36 * radius), (0.0008, 0.0013, 0.3 * radius), BLACK),
     ]
     for angle in np.linspace(-2.2, 2.2, 11):
         at = (0.0005, y + 1.06 * radius * np.sin(angle), z + 1.06 * radius * np.cos(angle))
-        shapes.append(disk(at, 0.0013, 0.0005, ink, collides=False))
+        shapes.append(dot(at, 0.0013, 0.0005, ink))
     return tuple(shapes)
 
 
@@ -213,7 +213,7 @@ def door_front(look: Look, middle: float, half: tuple[float, float], free: float
         shapes.insert(0, around)
     shapes += _mesh(y, win_w - 0.010, win_h - 0.010, max(0.0, radius - 0.01))
     plate_z = -half_h + (0.016 if look.window != "glass" else 0.014)
-    shapes.append(box((0.0006, y, plate_z), (0.0008, 0.018, 0.0032), look.trim, collides=False))
+    shapes.append(mark((0.0006, y, plate_z), (0.0008, 0.018, 0.0032), look.trim))
     return tuple(shapes)
 
 
@@ -223,10 +223,10 @@ def _mesh(y: float, half_w: float, half_h: float, radius: float) -> list[Shape]:
     shapes = []
     for v in np.linspace(-1, 1, max(5, int(half_h / 0.0054)) | 1):
         short = _corner(abs(v) * half_h, half_h, radius)
-        shapes.append(box((0.0012, y, 0.006 + v * half_h), (0.0003, half_w - short, 0.0008), line, collides=False))
+        shapes.append(mark((0.0012, y, 0.006 + v * half_h), (0.0003, half_w - short, 0.0008), line))
     for u in np.linspace(-1, 1, max(7, int(half_w / 0.0054)) | 1):
         short = _corner(abs(u) * half_w, half_w, radius)
-        shapes.append(box((0.0012, y + u * half_w, 0.006), (0.0003, 0.0008, half_h - short), line, collides=False))
+        shapes.append(mark((0.0012, y + u * half_w, 0.006), (0.0003, 0.0008, half_h - short), line))
     return shapes
 
 

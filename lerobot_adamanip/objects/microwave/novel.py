@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Material
-from lerobot_adamanip.objects.microwave.generator import MicrowaveDesign, build_microwave, draw_design
+from lerobot_adamanip.objects.base import Material
+from lerobot_adamanip.objects.microwave.generator import MicrowaveDesign, draw_design
 from lerobot_adamanip.objects.microwave.looks import BLACK, CHROME, STEEL, Look
 
 HANDLE_STYLES = ("fin", "ball bar")
@@ -48,8 +48,3 @@ def draw_novel_design(rng: np.random.Generator) -> MicrowaveDesign:
         button_z=half + rng.uniform(0.024, 0.034),
         look=LOOKS[rng.integers(len(LOOKS))].varied(rng),
     )
-
-
-def make_novel_microwave(number: int) -> ArticulatedObject:
-    """Builds novel microwave ``number``."""
-    return build_microwave(f"microwave_n{number:03d}", draw_novel_design(np.random.default_rng([number, 0x0FE4, 1])))

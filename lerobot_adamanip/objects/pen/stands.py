@@ -8,7 +8,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.lathe import Ring, turned
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box
+from lerobot_adamanip.objects.geometry.shapes import chamfered_box, mark
 
 SOCKET_ROOM = 0.0012
 """Between a barrel and its socket [m]."""
@@ -84,7 +84,7 @@ def stand_shapes(stand: Stand, hole: float) -> tuple[Shape, ...]:
         shapes += _notes(stand, float(side))
     if stand.kind == "slab":
         plate = (-0.012, -stand.shift * 0.6, stand.height + 0.0004)
-        shapes += (box(plate, (0.006, 0.024, 0.0006), stand.socket, collides=False),)
+        shapes += (mark(plate, (0.006, 0.024, 0.0006), stand.socket),)
     return shapes
 
 
@@ -140,7 +140,7 @@ def _notes(stand: Stand, side: float) -> tuple[Shape, ...]:
     half = 0.036
     paper = chamfered_box((x, y, h + 0.007), (half, half, 0.007), 0.0005, Material((0.86, 0.76, 0.30), 0.9))
     lines = [
-        box((x + dx, y, h + 0.0142), (0.0006, 0.8 * half, 0.0003), stand.extra, collides=False)
+        mark((x + dx, y, h + 0.0142), (0.0006, 0.8 * half, 0.0003), stand.extra)
         for dx in (-0.018, -0.008, 0.002, 0.012)
     ]
     return (paper, *lines)

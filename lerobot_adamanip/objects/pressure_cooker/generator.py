@@ -10,8 +10,8 @@ import numpy as np
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
 from lerobot_adamanip.objects.geometry.rounded import SMOOTH, bar, revolved, upright
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, rod
-from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign, draw_design, draw_novel_design
+from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark, rod
+from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign
 
 LID_RANGE = 0.824
 """Nominal turn of the lid to either side [rad] (paper code)."""
@@ -22,18 +22,6 @@ GAP = 0.0015
 LOOP_DEPTH = 0.045
 HANDLE_GAP = 0.010
 """Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
-
-
-def make_pressure_cooker(number: int) -> ArticulatedObject:
-    """Builds cooker ``number`` (6 in the paper's set; any number is an object)."""
-    design = draw_design(np.random.default_rng([number, 0xC270]))
-    return build_pressure_cooker(f"pressure_cooker_{number:03d}", design)
-
-
-def make_novel_pressure_cooker(number: int) -> ArticulatedObject:
-    """Builds novel cooker ``number``."""
-    design = draw_novel_design(np.random.default_rng([number, 0xC270, 1]))
-    return build_pressure_cooker(f"pressure_cooker_n{number:03d}", design)
 
 
 def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> ArticulatedObject:
@@ -188,7 +176,7 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
         shapes += [
             revolved((0, 0, top - 0.002), [(0.030, 0), (0.030, 0.008), (0.027, 0.011)], steel),
             revolved((0, 0, top + 0.008), [(0.024, 0), (0.021, 0.013), (0.018, 0.015)], black),
-            box((0.010, 0, top + 0.0235), (0.008, 0.0018, 0.0012), design.accent, collides=False),
+            mark((0.010, 0, top + 0.0235), (0.008, 0.0018, 0.0012), design.accent),
         ]
     return shapes
 
@@ -203,7 +191,7 @@ def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) ->
               (r + 0.012, z, half_width + 0.001, half_height)]  # fmt: skip
     shapes.append(bar(saddle, design.plastic, squareness=0.5, collides=False))
     shapes.append(chamfered_box((r - 0.004, 0, edge + 0.004), (0.014, half_width, 0.006), 0.002, design.plastic))
-    shapes.append(box((r + 0.028, 0, z + half_height), (0.011, 0.005, 0.002), design.accent, collides=False))
+    shapes.append(mark((r + 0.028, 0, z + half_height), (0.011, 0.005, 0.002), design.accent))
     return shapes
 
 
@@ -223,10 +211,7 @@ def _grip_shapes(
         return [bar(stations, plastic, squareness=0.45), _eyelet(design, end, low)]
     if design.handle_style == "banded":
         stations = [(start, z, w, h), (tail, z, w, h), (end, low, w, 0.95 * h)]
-        rings = [
-            box((at, 0, z), (0.0022, w + 0.0004, h + 0.0004), design.accent, collides=False)
-            for at in (tail, end - 0.006)
-        ]
+        rings = [mark((at, 0, z), (0.0022, w + 0.0004, h + 0.0004), design.accent) for at in (tail, end - 0.006)]
         return [bar(stations, plastic, squareness=0.9), *rings]
     if design.handle_style == "tapered":
         stations = [(start, z, w, h), (tail, z, w, 0.92 * h), (end, low, 0.72 * w, 0.62 * h)]
