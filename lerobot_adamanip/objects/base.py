@@ -221,27 +221,27 @@ class ArticulatedObject:
         return next(link.joint for link in self.links if link.joint is not None and link.joint.name == name)
 
 
+type Draw[Design] = Callable[[np.random.Generator], Design]
 Maker = Callable[[int], ArticulatedObject]
-"""Builds the object of a number."""
 
 
 def makers[Design](
     category: str,
     stream: int,
-    draw: Callable[[np.random.Generator], Design],
-    draw_novel: Callable[[np.random.Generator], Design],
+    draw: Draw[Design],
+    novel: Draw[Design],
     build: Callable[[str, Design], ArticulatedObject],
 ) -> tuple[Maker, Maker]:
     """Returns what builds a category's objects by number: the seen and unseen ones, and the novel ones.
 
-    ``draw`` and ``draw_novel`` get a generator that is seeded by ``stream``, the category's own, and the number.
+    ``draw`` and ``novel`` get a generator that is seeded by ``stream``, the category's own, and the number.
     """
 
     def make(number: int) -> ArticulatedObject:
         return build(f"{category}_{number:03d}", draw(np.random.default_rng([number, stream])))
 
     def make_novel(number: int) -> ArticulatedObject:
-        return build(f"{category}_n{number:03d}", draw_novel(np.random.default_rng([number, stream, 1])))
+        return build(f"{category}_n{number:03d}", novel(np.random.default_rng([number, stream, 1])))
 
     return make, make_novel
 
