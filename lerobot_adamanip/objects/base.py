@@ -63,8 +63,7 @@ class Joint:
     The link's frame sits at its joint's origin, at position zero with axes parallel to the parent's.
 
     Attributes:
-        name: as mechanisms call it.
-        kind: type.
+        name, kind: as mechanisms call it, and its type.
         axis: (3,) unit vector, parent frame.
         origin: (3,) a point on the axis, parent frame [m].
         limits: [rad or m].
@@ -99,8 +98,7 @@ class Motion:
     """How one joint carries along whatever holds a part.
 
     Attributes:
-        joint: name.
-        kind: type.
+        joint, kind: name and type.
         point: (3,) a point on the axis [m]; of no account if prismatic.
         axis: (3,) unit vector; a positive position turns about it by the right-hand rule, or slides along it.
     """
@@ -142,9 +140,9 @@ TWO_FINGERS = (0.0, np.pi)
 """Rolls about the approach that are the same grasp for a gripper with two equal fingers [rad]."""
 
 
-def any_roll(count: int = 8) -> tuple[float, ...]:
+def any_roll() -> tuple[float, ...]:
     """Rolls of a grasp on something round, held the same from every side [rad]."""
-    return tuple(2 * np.pi * np.arange(count) / count)
+    return tuple(2 * np.pi * np.arange(8) / 8)
 
 
 @dataclass(frozen=True)
@@ -222,7 +220,6 @@ class ArticulatedObject:
 
 
 type Draw[Design] = Callable[[np.random.Generator], Design]
-Maker = Callable[[int], ArticulatedObject]
 
 
 def makers[Design](
@@ -231,7 +228,7 @@ def makers[Design](
     draw: Draw[Design],
     novel: Draw[Design],
     build: Callable[[str, Design], ArticulatedObject],
-) -> tuple[Maker, Maker]:
+) -> tuple[Callable[[int], ArticulatedObject], ...]:
     """Returns what builds a category's objects by number: the seen and unseen ones, and the novel ones.
 
     ``draw`` and ``novel`` get a generator that is seeded by ``stream``, the category's own, and the number.

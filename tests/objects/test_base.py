@@ -189,7 +189,7 @@ def test_a_roll_turns_the_fingers_about_the_approach_and_nothing_else(angle: flo
 
 
 def test_anything_round_is_held_from_evenly_spaced_sides() -> None:
-    rolls = any_roll(8)
+    rolls = any_roll()
     assert rolls[0] == 0.0
     np.testing.assert_allclose(np.diff((*rolls, 2 * np.pi)), np.pi / 4)
 
