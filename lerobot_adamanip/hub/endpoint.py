@@ -1,4 +1,4 @@
-"""Login to the Hub, and one clear error for everything that goes wrong there."""
+"""Login to the Hugging Face Hub, and its errors in one form."""
 
 from __future__ import annotations
 
@@ -11,22 +11,33 @@ from lerobot_adamanip.util.errors import AdaManipError
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
 
-AGAIN = "the same command again: what has arrived is not sent a second time"
+RETRY = "the same command again: files that have arrived are not sent a second time"
+_REFUSALS = {
+    401: ("The Hub does not know this login, or hides the repository from it.", "hf auth login"),
+    403: ("The Hub does not let this login write there.", "a name of your own, or a token that may write to it"),
+    404: ("The Hub does not have it.", "another --repo-id"),
+}
+"""HTTP status -> error and hint."""
 
 
 class HubError(AdaManipError, RuntimeError):
-    """The Hub cannot be reached, refuses, or holds something else than was sent."""
+    """The Hub cannot be reached, refuses a request, or holds other files than were sent."""
 
 
 def require_login(api: HfApi) -> None:
-    """Raises `HubError` if there is no token, before any request."""
+    """Raises `HubError` if the Hub is switched off or there is no token; sends no request."""
     from huggingface_hub import constants, get_token
 
     if constants.is_offline_mode():
-        raise _offline()
+        raise HubError(
+            "The Hub is switched off here.",
+            got="HF_HUB_OFFLINE",
+            allowed="a process that may use the network",
+            hint="unset HF_HUB_OFFLINE (and TRANSFORMERS_OFFLINE)",
+        )
     if not (api.token or get_token()):
         raise HubError(
-            "Nobody is logged in to the Hub.",
+            "Not logged in to the Hub.",
             got=f"no token for {api.endpoint}",
             allowed="a token with the right to write",
             hint="hf auth login; or HF_TOKEN in the environment",
@@ -35,61 +46,27 @@ def require_login(api: HfApi) -> None:
 
 @contextlib.contextmanager
 def translate_hub_errors(repo_id: str, endpoint: str) -> Iterator[None]:
-    """Turns errors of the Hub's client into `HubError`."""
+    """Raises `HubError` for errors of the Hub's client."""
     import httpx
-    from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
+    from huggingface_hub.errors import HfHubHTTPError
 
     try:
         yield
     except AdaManipError:
         raise
-    except OfflineModeIsEnabled as error:
-        raise _offline() from error
-    except (HfHubHTTPError, httpx.HTTPError, OSError, RuntimeError, ValueError) as error:
-        found = _cause(error)
-        if isinstance(found, HfHubHTTPError):
-            raise _refused(found, repo_id, endpoint) from error
-        if isinstance(found, httpx.HTTPError | OSError):
+    except (httpx.HTTPError, OSError, RuntimeError, ValueError) as error:
+        cause: BaseException = error
+        while cause.__cause__ and not isinstance(cause, httpx.HTTPError | ConnectionError):  # threads wrap errors
+            cause = cause.__cause__
+        got = f"{repo_id} at {endpoint}: {type(cause).__name__} {' '.join(str(cause).split())}"[:400]
+        if isinstance(cause, HfHubHTTPError):
+            what, hint = _REFUSALS.get(cause.response.status_code, ("The Hub refused.", RETRY))
+            raise HubError(what, got=got, allowed="a login that may write", hint=hint) from error
+        if isinstance(cause, httpx.HTTPError | OSError):
             raise HubError(
                 "The Hub cannot be reached, or the connection broke.",
-                got=f"{endpoint}: {type(found).__name__} {found}".strip()[:400],
-                allowed="a network that leads there",
-                hint=f"HF_ENDPOINT, if the Hub is elsewhere; then {AGAIN}",
+                got=got,
+                allowed="a working network connection to it",
+                hint=f"HF_ENDPOINT, if the Hub is elsewhere; then {RETRY}",
             ) from error
-        raise HubError(
-            "The Hub did not take it.", got=f"{repo_id}: {error}"[:400], allowed="a valid commit", hint=AGAIN
-        ) from error
-
-
-def _cause(error: BaseException) -> BaseException:
-    """Returns the error below one of the client's threads, which wrap it."""
-    import httpx
-    from huggingface_hub.errors import HfHubHTTPError
-
-    each: BaseException | None = error
-    while each is not None:
-        if isinstance(each, HfHubHTTPError | httpx.HTTPError | ConnectionError):
-            return each
-        each = each.__cause__
-    return error
-
-
-def _offline() -> HubError:
-    return HubError(
-        "The Hub is switched off here.",
-        got="HF_HUB_OFFLINE",
-        allowed="a process that may use the network",
-        hint="unset HF_HUB_OFFLINE (and TRANSFORMERS_OFFLINE)",
-    )
-
-
-def _refused(error: object, repo_id: str, endpoint: str) -> HubError:
-    status = getattr(getattr(error, "response", None), "status_code", None)
-    reason = {
-        401: ("The Hub does not know this login, or hides the repository from it.", "hf auth login"),
-        403: ("The Hub does not let this login write there.", "a name of your own, or a token that may write to it"),
-        404: ("The Hub does not have it.", "another --repo-id"),
-    }
-    what, hint = reason.get(status or 0, ("The Hub refused.", AGAIN))
-    told = " ".join(str(error).split())
-    return HubError(what, got=f"{repo_id} at {endpoint}: {told}"[:400], allowed="a login that may write", hint=hint)
+        raise HubError("The Hub did not accept the files.", got=got, allowed="a valid commit", hint=RETRY) from error

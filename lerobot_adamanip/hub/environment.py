@@ -1,10 +1,9 @@
-"""Repository of the environments: a shim for LeRobot's EnvHub, its card, and its requirements."""
+"""Repository of the environments: modules for LeRobot's EnvHub, requirements, and a card."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.contract import schema
@@ -21,43 +20,33 @@ _OBSERVED = {
     schema.POINT_CLOUD: "point_cloud", schema.STATE: "agent_pos", schema.EFFORT: "effort",
     schema.FRONT_IMAGE: "pixels/front", schema.ACTION: "action",
 }  # fmt: skip
-"""Column of a dataset -> what the environment calls it."""
+"""Dataset column -> key of an observation."""
 
 
-def write_environment(
-    folder: Path,
-    repo_id: str,
-    fingerprint: Mapping[str, str],
-    *,
-    category: str = ALL,
-    results: Sequence[ResultFile] = (),
-) -> None:
-    """Writes the files of an environment's repository.
+def environment_files(
+    repo_id: str, fingerprint: Mapping[str, str], *, category: str = ALL, results: Sequence[ResultFile] = ()
+) -> dict[str, str]:
+    """Returns the files of an environment's repository: name -> text.
 
     Args:
-        folder: an empty one.
         repo_id: its name on the Hub.
         fingerprint: part -> hash of the code that decides episodes.
-        category: what ``env.py`` opens; `ALL` for the suite. There is a file for each under ``envs/``.
+        category: environment that ``env.py`` opens; `ALL` for all nine. ``envs/`` has a file for each.
         results: for its card.
 
     Raises:
         ConfigurationError: there is no such category.
     """
     require_choice("category", category, (*CATEGORIES, ALL))
-    (folder / "envs").mkdir(parents=True)
-    (folder / "env.py").write_text(_shim(repo_id, category), encoding="utf-8")
-    for name in CATEGORIES:
-        (folder / "envs" / f"{name}.py").write_text(_shim(f"{repo_id}:envs/{name}.py", name), encoding="utf-8")
-    (folder / "requirements.txt").write_text(f"lerobot_env_adamanip[sim]=={__version__}\n", encoding="utf-8")
-    card = environment_card(repo_id, fingerprint, category=category, results=results)
-    (folder / "README.md").write_text(card, encoding="utf-8")
+    return {
+        "env.py": _shim(repo_id, category),
+        **{f"envs/{name}.py": _shim(f"{repo_id}:envs/{name}.py", name) for name in CATEGORIES},
+        "requirements.txt": f"lerobot_env_adamanip[sim]=={__version__}\n",
+        "README.md": _card(repo_id, fingerprint, category, results),
+    }
 
 
-def environment_card(
-    repo_id: str, fingerprint: Mapping[str, str], *, category: str = ALL, results: Sequence[ResultFile] = ()
-) -> str:
-    """Returns the README of an environment's repository; arguments as of `write_environment`."""
+def _card(repo_id: str, fingerprint: Mapping[str, str], category: str, results: Sequence[ResultFile]) -> str:
     fields = {
         "license": LICENSE,
         "library_name": "lerobot",
@@ -66,10 +55,7 @@ def environment_card(
     }
     return card_template("environment_card.md").substitute(
         front_matter=front_matter("model", fields),
-        title=_title(category),
-        repo_id=repo_id,
-        version=__version__,
-        env_type=_env_type(category),
+        **_names(repo_id, category),
         opens="all nine categories: {category: {0: vector environment}}" if category == ALL else _title(category),
         categories="\n".join(
             f"| {name.replace('_', ' ')} | {each.seen} | {re.split('[:;] ', RULES[name].reading)[0]} |"
@@ -87,15 +73,14 @@ def environment_card(
     )
 
 
+def _shim(repo_id: str, category: str) -> str:
+    return card_template("env.py").substitute(_names(repo_id, category))
+
+
+def _names(repo_id: str, category: str) -> dict[str, str]:
+    env_type = "adamanip" if category == ALL else f"adamanip_{category}"
+    return {"title": _title(category), "repo_id": repo_id, "version": __version__, "env_type": env_type}
+
+
 def _title(category: str) -> str:
     return "nine environments" if category == ALL else category.replace("_", " ")
-
-
-def _env_type(category: str) -> str:
-    return "adamanip" if category == ALL else f"adamanip_{category}"
-
-
-def _shim(repo_id: str, category: str) -> str:
-    return card_template("env.py").substitute(
-        title=_title(category), repo_id=repo_id, version=__version__, env_type=_env_type(category)
-    )

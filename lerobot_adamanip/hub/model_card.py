@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from safetensors import safe_open
 
 from lerobot_adamanip.datasets.cards.collected import COLUMNS
 from lerobot_adamanip.datasets.cards.templates import LICENSE, card_template, citation, front_matter
@@ -44,23 +45,23 @@ _ROWS = {
     "noise_scheduler_type": ("sampler", "{}"),
     "num_inference_steps": ("sampling steps", "{}"),
 }
-"""Options of a policy that a card tells, if it has them: what it calls them, and how it says their values."""
+"""Option of a policy -> its name and format on a card."""
 _UNUSED = {
     "anchors": ("noise_scheduler_type", "num_inference_steps"), "diffusion": ("num_anchors", "num_refinements"),
 }  # fmt: skip
-"""Head of a policy -> options that say nothing of it."""
+"""Head of a policy -> options without effect on it."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a card tells of a policy.
+    """Facts of a policy for its card.
 
     Attributes:
         config: its ``config.json``.
         training: its ``train_config.json``; empty if unknown.
         parameters: of the network that acts.
-        updates: of averaged weights; None where nothing is averaged.
+        updates: number of updates in averaged weights; None without averaging.
     """
 
     config: Mapping[str, Any]
@@ -70,35 +71,13 @@ class Checkpoint:
 
     @classmethod
     def read(cls, folder: Path) -> Checkpoint:
-        """Returns that of a folder ``pretrained_model``, whose files have been checked."""
-        read = {name: json.loads((folder / name).read_text()) for name in ("config.json", "train_config.json")}
-        shapes = tensor_shapes(folder / "model.safetensors")
-        acting = {name: shape for name, shape in shapes.items() if not name.startswith("ema_")}
-        updates = _scalar(folder / "model.safetensors", "ema_steps") if "ema_steps" in shapes else None
-        return cls(
-            read["config.json"], read["train_config.json"], sum(math.prod(shape) for shape in acting.values()), updates
-        )
-
-
-def tensor_shapes(path: Path) -> dict[str, tuple[int, ...]]:
-    """Returns the shapes of a safetensors file's tensors; raises ValueError or OSError for another or a cut file."""
-    with open(path, "rb") as file:
-        (length,) = struct.unpack("<Q", file.read(8).ljust(8, b"\0"))
-        if not 0 < length < 100_000_000:
-            raise ValueError("no safetensors header")
-        header = json.loads(file.read(length))
-    header.pop("__metadata__", None)
-    end = max((entry["data_offsets"][1] for entry in header.values()), default=0)
-    if path.stat().st_size != 8 + length + end:
-        raise ValueError(f"{path.stat().st_size} bytes, where its header tells of {8 + length + end}")
-    return {name: tuple(entry["shape"]) for name, entry in header.items()}
-
-
-def _scalar(path: Path, name: str) -> int:
-    from safetensors import safe_open
-
-    with safe_open(path, framework="np") as tensors:
-        return int(tensors.get_tensor(name))
+        """Reads a folder ``pretrained_model`` whose files have been checked."""
+        config, training = (json.loads((folder / name).read_text()) for name in ("config.json", "train_config.json"))
+        with safe_open(folder / "model.safetensors", framework="np") as tensors:
+            shapes = {name: tensors.get_slice(name).get_shape() for name in tensors.keys()}  # noqa: SIM118
+            updates = int(tensors.get_tensor("ema_steps")) if "ema_steps" in shapes else None
+        acting = (math.prod(shape) for name, shape in shapes.items() if not name.startswith("ema_"))
+        return cls(config, training, sum(acting), updates)
 
 
 def model_card(
@@ -107,10 +86,10 @@ def model_card(
     """Returns the README of a policy.
 
     Args:
-        checkpoint: what is known of it.
+        checkpoint: facts of the policy.
         repo_id: its name on the Hub.
         results: of its evaluations; they become the card's `model-index` too.
-        dataset: name on the Hub of what it was trained on; that of the training's configuration if left out.
+        dataset: name on the Hub of the training dataset; that of the training's configuration if left out.
     """
     config, training = checkpoint.config, checkpoint.training
     kind, demos = str(config["type"]), dataset or _dataset_of(training)

@@ -1,4 +1,4 @@
-"""Results on a card: the table that people read, and the `model-index` that the Hub reads."""
+"""Results on a card: a table, and the Hub's `model-index`."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ if TYPE_CHECKING:
     from huggingface_hub import EvalResult
 
 _SHOWN = ("success", "key_frames", "failed_tries")
-NONE = (
+NO_RESULTS = (
     "None are published with it. `adamanip report LOG --out FILE --command '...'`, then "
     "`adamanip push ... --results FILE`, adds them."
 )
 
 
 def read_results(paths: Sequence[Path], command: str | None = None) -> list[ResultFile]:
-    """Reads results: files of ``adamanip report --out``, and episode logs (``.jsonl``).
+    """Reads result files of ``adamanip report --out``, and episode logs (``.jsonl``).
 
     Args:
         paths: of the files.
-        command: that made the episode logs, as typed; required for those, because no number goes without its command.
+        command: that made the episode logs, as typed; required for these.
 
     Raises:
-        DatasetError: a file is none of these.
+        DatasetError: a file is neither.
         ConfigurationError: an episode log without a command, or of several codes or splits.
     """
-    return [_of_log(path, command) if path.suffix == ".jsonl" else read_result(path) for path in paths]
+    return [_result_of_log(path, command) if path.suffix == ".jsonl" else read_result(path) for path in paths]
 
 
-def _of_log(path: Path, command: str | None) -> ResultFile:
+def _result_of_log(path: Path, command: str | None) -> ResultFile:
     records = read_log(path)
     if not command:
         raise ConfigurationError(
-            "Numbers are published with the command that made them.",
+            "Results are published with the command that made them.",
             got=f"{path.name} without a command",
             allowed="--results-command 'lerobot-eval ...', as typed",
             hint="or adamanip report LOG --out FILE --command '...', then --results FILE",
@@ -52,8 +52,8 @@ def _of_log(path: Path, command: str | None) -> ResultFile:
 
 
 def results_table(results: Sequence[ResultFile]) -> str:
-    """Returns what a card says of results: rates with 95 % Wilson intervals, and what made them."""
-    return "\n\n".join(map(_table, results)) or NONE
+    """Returns results for a card: rates with 95 % Wilson intervals, and the commands that made them."""
+    return "\n\n".join(map(_table, results)) or NO_RESULTS
 
 
 def _table(result: ResultFile) -> str:
@@ -72,9 +72,9 @@ def _table(result: ResultFile) -> str:
 
 
 def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
-    """Returns rows of results as the Hub's library takes them; it makes a card's `model-index` of them.
+    """Returns results as rows of a card's `model-index`.
 
-    A dataset's split there is ours of objects (seen, unseen, novel); the scenes' split and the seeds are arguments.
+    ``dataset_split`` is the split of objects (seen, unseen, novel); the split of scenes and the seeds are arguments.
     """
     from huggingface_hub import EvalResult
 

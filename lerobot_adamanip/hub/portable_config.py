@@ -11,13 +11,13 @@ from typing import Any
 
 _HUB_NAME = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
 _FOLDERS = ("checkpoints", "data", "models", "output", "outputs", "results", "runs", "tmp", "train")
-"""First parts of paths that trainings write to: no owner on the Hub, also where the folder is not there any more."""
+"""First folders of training paths: not owners on the Hub, even if the folder is gone."""
 _PRIVATE = (
     ("output_dir",), ("checkpoint_path",), ("dataset", "root"), ("env", "assets"), ("env", "episode_log"),
     ("wandb", "entity"), ("wandb", "notes"), ("wandb", "run_id"),  # `trackio` instead since LeRobot 0.7
     ("trackio", "space_id"), ("trackio", "dataset_id"), ("trackio", "notes"), ("trackio", "run_id"),
 )  # fmt: skip
-"""Fields of a training's configuration that do; all may be null."""
+"""Fields of a training's configuration that name a machine or an account; all may be null."""
 
 
 def shareable(training: Mapping[str, Any], dataset: str | None = None) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def shareable(training: Mapping[str, Any], dataset: str | None = None) -> dict[s
 
     Args:
         training: JSON-able.
-        dataset: name on the Hub of what it was trained on, in place of a local one.
+        dataset: name on the Hub of the training dataset, in place of a local one.
     """
     found: dict[str, Any] = json.loads(json.dumps(training))
     for *parents, name in _PRIVATE:
@@ -57,8 +57,7 @@ def shareable_copy(training: Any) -> Any:
 
 
 def is_local(path: object) -> bool:
-    """Whether where a policy came from is a folder, not a name on the Hub."""
-    if path is None:
-        return False
+    """Returns whether a policy's ``pretrained_path`` is a folder, not a name on the Hub."""
     text = str(path)
-    return Path(text).exists() or _HUB_NAME.fullmatch(text) is None or text.partition("/")[0] in _FOLDERS
+    is_name = _HUB_NAME.fullmatch(text) is not None and text.partition("/")[0] not in _FOLDERS
+    return path is not None and (not is_name or Path(text).exists())

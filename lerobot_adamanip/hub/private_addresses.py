@@ -17,22 +17,25 @@ _HOST = re.compile(
 )
 _NAMED_HOST = re.compile(r"(?:hostname|host_name|nodename|node_name)[\"']?\s*[:=]\s*[\"']?([A-Za-z0-9][\w.-]+)", re.I)
 _VERSION_BEFORE = re.compile(r"(?:[=<>~!]=\s*|\bv(?:ersion)?[ .:=]*|[\w.]-)$", re.I)
-"""What stands before a version number of four parts, right in front of it."""
+"""Right before a version number of four parts."""
 _ADDRESS_BEFORE = re.compile(
     r"(?:://|@|\b(?:ip|ipv4|inet|addr|address|host|node|server|gateway|peer|client|dns|ping|ssh|from|to|at)\b\W{0,4})$",
     re.I,
 )
 _ADDRESS_BEHIND = re.compile(r":\d{2,5}\b|/\d{1,2}\b")
 _PUBLIC_MAIL = ("example.com", "example.org", "example.net", "users.noreply.github.com")
+_DOCUMENTATION = tuple(
+    map(ipaddress.ip_network, ("192.0.2.0/24", "198.51.100.0/24", "203.0.113.0/24", "0.0.0.0/8", "2001:db8::/32"))
+)
 _NO_HOSTS = ("localhost", "none", "null", "true", "false")
 
 
 def find_addresses(text: str) -> Iterator[tuple[str, str]]:
-    """Yields kind (``address``, ``e-mail`` or ``host``) and text of what tells of a machine or a person.
+    """Yields kind (``address``, ``e-mail`` or ``host``) and text of addresses of machines and persons.
 
     A number of four parts may be a version. It is an address if it is of a private network and no version mark such
     as ``==`` stands before it, or if words or a port beside it say so. Loopback, unspecified and documentation
-    addresses tell of nobody.
+    addresses are left out.
     """
     for found in _IPV4.finditer(text):
         if _is_ipv4(found.group(), text[max(0, found.start() - 24) : found.start()], text[found.end() :][:8]):
@@ -52,13 +55,8 @@ def find_addresses(text: str) -> Iterator[tuple[str, str]]:
 
 
 def _is_ipv4(candidate: str, before: str, behind: str) -> bool:
-    try:
-        address = ipaddress.IPv4Address(candidate)
-    except ValueError:
-        return False
-    if address.is_loopback or address.is_unspecified or address.is_multicast or address.is_reserved:
-        return False
-    if any(address in network for network in _DOCUMENTATION):
+    address = _private_or_public(candidate)
+    if address is None:
         return False
     if _ADDRESS_BEFORE.search(before) or _ADDRESS_BEHIND.match(behind):
         return True
@@ -66,16 +64,20 @@ def _is_ipv4(candidate: str, before: str, behind: str) -> bool:
 
 
 def _is_ipv6(candidate: str) -> bool:
-    try:
-        address = ipaddress.IPv6Address(candidate)
-    except ValueError:
-        return False
-    if address.is_loopback or address.is_unspecified or address.is_multicast or address in _DOCUMENTATION_6:
+    address = _private_or_public(candidate)
+    if address is None:
         return False
     groups = [group for group in candidate.split(":") if group]
     # Two groups and a gap are a slice or a name of C++ more often than an address.
     return len(groups) > 2 or address.is_link_local or candidate.lower().startswith(("fc", "fd"))
 
 
-_DOCUMENTATION = tuple(map(ipaddress.IPv4Network, ("192.0.2.0/24", "198.51.100.0/24", "203.0.113.0/24", "0.0.0.0/8")))
-_DOCUMENTATION_6 = ipaddress.IPv6Network("2001:db8::/32")
+def _private_or_public(candidate: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Returns the address; None if it is none, or is a loopback, unspecified, multicast or documentation address."""
+    try:
+        address = ipaddress.ip_address(candidate)
+    except ValueError:
+        return None
+    special = address.is_loopback or address.is_unspecified or address.is_multicast
+    reserved = address.version == 4 and address.is_reserved
+    return None if special or reserved or any(address in network for network in _DOCUMENTATION) else address

@@ -1,18 +1,16 @@
-"""Publishing. Every step can be repeated; files that are there already are not sent again."""
+"""Publish staged files. Every step can be repeated; files that are there already are not sent again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.hub.endpoint import AGAIN, HubError, require_login, translate_hub_errors
+from lerobot_adamanip.hub.endpoint import RETRY, HubError, require_login, translate_hub_errors
 from lerobot_adamanip.hub.staging import Digest, Staged
+from lerobot_adamanip.util.errors import listed
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
-
-_OF_THE_HUB = (".gitattributes",)
-"""Files that the Hub itself keeps."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +21,10 @@ class PushResult:
         repo_id: name on the Hub.
         kind: ``dataset`` or ``model``.
         url: of the repository.
-        commit: that holds the files; ``changed`` is False if they were there already.
-        files, bytes: number and size of the files.
+        commit: that holds the files.
+        changed: False if the files were there already.
+        files: number of files.
+        bytes: size of all files.
         tags: at the commit.
     """
 
@@ -39,20 +39,20 @@ class PushResult:
 
 
 def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, release: str | None = None) -> PushResult:
-    """Creates the repository, uploads in one commit, moves the version's tag, and compares what is there then.
+    """Creates the repository, uploads in one commit, moves the version's tag, and compares the Hub's files.
 
     All goes to the endpoint of ``api`` (``HF_ENDPOINT``) and to the stores that it names. After an interruption the
     same call resumes.
 
     Args:
-        staged: what to publish.
+        staged: files to publish.
         api: the Hub's client; the default one if left out.
-        private: whether the repository is to be private. One that is public already is refused.
-        release: name of a tag for what is published now; see `require_release_name`.
+        private: create a private repository. One that is public already is refused.
+        release: tag of this publication; see `require_release_name`.
 
     Raises:
-        HubError: nobody is logged in, the Hub is out of reach or refuses, or holds something else than was sent.
-        DatasetError: a file is not what was scanned any more.
+        HubError: not logged in, the Hub is out of reach or refuses, or holds other files than were sent.
+        DatasetError: a file has changed since it was scanned.
     """
     from huggingface_hub import HfApi as Client
 
@@ -62,14 +62,20 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
     with translate_hub_errors(staged.repo_id, str(api.endpoint)):
         url = api.create_repo(staged.repo_id, repo_type=staged.kind, private=private or None, exist_ok=True)
         before = _head(api, staged, private)
-        _upload(api, staged)
+        api.upload_folder(
+            repo_id=staged.repo_id,
+            repo_type=staged.kind,
+            folder_path=staged.folder,
+            commit_message=f"adamanip push {staged.kind}",
+            delete_patterns=[f"{folder}*" for folder in staged.replaced] or None,
+        )
         commit = _head(api, staged, private)
-        tags = [_move_tag(api, staged, staged.version_tag, commit)] if staged.version_tag else []
-        tags += [_set_release(api, staged, release, commit)] if release else []
-        size = _read_back(api, staged, commit)
-    return PushResult(
-        staged.repo_id, staged.kind, str(url), commit, commit != before, len(staged.digests), size, tuple(tags)
-    )
+        tags = tuple(tag for tag in (staged.version_tag, release) if tag)
+        for tag in tags:
+            _set_tag(api, staged, tag, commit, movable=tag == staged.version_tag)
+        _require_same_files(api, staged, commit)
+    size = sum(digest.size for digest in staged.digests.values())
+    return PushResult(staged.repo_id, staged.kind, str(url), commit, commit != before, len(staged.digests), size, tags)
 
 
 def _head(api: HfApi, staged: Staged, private: bool) -> str:
@@ -85,65 +91,46 @@ def _head(api: HfApi, staged: Staged, private: bool) -> str:
     return str(info.sha)
 
 
-def _upload(api: HfApi, staged: Staged) -> None:
-    api.upload_folder(
-        repo_id=staged.repo_id,
-        repo_type=staged.kind,
-        folder_path=staged.folder,
-        commit_message=f"adamanip push {staged.kind}",
-        delete_patterns=[f"{folder}*" for folder in staged.replaced] or None,
-    )
-
-
-def _tags(api: HfApi, staged: Staged) -> dict[str, str]:
+def _tag_commit(api: HfApi, staged: Staged, tag: str) -> str | None:
     refs = api.list_repo_refs(staged.repo_id, repo_type=staged.kind)
-    return {tag.name: tag.target_commit for tag in refs.tags}
+    return next((each.target_commit for each in refs.tags if each.name == tag), None)
 
 
-def _move_tag(api: HfApi, staged: Staged, tag: str, commit: str) -> str:
-    """Deletes the tag and sets it anew: the Hub moves none. After a cut between the two, the next call sets it."""
-    known = _tags(api, staged).get(tag)
-    if known != commit:
-        if known is not None:
-            api.delete_tag(staged.repo_id, tag=tag, repo_type=staged.kind)
-        api.create_tag(staged.repo_id, tag=tag, revision=commit, repo_type=staged.kind)
-    return tag
-
-
-def _set_release(api: HfApi, staged: Staged, tag: str, commit: str) -> str:
-    known = _tags(api, staged).get(tag)
-    if known not in (None, commit):
+def _set_tag(api: HfApi, staged: Staged, tag: str, commit: str, *, movable: bool) -> None:
+    """Sets a tag, deleting the old one first; after an interruption in between, the next call sets it."""
+    known = _tag_commit(api, staged, tag)
+    if known == commit:
+        return
+    if known is not None and not movable:
         raise HubError(
-            "This release is of another commit; releases stay where they are.",
+            "This release is of another commit; releases are not moved.",
             got=f"{tag} is at {known}, what is published now at {commit}",
             allowed="a tag that is new",
             hint="another --release; what was sent stays there, untagged",
         )
-    if known is None:
-        api.create_tag(staged.repo_id, tag=tag, revision=commit, repo_type=staged.kind)
-    return tag
+    if known is not None:
+        api.delete_tag(staged.repo_id, tag=tag, repo_type=staged.kind)
+    api.create_tag(staged.repo_id, tag=tag, revision=commit, repo_type=staged.kind)
 
 
-def _read_back(api: HfApi, staged: Staged, commit: str) -> int:
-    """Compares the commit with the staged files, and the tag with the commit; returns the bytes of all files."""
+def _require_same_files(api: HfApi, staged: Staged, commit: str) -> None:
+    """Raises `HubError` if the commit's files or its version tag differ from what was staged."""
     entries = api.list_repo_tree(staged.repo_id, repo_type=staged.kind, revision=commit, recursive=True)
     remote = {entry.path: entry for entry in entries if hasattr(entry, "blob_id")}
     local = staged.digests
-    wrong = [name for name, digest in local.items() if name not in remote or not _equal(remote[name], digest)]
-    stale = set(remote) - set(local) - set(_OF_THE_HUB)
-    wrong += sorted(name for name in stale if name.startswith(staged.replaced or ("\0",)))
-    if staged.version_tag and _tags(api, staged).get(staged.version_tag) != commit:
+    wrong = [name for name, digest in local.items() if name not in remote or not _is_same(remote[name], digest)]
+    wrong += sorted(name for name in set(remote) - set(local) if name.startswith(staged.replaced))
+    if staged.version_tag and _tag_commit(api, staged, staged.version_tag) != commit:
         wrong.append(f"tag {staged.version_tag}")
     if wrong:
         raise HubError(
-            "The Hub holds something else than was sent.",
-            got=f"{staged.repo_id}: {', '.join(wrong[:5])}" + (f" and {len(wrong) - 5} more" if wrong[5:] else ""),
+            "The Hub holds other files than were sent.",
+            got=f"{staged.repo_id}: {listed(wrong)}",
             allowed="the same files, of the same content",
-            hint=AGAIN,
+            hint=RETRY,
         )
-    return sum(digest.size for digest in local.values())
 
 
-def _equal(entry: Any, digest: Digest) -> bool:
+def _is_same(entry: Any, digest: Digest) -> bool:
     same = str(entry.blob_id) == digest.git if entry.lfs is None else str(entry.lfs.sha256) == digest.sha256
     return same and entry.size == digest.size

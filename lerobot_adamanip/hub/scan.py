@@ -16,19 +16,20 @@ import pyarrow.parquet as pq
 from lerobot_adamanip.datasets.cards.templates import template_texts
 from lerobot_adamanip.evaluation.results import MACHINE_PATH
 from lerobot_adamanip.hub.private_addresses import find_addresses
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.errors import DatasetError, listed
 
 _TEXT = (".json", ".jsonl", ".md", ".py", ".txt", ".yaml", ".yml", ".toml", ".csv")
 _SHORTEST, _SHORTEST_IN_BYTES = 4, 7
-"""Letters of a name below which it is found by chance, in text and in compressed bytes."""
+"""Names with fewer letters occur by chance, in text and in compressed bytes."""
 _MANY = {
     "admin", "administrator", "centos", "container", "debian", "docker", "fedora", "github", "jovyan", "localhost",
     "nobody", "root", "runner", "ubuntu", "user", "vagrant",
 }  # fmt: skip
-"""Names that thousands of machines share, and that tell of none."""
-_TEXT_RUN = re.compile(rb"[\x20-\x7e]{24,}")
-"""Text among other bytes: so many letters in a row are no chance."""
-_POSIX_PATH = re.compile(rb"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/")
+"""Names that thousands of machines share."""
+_TEXT_RUN = re.compile(r"[\x20-\x7e]{24,}")
+"""Text among other bytes: so many letters in a row are not chance."""
+_TEXT_PATH = re.compile(rf"(?:{MACHINE_PATH})[^\s\"'`,;)\]]*")
+_BINARY_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -77,83 +78,70 @@ class Names:
 
 
 def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Finding]:
-    """Returns findings in text, in Parquet metadata and columns of text, and in headers of other files.
+    """Returns findings in file names, text files, Parquet metadata and text columns, and bytes of other files.
 
     Args:
         files: path in the repository -> file.
-        names: of this machine. Names that are words of our own cards, or shared by thousands, are no findings.
-        owner: of the repository, under whose name all is published anyway.
+        names: of this machine. Words of our own cards, and names that thousands share, are not findings.
+        owner: of the repository; the publication carries this name anyway.
     """
     found: list[Finding] = []
     for name, path in files.items():
-        suffix = Path(name).suffix.lower()
-        if suffix == ".parquet":
-            texts: Iterator[str] = _parquet_texts(name, path)
-        elif suffix in _TEXT:
-            texts = iter([path.read_text(encoding="utf-8", errors="replace")])
+        suffix = path.suffix.lower()
+        binary = suffix not in (".parquet", *_TEXT)
+        if binary:
+            texts = iter([path.read_bytes().decode("latin-1")])
+        elif suffix == ".parquet":
+            texts = _parquet_texts(name, path)
         else:
-            found += _in_bytes(name, path.read_bytes(), names, owner)
-            continue
-        found += [finding for text in (name, *texts) for finding in _in_text(name, text, names, owner)]
+            texts = iter([name, path.read_text(encoding="utf-8", errors="replace")])
+        found += (finding for text in texts for finding in _search(name, text, names, owner, binary=binary))
     return list(dict.fromkeys(found))
 
 
 def require_clean(files: Mapping[str, Path], names: Names, *, owner: str = "") -> None:
-    """Raises `DatasetError` that names each file in which `scan` finds something."""
+    """Raises `DatasetError` that names the first files in which `scan` finds something."""
     if found := scan(files, names, owner=owner):
-        told = "; ".join(f"{each.file}: {each.kind} {each.text!r}" for each in found[:5])
-        more = f"; and {len(found) - 5} more" if len(found) > 5 else ""
         raise DatasetError(
-            "This would publish what belongs to a machine.",
-            got=told + more,
+            "Files hold names or addresses of a machine or a person.",
+            got=listed([f"{each.file}: {each.kind} {each.text!r}" for each in found]),
             allowed="no folder, user, host, network address or e-mail address in any file",
             hint="edit the file, or make it again with relative paths; then the same command again",
         )
 
 
-def _in_text(file: str, text: str, names: Names, owner: str) -> Iterator[Finding]:
-    for path in re.finditer(rf"(?:{MACHINE_PATH})[^\s\"'`,;)\]]*", text):
+def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> Iterator[Finding]:
+    """Yields the findings of a text, or of bytes that were decoded as Latin-1."""
+    for path in (_BINARY_PATH if binary else _TEXT_PATH).finditer(text):
         yield Finding(file, "path", path.group()[:120])
     for folder in names.folders:
-        if folder in text:
+        if (folder.encode().decode("latin-1") if binary else folder) in text:
             yield Finding(file, "path", folder)
-    for kind, mine in _telling(names, owner):
-        if found := re.search(rf"(?<![A-Za-z0-9_]){re.escape(mine)}(?![A-Za-z0-9_])", text):
-            yield Finding(file, kind, found.group())
-
-    for kind, address in find_addresses(text):
-        yield Finding(file, kind, address[:120])
-
-
-def _in_bytes(file: str, content: bytes, names: Names, owner: str) -> Iterator[Finding]:
-    for run in _TEXT_RUN.finditer(content):
-        for kind, address in find_addresses(run.group().decode("ascii")):
+    for kind, name in _telling_names(names, owner, _SHORTEST_IN_BYTES if binary else _SHORTEST):
+        word = name.encode().decode("latin-1") if binary else name
+        if re.search(rf"(?<!\w){re.escape(word)}(?!\w)", text, re.ASCII):
+            yield Finding(file, kind, name)
+    for part in _TEXT_RUN.findall(text) if binary else [text]:
+        for kind, address in find_addresses(part):
             yield Finding(file, kind, address[:120])
-    for path in _POSIX_PATH.finditer(content):
-        yield Finding(file, "path", path.group().decode(errors="replace"))
-    for folder in names.folders:
-        if folder.encode() in content:
-            yield Finding(file, "path", folder)
-    for kind, mine in _telling(names, owner):
-        if len(mine) >= _SHORTEST_IN_BYTES and re.search(rb"(?<!\w)" + re.escape(mine.encode()) + rb"(?!\w)", content):
-            yield Finding(file, kind, mine)
 
 
-def _telling(names: Names, owner: str) -> Iterator[tuple[str, str]]:
+def _telling_names(names: Names, owner: str, shortest: int) -> Iterator[tuple[str, str]]:
     for kind, known in (("user", names.user), ("host", names.host)):
         for name in known:
-            said_anyway = name.lower() in _MANY or name == owner or name.lower() in _our_words()
-            if len(name) >= _SHORTEST and not said_anyway:
+            harmless = name.lower() in _MANY or name == owner or name.lower() in _our_words()
+            if len(name) >= shortest and not harmless:
                 yield kind, name
 
 
 @functools.cache
 def _our_words() -> frozenset[str]:
-    """Words that every card has, so a user of such a name is not named by them."""
+    """Returns the words of our card templates: a card does not name a user who is called so."""
     return frozenset(word.lower() for text in template_texts() for word in re.findall(r"[A-Za-z0-9]+", text))
 
 
 def _parquet_texts(name: str, path: Path) -> Iterator[str]:
+    yield name
     try:
         file = pq.ParquetFile(path)
         yield str(file.metadata.created_by)
@@ -163,22 +151,18 @@ def _parquet_texts(name: str, path: Path) -> Iterator[str]:
             yield field.name
             if _holds_text(field.type):
                 values = file.read(columns=[field.name]).column(field.name)
-                yield "\n".join(map(str, values.unique().to_pylist() if _plain(field.type) else values.to_pylist()))
+                yield "\n".join(map(str, values.unique().to_pylist() if _is_text(field.type) else values.to_pylist()))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise DatasetError(
-            "A file cannot be read, so it is not published.",
-            got=f"{name}: {error}",
-            allowed="Parquet",
-            hint="repair it",
+            "A file cannot be read.", got=f"{name}: {error}", allowed="Parquet", hint="adamanip repair DIR"
         ) from error
 
 
-def _plain(kind: pa.DataType) -> bool:
+def _is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def _holds_text(kind: pa.DataType) -> bool:
     if pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_dictionary(kind):
         return True
-    inner = [kind.field(number).type for number in range(kind.num_fields)] if kind.num_fields else []
-    return _plain(kind) or any(map(_holds_text, inner))
+    return _is_text(kind) or any(_holds_text(kind.field(number).type) for number in range(kind.num_fields))

@@ -1,4 +1,4 @@
-"""Staging: the files of a repository, checked, with their card, in a folder of links. Sources are never changed."""
+"""Stage the files of a repository: check them, link them into a folder, and add a card. Sources are not changed."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+from safetensors import SafetensorError, safe_open
 
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.cards.collected import dataset_card
@@ -18,23 +20,23 @@ from lerobot_adamanip.datasets.cards.templates import check_card
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.evaluation.results import ResultFile
-from lerobot_adamanip.hub.environment import write_environment
-from lerobot_adamanip.hub.model_card import Checkpoint, model_card, tensor_shapes
+from lerobot_adamanip.hub.environment import environment_files
+from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.portable_config import shareable
 from lerobot_adamanip.hub.scan import Names, require_clean
 from lerobot_adamanip.util import json_fields
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.errors import DatasetError, listed
 
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 _DATASET = ("meta/", "data/", "videos/")
 _MODEL = ("model.", "model-", "policy_preprocessor", "policy_postprocessor")
-"""How names of a checkpoint's weights, pipelines and their states begin."""
+"""Prefixes of a checkpoint's weights, pipelines and their states."""
 _STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
 
 
 @dataclass(frozen=True)
 class Digest:
-    """What a file holds: its size, SHA-256, and the hash that Git gives its content."""
+    """A file's size, SHA-256, and Git blob hash."""
 
     size: int
     sha256: str
@@ -42,7 +44,7 @@ class Digest:
 
     @classmethod
     def of(cls, path: Path) -> Digest:
-        """Reads a file once, whatever it is a link to."""
+        """Reads a file once, through links."""
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
             sha256, git = hashlib.sha256(), hashlib.sha1(b"blob %d\0" % size)
@@ -59,10 +61,10 @@ class Staged:
     Attributes:
         kind: ``dataset`` or ``model``, as the Hub calls repositories (environments are models there).
         repo_id: its name.
-        folder: holds the files, links among them.
-        replaced: beginnings of names in the repository: of these nothing stays that is not in ``folder``.
+        folder: holds the files, or links to them.
+        replaced: prefixes of names in the repository; other files under these prefixes are deleted there.
         version_tag: tag that has to be at the newest commit, or None.
-        digests: path in the repository -> what the file held when it was scanned. Nothing else is published.
+        digests: path in the repository -> digest of the file when it was scanned. Only this is published.
     """
 
     kind: str
@@ -73,28 +75,28 @@ class Staged:
     digests: Mapping[str, Digest] = field(default_factory=dict)
 
     def sealed(self) -> Staged:
-        """Returns this with the digests of the files as they are."""
+        """Returns this with the present digests of the files."""
         return replace(self, digests={name: Digest.of(path) for name, path in self.files().items()})
 
     def require_unchanged(self) -> None:
-        """Raises `DatasetError` if a file, or what it is a link to, is not what was scanned."""
+        """Raises `DatasetError` if a file, or the target of a link, has changed since it was scanned."""
         now = self.sealed().digests
         if changed := sorted(name for name in {**now, **self.digests} if now.get(name) != self.digests.get(name)):
             raise DatasetError(
                 "Files changed after they were checked for publishing.",
-                got=", ".join(changed[:5]),
-                allowed="files that nobody writes to",
+                got=listed(changed),
+                allowed="files that no process writes to",
                 hint="the same command again, once the writing is over",
             )
 
     def files(self) -> dict[str, Path]:
         """Returns path in the repository -> file."""
-        found = (path for path in sorted(self.folder.rglob("*")) if path.is_file())
-        return {path.relative_to(self.folder).as_posix(): path for path in found}
+        paths = (path for path in sorted(self.folder.rglob("*")) if path.is_file())
+        return {path.relative_to(self.folder).as_posix(): path for path in paths}
 
 
 def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None = None) -> Staged:
-    """Checks a dataset (every row, every frame of its videos) and stages it under a card made from what is in it.
+    """Checks a dataset (every row, every video frame) and stages it with a card made from its content.
 
     Args:
         root: of the dataset.
@@ -103,12 +105,18 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
         assets: folder of the external assets that it was collected with, if any.
 
     Raises:
-        DatasetError: it is missing, unfinished or damaged, or holds what belongs to a machine.
+        DatasetError: it is missing, unfinished or damaged, or holds names of a machine or person.
     """
     name, root = root.absolute().name, root.resolve()
-    info = load_check(root)
-    _require_sound(root, assets)
-    version = str(info.get("codebase_version"))
+    version = str(load_check(root).get("codebase_version"))
+    result = check(root, assets=assets)
+    if not result.clean:
+        raise DatasetError(
+            "This dataset is damaged.",
+            got=f"{root.name}: {sum(result.counts.values())} findings, the first: {result.findings[0]}",
+            allowed="a dataset in which `adamanip check` finds nothing",
+            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs what a crash has left",
+        )
     if re.fullmatch(r"v\d+\.\d+", version) is None:
         raise DatasetError(
             "This dataset names no version of LeRobot's format.", got=version[:40], allowed="v3.0", hint=str(root)
@@ -118,7 +126,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
         card = recorded_card(root, name, repo_id)
     else:
         card = dataset_card(root, name, repo_id, assets)
-    return _finished(Staged("dataset", repo_id, into, _DATASET, version), card, root)
+    return _finish(Staged("dataset", repo_id, into, _DATASET, version), card, root)
 
 
 def stage_model(
@@ -131,20 +139,20 @@ def stage_model(
         repo_id: its name on the Hub.
         into: an empty folder.
         results: of its evaluations, for the card.
-        dataset: name on the Hub of what it was trained on.
+        dataset: name on the Hub of the training dataset.
 
     Raises:
-        DatasetError: a file is missing or damaged, or holds what belongs to a machine.
+        DatasetError: a file is missing or damaged, or holds names of a machine or person.
     """
     folder = folder.resolve()
     folder = inner if (inner := folder / "pretrained_model").is_dir() else folder
-    states = _checked_checkpoint(folder)
+    states = _check_checkpoint(folder)
     _link(folder, ("model.safetensors", *PIPELINES, *states), into)
     for name in ("config.json", "train_config.json"):
-        told = shareable(json.loads((folder / name).read_text()), dataset)
-        (into / name).write_text(json.dumps(told, indent=4) + "\n", encoding="utf-8")
+        config = shareable(json.loads((folder / name).read_text()), dataset)
+        (into / name).write_text(json.dumps(config, indent=4) + "\n", encoding="utf-8")
     card = model_card(Checkpoint.read(into), repo_id, results=results, dataset=dataset)
-    return _finished(Staged("model", repo_id, into, _MODEL), card, folder)
+    return _finish(Staged("model", repo_id, into, _MODEL), card, folder)
 
 
 def stage_environment(
@@ -155,33 +163,25 @@ def stage_environment(
     category: str = ALL,
     results: Sequence[ResultFile] = (),
 ) -> Staged:
-    """Stages the environments' repository; arguments and errors as of `write_environment`."""
-    write_environment(into, repo_id, fingerprint, category=category, results=results)
-    return _finished(Staged("model", repo_id, into, ("envs/",)), (into / "README.md").read_text(), into)
+    """Stages the environments' repository in an empty folder; other arguments and errors as of `environment_files`."""
+    files = environment_files(repo_id, fingerprint, category=category, results=results)
+    (into / "envs").mkdir()
+    for name, text in files.items():
+        (into / name).write_text(text, encoding="utf-8")
+    return _finish(Staged("model", repo_id, into, ("envs/",)), files["README.md"], into)
 
 
-def _require_sound(root: Path, assets: Path | None) -> None:
-    """Raises `DatasetError` if `adamanip check` finds anything."""
-    result = check(root, assets=assets)
-    if not result.clean:
-        raise DatasetError(
-            "This dataset is damaged.",
-            got=f"{root.name}: {sum(result.counts.values())} findings, the first: {result.findings[0]}",
-            allowed="a dataset in which `adamanip check` finds nothing",
-            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs what a crash has left",
-        )
-
-
-def _finished(staged: Staged, card: str, source: Path) -> Staged:
+def _finish(staged: Staged, card: str, source: Path) -> Staged:
+    """Adds the card, and raises `DatasetError` if a file holds names of a machine or person."""
     check_card(card, staged.kind)
     (staged.folder / "README.md").write_text(card, encoding="utf-8")
-    sealed = staged.sealed()  # before the scan: what changes while it is read is not published
+    sealed = staged.sealed()  # before the scan, so that later changes are found
     require_clean(staged.files(), Names.here(source), owner=staged.repo_id.partition("/")[0])
     return sealed
 
 
 def _file_names(root: Path) -> Iterator[str]:
-    """Yields the names of all files in a folder, those in linked folders too, each folder once."""
+    """Yields the names of all files in a folder, also in linked folders, each folder once."""
     seen: set[Path] = set()
     for folder, folders, names in os.walk(root, followlinks=True):
         if (real := Path(folder).resolve()) in seen:
@@ -193,39 +193,41 @@ def _file_names(root: Path) -> Iterator[str]:
         yield from (path.relative_to(root).as_posix() for path in paths if path.is_file())
 
 
-def _link(source: Path, names: Iterator[str] | Sequence[str], into: Path) -> None:
+def _link(source: Path, names: Iterable[str], into: Path) -> None:
     for name in names:
         target = into / name
         target.parent.mkdir(parents=True, exist_ok=True)
         target.symlink_to((source / name).resolve())
 
 
-def _checked_checkpoint(folder: Path) -> list[str]:
-    """Returns the names of the pipelines' state files; raises `DatasetError` if anything is missing or cut."""
+def _check_checkpoint(folder: Path) -> list[str]:
+    """Returns the names of the pipelines' state files; raises `DatasetError` if a file is missing or damaged."""
     try:
         for name in ("config.json", "train_config.json"):
             if not isinstance(json_fields.read(folder / name), dict):
-                raise ValueError(f"{name} is no table")
-        states = [state for name in PIPELINES for state in _states(json_fields.read(folder / name))]
+                raise ValueError(f"{name} is no JSON object")
+        states = [state for name in PIPELINES for state in _state_files(json_fields.read(folder / name))]
         for name in ("model.safetensors", *states):
+            if not (folder / name).is_file():
+                raise ValueError(f"no {name}")
             try:
-                tensor_shapes(folder / name)
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                with safe_open(folder / name, framework="np"):  # checks header and length
+                    pass
+            except SafetensorError as error:
                 raise ValueError(f"{name}: {error}") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        missing = f"no {Path(str(error.filename)).name}" if isinstance(error, FileNotFoundError) else str(error)
+        reason = f"no {Path(error.filename).name}" if isinstance(error, FileNotFoundError) else str(error)
         raise DatasetError(
             "This is not a whole checkpoint.",
-            got=f"{folder}: {missing}"[:400],
+            got=f"{folder}: {reason}"[:400],
             allowed="the folder pretrained_model of a LeRobot checkpoint: weights, configurations, both pipelines",
             hint="adamanip push model outputs/train/checkpoints/last/pretrained_model --repo-id YOU/NAME",
         ) from error
     return states
 
 
-def _states(pipeline: Any) -> Iterator[str]:
-    for step in pipeline["steps"]:
-        name = step.get("state_file")
+def _state_files(pipeline: Any) -> Iterator[str]:
+    for name in (step.get("state_file") for step in pipeline["steps"]):
         if name is not None:
             if not isinstance(name, str) or _STATE_FILE.fullmatch(name) is None:
                 raise ValueError(f"{str(name)[:80]!r} is no file of states")
