@@ -24,8 +24,6 @@ CORE = "lerobot_adamanip"
 MAX_FILE_LINES, MAX_TABLE_LINES, MAX_FUNCTION_LINES = 300, 350, 40
 MODULE_OF_OTHERS = re.compile(r"(lerobot_env_adamanip|lerobot_policy_adamanip|sapien|mani_skill|diffusers)[.:]\w")
 BY_NOBODY = {"mplib", "pytorch3d", "pickle"}
-ALLOWED = {"lerobot_adamanip.hardware.arm_process.mailbox": {"pickle"}}
-"""Pickles in memory that a process shares with the child it has started, and with nobody else."""
 FORBIDDEN = {
     "lerobot_adamanip.cli": set(),
     "lerobot_adamanip": {"sapien", "mani_skill", "diffusers", "lerobot_env_adamanip", "lerobot_policy_adamanip"},
@@ -75,7 +73,7 @@ def test_arrows_point_one_way() -> None:
         forbidden = next(them for package, them in FORBIDDEN.items() if f"{name}.".startswith(f"{package}."))
         if name == "lerobot_env_adamanip":
             forbidden = forbidden | {"sapien", "mani_skill"}
-        found = imported_packages(tree) & (forbidden | BY_NOBODY) - ALLOWED.get(name, set())
+        found = imported_packages(tree) & (forbidden | BY_NOBODY)
         if found:
             wrong[name] = found
     assert wrong == {}

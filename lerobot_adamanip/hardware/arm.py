@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.hardware.arm_process.encoding import message
 
 Array = NDArray[np.float64]
+message(Outcome)
 
 
+@message
 class ArmMode(enum.IntEnum):
     """State of the arm's controller."""
 
@@ -30,6 +33,7 @@ class ArmMode(enum.IntEnum):
     OTHER = 6
 
 
+@message
 class Execution(enum.StrEnum):
     """A target is one whole motion, or the newest of a stream."""
 
@@ -37,6 +41,7 @@ class Execution(enum.StrEnum):
     STREAM = "stream"
 
 
+@message
 @dataclass(frozen=True)
 class ArmTarget:
     """A target of the tool, after the safety filter.
@@ -52,6 +57,7 @@ class ArmTarget:
     stamp: float
 
 
+@message
 @dataclass(frozen=True)
 class ArmReading:
     """State of the arm at one moment.

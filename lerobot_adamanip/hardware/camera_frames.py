@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.hardware.arm_process.encoding import message
 
+
+@message
 @dataclass(frozen=True)
 class Frame:
     """One exposure.

@@ -20,6 +20,7 @@ from lerobot_adamanip.contract.rotations import (
     transform,
 )
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
+from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.arm_process.messages import RESET, Served
 from lerobot_adamanip.util.errors import RobotError
@@ -30,6 +31,7 @@ LEAN_STIFFNESS, FINGER_SPEED, NEAR = 1000.0, 4.0, 1e-6
 STALL_LAG, TIME_LIMIT = 0.03, 30.0
 
 
+@message
 @dataclasses.dataclass(frozen=True)
 class FakeOptions:
     """``log`` gets a JSON line for each tick and target, for tests that outlive their recorder."""

@@ -15,6 +15,7 @@ from fake_arm import START_ROTATION, FakeBackend, FakeOptions
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.encoding import encode
 from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
 from lerobot_adamanip.hardware.arm_process.messages import Reply, Request, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process.server import ArmServer
@@ -57,11 +58,11 @@ class Flood:
     def poll(self, _: float = 0.0) -> bool:
         return self.asked < 100_000
 
-    def recv(self) -> Any:
+    def recv_bytes(self) -> bytes:
         self.asked += 1
-        return Request(self.asked, "targets")
+        return encode(Request(self.asked, "targets"))
 
-    def send(self, _: Reply) -> None:
+    def send_bytes(self, _: bytes) -> None:
         self.answered += 1
 
 
@@ -95,8 +96,8 @@ class Replies:
     def poll(self, _: float = 0.0) -> bool:
         return bool(self.ready)
 
-    def recv(self) -> Any:
-        return self.ready.pop()
+    def recv_bytes(self) -> bytes:
+        return encode(self.ready.pop())
 
 
 def in_another_thread(call: Callable[[], Any]) -> Any:

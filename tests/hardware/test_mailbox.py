@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import pickle
 import threading
 
 import pytest
 
+from lerobot_adamanip.hardware.arm_process.encoding import encode
 from lerobot_adamanip.hardware.arm_process.mailbox import HEADER_BYTES, Mailbox, create_memory, map_mailboxes
 from lerobot_adamanip.util.errors import RobotError
 
@@ -30,7 +30,7 @@ def test_the_newest_value_is_read_and_numbers_count_up(memory: bytearray) -> Non
         assert writer.write({"value": number * "x"}) == number
         assert reader.read() == (number, {"value": number * "x"})
     with pytest.raises(ValueError, match="more than 2000"):
-        writer.write(bytes(CAPACITY))
+        writer.write(CAPACITY * "x")
     assert reader.number == 5
 
 
@@ -43,7 +43,7 @@ def test_a_writer_that_dies_in_the_middle_spoils_nothing(memory: bytearray, writ
 
 def test_a_value_that_does_not_match_its_checksum_is_an_error(memory: bytearray) -> None:
     box(memory).write("whole")
-    memory[HEADER_BYTES + CAPACITY + len(pickle.dumps("whole")) - 3] ^= 1
+    memory[HEADER_BYTES + CAPACITY + len(encode("whole")) - 3] ^= 1
     with pytest.raises(RobotError, match="never whole"):
         box(memory).read()
 
@@ -53,7 +53,7 @@ def test_a_reader_beside_a_busy_writer_sees_whole_values_in_order(memory: bytear
 
     def write() -> None:
         for number in range(1, 20_001):
-            writer.write(bytes([number % 251]) * (number % 1000))
+            writer.write(number % 1000 * chr(97 + number % 26))
         done.set()
 
     thread = threading.Thread(target=write)
@@ -63,7 +63,7 @@ def test_a_reader_beside_a_busy_writer_sees_whole_values_in_order(memory: bytear
         if (found := reader.read()) is not None:
             number, value = found
             assert number >= last
-            assert value == bytes([number % 251]) * (number % 1000)
+            assert value == number % 1000 * chr(97 + number % 26)
             last = number
     thread.join()
 

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.hardware.arm_process.encoding import message
+from lerobot_adamanip.objects.base import Motion, PartAnnotation
 
 TWIN = "lerobot_env_adamanip.sim.twin.backend:serve_twin"
 FRONT_FRAMES = "front"
 """Mailbox of the front camera's `Frame`s."""
 SUCCESS_BOX = "success"
 """Mailbox of a boolean: whether the episode's task is done."""
+for each in (EnvironmentOptions, Workspace, PartAnnotation, Motion):
+    message(each)
 
 
+@message
 @dataclass(frozen=True)
 class TwinOptions:
     """Options of the twin's process.

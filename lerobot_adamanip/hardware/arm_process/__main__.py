@@ -1,4 +1,4 @@
-"""Program of the arm's process: ``python -m lerobot_adamanip.hardware.arm_process SOCKET MEMORY``, by `ArmClient`."""
+"""Program of the arm's process, started by `ArmClient`: ``python -m`` this package, SOCKET MEMORY FACTORY."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 
+from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
 from lerobot_adamanip.hardware.arm_process.mailbox import map_mailboxes
 from lerobot_adamanip.hardware.arm_process.messages import MAX_TEXT, BackendFactory, Reply, Start
 from lerobot_adamanip.hardware.arm_process.server import ArmServer
@@ -20,13 +21,19 @@ PR_SET_PDEATHSIG = 1
 """Linux, `prctl(2)`."""
 
 
-def main(socket: int, memory: int) -> int:
-    """Runs an arm's process to its end and returns its exit status; both arguments are inherited descriptors."""
+def main(socket: int, memory: int, factory_name: str) -> int:
+    """Runs an arm's process to its end and returns its exit status.
+
+    Args:
+        socket: inherited descriptor.
+        memory: likewise.
+        factory_name: ``module:function`` of a `BackendFactory`; its module registers its options as a message.
+    """
     connection = Connection(socket)
     try:
-        start: Start = connection.recv()
+        factory: BackendFactory = pkgutil.resolve_name(factory_name)
+        start = decode(connection.recv_bytes(), Start)
         boxes = map_mailboxes(memory, start.capacities)
-        factory: BackendFactory = pkgutil.resolve_name(start.factory)
         served = factory(start.options, boxes)
         with killed_with_parent():
             served.backend.connect()
@@ -46,7 +53,7 @@ def main(socket: int, memory: int) -> int:
 
 def _tell(connection: Connection, reply: Reply) -> None:
     with contextlib.suppress(OSError):
-        connection.send(reply)
+        connection.send_bytes(encode(reply))
 
 
 def _in_words(error: Exception) -> str:
@@ -76,4 +83,4 @@ def _set_death_signal(number: int) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]), int(sys.argv[2])))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.hardware.arm import ArmTarget, Execution
+from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, create_memory, map_mailboxes
 from lerobot_adamanip.hardware.arm_process.messages import (
     COMMAND,
@@ -45,7 +46,7 @@ class ArmClient:
 
     Args:
         factory: ``module:function`` of the backend, see `messages.BackendFactory`. A constant of the calling program.
-        options: of that backend, picklable.
+        options: of that backend, a registered `message`.
         server: watchdogs of the process.
         frames: name -> bytes of further mailboxes, which the backend fills.
         connect_time: for the process to start and to connect [s].
@@ -62,7 +63,8 @@ class ArmClient:
     ) -> None:
         self.server = server or ServerOptions()
         capacities = {COMMAND: COMMAND_BYTES, STATUS: STATUS_BYTES, **(frames or {})}
-        self._first, self._connect_time = Start(factory, options, self.server, capacities), connect_time
+        self._factory, self._connect_time = factory, connect_time
+        self._first = Start(options, self.server, capacities)
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
         self._boxes: dict[str, Mailbox] = {}
@@ -106,7 +108,7 @@ class ArmClient:
         try:
             # A session of its own: Ctrl-C in the recorder's terminal must not reach the arm before the recorder does.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", PROGRAM, str(theirs.fileno()), str(memory)],
+                [sys.executable, "-m", PROGRAM, str(theirs.fileno()), str(memory), self._factory],
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(), memory),
                 start_new_session=True,
@@ -118,7 +120,7 @@ class ArmClient:
             os.close(memory)
         self._connection = Connection(ours.detach())
         with contextlib.suppress(OSError):  # a process that has ended already is told by its exit status
-            self._connection.send(self._first)
+            self._connection.send_bytes(encode(self._first))
 
     def _await_status(self) -> None:
         until = time.perf_counter() + self._connect_time
@@ -132,7 +134,7 @@ class ArmClient:
         process, connection = self._process, self._connection
         if connection is not None:
             with contextlib.suppress(OSError):
-                connection.send(Request(0, "shutdown"))
+                connection.send_bytes(encode(Request(0, "shutdown")))
             connection.close()  # end of file, for a process that reads no messages
         if process is not None:
             try:
@@ -228,7 +230,7 @@ class ArmClient:
         try:
             if self._connection is None:
                 raise OSError("not connected")
-            self._connection.send(request)
+            self._connection.send_bytes(encode(request))
         except OSError as error:
             raise RobotError(self._last_words(f"cannot be asked for {request.ask!r} ({error})")) from None
 
@@ -239,7 +241,7 @@ class ArmClient:
             if not self._connection.poll(max(0.0, until - time.perf_counter())):
                 raise RobotError(f"The arm's process did not answer {ask!r} within {time_limit:g} s.")
             try:
-                reply: Reply = self._connection.recv()
+                reply = decode(self._connection.recv_bytes(), Reply)
             except (EOFError, OSError) as error:
                 self._await_end()
                 raise RobotError(self._last_words(f"broke off at {ask!r} ({type(error).__name__})")) from None
@@ -272,7 +274,7 @@ class ArmClient:
             try:
                 with contextlib.suppress(OSError, EOFError):
                     while self._connection is not None and self._connection.poll(0):
-                        told = self._connection.recv().error or told
+                        told = decode(self._connection.recv_bytes(), Reply).error or told
             finally:
                 self._lock.release()
         code = None if self._process is None else self._process.poll()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import mmap
 import os
-import pickle
 import zlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
 from lerobot_adamanip.util.errors import RobotError
 
 HEADER_BYTES = 56
@@ -28,7 +28,7 @@ class Mailbox:
 
     Args:
         memory: shared, `Mailbox.size` bytes, zeros at first.
-        capacity: largest pickled value [bytes].
+        capacity: largest encoded value [bytes].
     """
 
     def __init__(self, memory: memoryview, capacity: int) -> None:
@@ -48,7 +48,7 @@ class Mailbox:
 
     def write(self, value: object) -> int:
         """Publishes a value and returns its number. Only one thread writes. Raises ValueError if it is too large."""
-        content = pickle.dumps(value)
+        content = encode(value)
         if len(content) > self.capacity:
             raise ValueError(f"{len(content)} bytes, more than {self.capacity}")
         number = self.number + 1
@@ -60,7 +60,7 @@ class Mailbox:
         return number
 
     def read(self) -> tuple[int, Any] | None:
-        """Returns (number, value) of the newest; None before the first. Raises `RobotError` if it is never whole."""
+        """Returns (number, value) of the newest; None before the first. Raises `RobotError` if it cannot be read."""
         for _ in range(TRIES):
             number = self.number
             if number == 0:
@@ -68,7 +68,7 @@ class Mailbox:
             written, size, checksum = map(int, self._header(number))
             content = bytes(self._bodies[number % 2][:size])
             if written == number == int(self._header(number)[0]) and zlib.crc32(content) == checksum:
-                return number, pickle.loads(content)
+                return number, decode(content, object)
         raise RobotError("A value in shared memory is never whole: two processes write it, or it is no mailbox.")
 
     def _header(self, number: int) -> np.ndarray[Any, np.dtype[np.uint64]]:

@@ -1,4 +1,4 @@
-"""What the recorder's and the arm's process send each other: pickled, through pipes and memory that only they share."""
+"""What the recorder's and the arm's process send each other; `encoding` has the bytes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.arm import ArmBackend, ArmReading
+from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.safety_limits import Corner
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -22,6 +23,7 @@ MAX_TEXT = 2000
 """Characters of an error that are kept."""
 
 
+@message
 @dataclass(frozen=True)
 class ServerOptions:
     """Watchdogs of the arm's process, and how time passes.
@@ -50,23 +52,23 @@ class ServerOptions:
                 raise ConfigurationError(f"{name} cannot be used.", got=getattr(self, name), allowed="0.001 ... 3600 s")
 
 
+@message
 @dataclass(frozen=True)
 class Start:
     """First message to the arm's process.
 
     Attributes:
-        factory: ``module:function`` that makes a `Served` of options and mailboxes.
-        options: of the backend.
+        options: of the backend, see its `BackendFactory`.
         server: watchdogs and clock.
         capacities: name -> bytes of every mailbox, in their order in memory.
     """
 
-    factory: str
     options: Any
     server: ServerOptions
     capacities: dict[str, int]
 
 
+@message
 @dataclass(frozen=True)
 class ArmStatus:
     """Published by the arm's process after each tick.
@@ -92,6 +94,7 @@ class ArmStatus:
     faults: int = 0
 
 
+@message
 @dataclass(frozen=True)
 class Request:
     """A question or command beside targets; ``number`` 0 wants no reply."""
@@ -101,6 +104,7 @@ class Request:
     values: dict[str, Any] = field(default_factory=dict)
 
 
+@message
 @dataclass(frozen=True)
 class Reply:
     """Answer to the request of the same number; ``error`` says why there is none. Number 0: the process has ended."""

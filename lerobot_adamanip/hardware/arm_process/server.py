@@ -22,6 +22,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
+from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.arm_process.messages import (
     COMMAND,
@@ -94,16 +95,18 @@ class ArmServer:
         """Answers requests until the next tick is due; one at least, so that late ticks do not starve requests."""
         try:
             while self._connection.poll(max(0.0, due - time.perf_counter())):
-                request: Request = self._connection.recv()
+                request = decode(self._connection.recv_bytes(), Request)
                 if request.ask == "shutdown":
                     self._end()
                 reply = self._answered(request)
                 if request.number:
-                    self._connection.send(reply)
+                    self._connection.send_bytes(encode(reply))
                 if self._ended or time.perf_counter() >= due:
                     return
         except (EOFError, OSError):
             self._end()
+        except RobotError as error:  # a request that cannot be read
+            self._fail(str(error))
 
     def _answered(self, request: Request) -> Reply:
         if request.ask == "shutdown":
@@ -118,7 +121,11 @@ class ArmServer:
 
     def _accept(self) -> None:
         """Passes a new target on, if the arm is healthy at this moment."""
-        found = self._command.read()
+        try:
+            found = self._command.read()
+        except RobotError as error:  # a target that cannot be read
+            self._fail(str(error))
+            return
         if found is None or found[0] == self._accepted:
             self._stop_on_command_timeout()
             return

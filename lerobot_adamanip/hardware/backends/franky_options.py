@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.hardware.limits import MODELS, FrankaLimits, limits_of
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
@@ -15,6 +16,7 @@ BOUNDS = {
 }  # fmt: skip
 
 
+@message
 @dataclass(kw_only=True)
 class FrankyOptions:
     """How the real arm is driven. `check` refuses what cannot be meant."""
