@@ -15,7 +15,6 @@ if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware.teleoperators.config_devices import (
         AdamanipGamepadConfig,
         AdamanipKeyboardConfig,
-        AdamanipPhoneConfig,
         AdamanipSpacemouseConfig,
     )
     from lerobot_env_adamanip.config import (
@@ -60,7 +59,6 @@ __all__ = [
     "AdamanipFrankaSimConfig",
     "AdamanipGamepadConfig",
     "AdamanipKeyboardConfig",
-    "AdamanipPhoneConfig",
     "AdamanipRealsenseConfig",
     "AdamanipReplayConfig",
     "AdamanipScriptedConfig",

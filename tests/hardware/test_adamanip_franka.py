@@ -197,28 +197,6 @@ def test_a_reflex_is_raised_with_its_flags_and_recovered_by_hand(make: Callable[
     assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)  # begins where it is
 
 
-def test_three_faults_in_a_row_end_what_two_do_not(make: Callable[..., FakeFranka]) -> None:
-    robot = make(auto_recover=2)
-    robot.connect()
-    start = pose_of(robot.get_observation())
-    for _ in range(2):
-        inject_reflex(robot)
-        assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)
-    inject_reflex(robot)
-    with pytest.raises(RobotError, match=r"3 faults in a row; the last: .*cartesian_reflex"):
-        robot.send_action(start)
-
-
-def test_a_key_frame_that_is_reached_forgives_the_faults_before(make: Callable[..., FakeFranka]) -> None:
-    robot = make(execution="keyframe", auto_recover=1)
-    robot.connect()
-    start = pose_of(robot.get_observation())
-    for x in (0.51, 0.52, 0.53):
-        inject_reflex(robot)
-        robot.send_action({**start, "ee.x.pos": x})
-        assert robot.get_observation()["arm.outcome"] == Outcome.REACHED
-
-
 def test_nothing_is_answered_before_connecting_or_after_disconnecting(make: Callable[..., FakeFranka]) -> None:
     robot = make()
     robot.disconnect()

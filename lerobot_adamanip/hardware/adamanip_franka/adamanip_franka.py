@@ -16,9 +16,9 @@ from lerobot.robots.robot import Robot
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, MotionRules, action_vector
+from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, action_vector
 from lerobot_adamanip.hardware.adamanip_franka.observed import SkewWatch, camera_features, pictures, scalars
-from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
@@ -141,8 +141,8 @@ class AdamanipFranka(Robot):
             self._session.details[LOCKSTEP_DT] = 1 / fps
             for handler in logging.getLogger().handlers:
                 handler.addFilter(self._slow_loop)
-        rules = MotionRules(self.config.execution, self.config.auto_recover, self.config.motion_time)
-        self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), rules)
+        execution, time_limit = Execution(self.config.execution), self.config.motion_time
+        self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), execution, time_limit)
         self._driver.anchor()
         self._read_calibrations()
 
@@ -218,9 +218,9 @@ class AdamanipFranka(Robot):
         """Returns state and pictures; after a key frame, pictures exposed since the arm is at rest.
 
         Raises:
-            RobotError: the arm has a fault (see ``auto_recover``), its process or a camera does not answer.
+            RobotError: the arm has a fault, its process or a camera does not answer.
         """
-        reading = self._motion.read_or_raise()
+        reading = self._motion.read()
         seen: dict[str, Any] = dict(self._scalars(reading))
         in_steps = LOCKSTEP_DT in self._session.details  # then nothing moves between the state and its picture
         for key, camera in self.cameras.items():
@@ -245,7 +245,7 @@ class AdamanipFranka(Robot):
             ConfigurationError: a name of the action is missing.
         """
         wanted = action_vector(action)
-        reading = self._motion.read_or_raise()
+        reading = self._motion.read()
         sent = self._motion.send(wanted, reading)
         return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
+from lerobot_adamanip.hardware.arm import Execution
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.limits import MODELS
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
-
-EXECUTIONS = ("auto", "keyframe", "stream")
+from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
 
 @RobotConfig.register_subclass("adamanip_franka")
@@ -28,8 +27,7 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
 
     execution: str = "stream"
     """stream: the newest action wins, nothing waits (teleoperate, record). keyframe: an action is one motion to its end
-    (rollout, replay of key frames). auto: an action farther than a stream gets in one and a half ticks is a key frame
-    (DAgger)."""
+    (rollout, replay of key frames)."""
 
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     """By key; the one whose depth becomes the cloud is called front."""
@@ -45,9 +43,6 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
 
     angular_lead: float = 0.15
     """Likewise [rad]."""
-
-    auto_recover: int = 0
-    """Reflexes in a row that are recovered from automatically, at half dynamics; the next one is an error."""
 
     state_age: float = 0.2
     """The arm's state may be this old [s]; then it is stopped, and that is an error. From 1 s up a connection that
@@ -66,8 +61,6 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
         """Raises `AdaManipError` for what cannot be meant."""
         RobotConfig.__post_init__(self)
         with shown_by_parsers():
-            require_choice("execution", self.execution, EXECUTIONS)
+            require_choice("execution", self.execution, Execution)
             if self.model:
                 require_choice("model of arm", self.model, MODELS)
-            if self.auto_recover < 0:
-                raise ConfigurationError("auto_recover counts.", got=self.auto_recover, allowed="0 or more")

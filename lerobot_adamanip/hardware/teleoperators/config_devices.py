@@ -86,15 +86,3 @@ class AdamanipSpacemouseConfig(TcpTeleopConfig):
 
     rotation: bool = True
     """Whether the cap turns the tool as well."""
-
-
-@TeleoperatorConfig.register_subclass("adamanip_phone")
-@dataclass(kw_only=True)
-class AdamanipPhoneConfig(TcpTeleopConfig):
-    """A phone that is moved about, by LeRobot's own phone teleoperator (extra ``lerobot[phone]``)."""
-
-    phone_os: str = "ios"
-    """``ios`` (HEBI's app) or ``android`` (a page in its browser)."""
-
-    scale: float = 0.5
-    """Way of the tool per way of the phone."""

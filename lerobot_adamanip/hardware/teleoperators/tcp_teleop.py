@@ -20,47 +20,6 @@ from lerobot_adamanip.util.errors import RobotError
 
 MAX_PAUSE_S = 1.0
 """After a longer pause between calls the goal is anchored again: the arm may be elsewhere."""
-REST_AFTER_S = 0.2
-"""A deflection that was not reported again for so long counts as rest."""
-LOST_AFTER_S = 1.0
-"""After so long the device counts as lost."""
-
-
-class StaleInputWatch:
-    """Detects a device that has stopped reporting while its library repeats the last value.
-
-    Args:
-        device: its name, for the error.
-        clock: returns seconds.
-    """
-
-    def __init__(self, device: str, clock: Callable[[], float]) -> None:
-        self._device, self._clock = device, clock
-        self._report: Any = None
-        self._reported_at = float("-inf")
-
-    def is_stale(self, report: Any, *, driving: bool) -> bool:
-        """Returns whether the device has not reported for `REST_AFTER_S` although its last report asks for a motion.
-
-        Args:
-            report: something that differs between two reports, e.g. a time stamp.
-            driving: whether the last report asks for a motion: a device at rest need not report.
-
-        Raises:
-            RobotError: it has not reported for `LOST_AFTER_S`.
-        """
-        now = self._clock()
-        if report != self._report or not driving:
-            self._report, self._reported_at = report, now
-        age = now - self._reported_at
-        if age > LOST_AFTER_S:
-            raise RobotError(
-                f"The {self._device} does not report any more, and its last report asks for a motion.",
-                got=f"no report for {age:.1f} s",
-                allowed=f"{LOST_AFTER_S:g} s",
-                hint="see to its cable, battery or connection, and start the command again",
-            )
-        return age > REST_AFTER_S
 
 
 class TcpTeleop(Teleoperator):
