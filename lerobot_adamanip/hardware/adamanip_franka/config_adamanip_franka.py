@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
-from lerobot_adamanip.hardware.arm import Execution
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.limits import MODELS
 from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
+
+EXECUTIONS = ("keyframe", "stream")
 
 
 @RobotConfig.register_subclass("adamanip_franka")
@@ -61,6 +62,6 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
         """Raises `AdaManipError` for what cannot be meant."""
         RobotConfig.__post_init__(self)
         with shown_by_parsers():
-            require_choice("execution", self.execution, Execution)
+            require_choice("execution", self.execution, EXECUTIONS)
             if self.model:
                 require_choice("model of arm", self.model, MODELS)
