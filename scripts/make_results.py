@@ -1,6 +1,6 @@
-"""Writes docs/results.md and the README's results from results/*.json: ``python scripts/make_results.py [--check]``.
+"""Writes docs/results.md, docs/results.csv and the README's results: ``python scripts/make_results.py [--check]``.
 
-Results of `adamanip benchmark` are those of results/benchmark/SCALE/*.json; they have their part of docs/results.md.
+They are made from results/*.json; results of `adamanip benchmark` in results/benchmark/SCALE/*.json are a part of both.
 Numbers of another fingerprint than the present code's do not reach the README; docs/results.md marks them.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Iterator
+from itertools import chain
 from pathlib import Path
 
 from check_common import ROOT, document_command
@@ -17,7 +18,8 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
-from lerobot_adamanip.evaluation.results_page import readme_block, results_page, with_block
+from lerobot_adamanip.evaluation.results_page import csv_rows, readme_block, results_page, with_block
+from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json", "policies.json", "experts.json")
@@ -47,11 +49,12 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, means))
     pages = (benchmark_page(report, level=2) for report in reports)
     parts = (results_page(results, present), *pages)
-    return {PAGE: "\n".join(parts), README: readme}
+    numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))
+    return {PAGE: "\n".join(parts), PAGE.with_suffix(".csv"): numbers, README: readme}
 
 
 def main() -> int:
-    """Writes both, or says which is not what it would write; 0 if all is well."""
+    """Writes them, or says which is not what it would write; 0 if all is well."""
     return document_command(__doc__, lambda: documents(RESULTS, present_fingerprints()))
 
 

@@ -7,8 +7,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 MAX_COLUMNS, MAX_README_WORDS, MAX_PAGE_WORDS = 6, 1200, 1500
-APART = ("docs/results.md", "docs/decisions.md", "docs/research/", "docs/upstream/", "docs/cards/")
-"""Tables of numbers, records, and texts for others: as long as they are."""
+APART = ("docs/decisions.md", "docs/research/", "docs/upstream/", "docs/cards/")
+"""Records, and texts for others: as long as they are."""
+NUMBERS = "docs/results.md"
+"""Tables of numbers: as long as there are results."""
 WORDS = {
     r"\bwhom\b|\bwhoever\b": "a noun",
     r"\bsign of life\b|\bBeat\b": "heartbeat",
@@ -29,6 +31,7 @@ WORDS = {
 }
 """What has been replaced -> what stands instead."""
 ALLOWED = {
+    "docs/results.md": ("tried in vain",),
     "lerobot_adamanip/cli/check.py": ("mended",),
     "lerobot_adamanip/datasets/repair.py": ("mended",),
     "lerobot_adamanip/evaluation/tries.py": ("tried in vain",),
@@ -74,6 +77,8 @@ def test_tables_fit_the_column() -> None:
 def test_documents_are_short() -> None:
     long = {}
     for name, text in pages().items():
+        if name == NUMBERS:
+            continue
         words = len(re.findall(r"\w[^\s|]*", re.sub(r"\]\([^)]*\)", "]", text)))
         if words > (MAX_README_WORDS if name == "README.md" else MAX_PAGE_WORDS):
             long[name] = words

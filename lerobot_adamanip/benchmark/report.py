@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,8 +19,9 @@ from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.rates import Difference, difference
 
-BUDGETS = (5, 10, 15, 25, MAX_KEY_FRAMES)
-"""Key frames within which success is told."""
+FEW_KEY_FRAMES = 15
+BUDGETS = (10, FEW_KEY_FRAMES, 25, MAX_KEY_FRAMES)
+"""Key frames within which success is reported."""
 
 type Place = tuple[str, int | None, str, str]
 """Method, trials (None in the table), category, split of objects: where a number stands."""
@@ -107,6 +108,11 @@ class BenchmarkReport:
         return tuple(row for row in self.rows if row.name in there)
 
     @property
+    def curves(self) -> list[tuple[str, str, str]]:
+        """Method, category and split of objects of each curve over trials."""
+        return sorted({(place[0], place[2], place[3]) for place in self.entries if place[1] is not None})
+
+    @property
     def categories_with_results(self) -> tuple[str, ...]:
         """The categories of which there is a number."""
         there = {place[2] for place in self.entries if place[1] is None}
@@ -149,6 +155,14 @@ class BenchmarkReport:
             for name, cost in result.costs.items():
                 found.setdefault(name.partition("_")[0], {})[result.steps[name].key] = cost
         return {kind: list(costs.values()) for kind, costs in found.items()}
+
+    def csv_rows(self) -> Iterator[tuple[dict[str, object], Metrics]]:
+        """Yields labels and metrics of each number, for `csv_table`."""
+        fingerprints = {_place(result.cell): result.fingerprint for result in self.results}
+        for place, entry in self.entries.items():
+            labels = dict(zip(("subject", "trials", "category", "objects"), place, strict=True))
+            made = {"result": f"benchmark/{self.scale}", "fingerprint": fingerprints[place]}
+            yield {**made, **labels, "trainings": len(entry.seeds)}, entry.numbers
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""

@@ -29,6 +29,7 @@ from lerobot_adamanip.collection.fingerprint import recording_hash
 from lerobot_adamanip.collection.ray_cluster import require_usable
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate, success_summary
+from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_adamanip.evaluation.text_format import counted, interval_text
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
@@ -183,13 +184,19 @@ def make_benchmark_report(made: BenchmarkRun) -> BenchmarkReport:
 
 
 def write_report(report: BenchmarkReport, folder: Path) -> dict[str, str]:
-    """Writes a report as Markdown, JSON and pictures; returns what it has written."""
+    """Writes a report as Markdown, CSV, JSON and pictures; returns what it has written."""
     folder.mkdir(parents=True, exist_ok=True)
-    table, numbers = folder / "benchmark.md", folder / "benchmark.json"
-    write_atomically(table, benchmark_page(report).encode())
-    write_atomically(numbers, (json.dumps(report.to_json(), indent=1) + "\n").encode())
-    pictures = {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
-    return {"table": str(table), "numbers": str(numbers), **pictures}
+    texts = {
+        "table": ("md", benchmark_page(report)),
+        "metrics": ("csv", csv_table(report.csv_rows())),
+        "numbers": ("json", json.dumps(report.to_json(), indent=1) + "\n"),
+    }
+    written = {}
+    for what, (suffix, text) in texts.items():
+        path = folder / f"benchmark.{suffix}"
+        write_atomically(path, text.encode())
+        written[what] = str(path)
+    return written | {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -7,8 +7,7 @@ import uuid
 from pathlib import Path
 
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.util import files
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import files, json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
 
@@ -48,7 +47,7 @@ def read_log(path: Path) -> list[EpisodeRecord]:
         if not line.strip():
             continue
         try:
-            records.append(EpisodeRecord.from_json(checked_json.parse(line)))
+            records.append(EpisodeRecord.from_json(json_fields.parse(line)))
         except ValueError as error:
             raise DatasetError(
                 "The episode log is garbled, or was written by another version.",

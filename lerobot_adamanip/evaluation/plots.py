@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from lerobot_adamanip.evaluation.groups import Group, without_repeats
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.report import Comparison, compare
+from lerobot_adamanip.evaluation.report import compare
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,15 +38,18 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
     from matplotlib.ticker import MaxNLocator
 
     comparison = compare(evaluations)
-    width = max(10.5, 5 + 0.32 * len(_drawn(comparison.groups)) * max(2, len(evaluations)))
+    groups = _drawn(comparison.groups)
+    width = max(10.5, 5 + 0.32 * len(groups) * max(2, len(evaluations)))
     figure = new_figure(width, 4.6)
     bars, curve = figure.subplots(1, 2, width_ratios=(width - 4.8, 4.8))
-    _draw_bars(bars, comparison)
+    rates = {label: [each.success(group) for group in groups] for label, each in comparison.summaries.items()}
+    draw_bars(bars, [group.label for group in groups], rates, counts=True)
+    bars.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, borderaxespad=0.2)
     for label, records in evaluations.items():
-        rates = cumulative_rates(records)
-        counts = range(1, len(rates) + 1)
-        (line,) = curve.plot(counts, [100 * (r.rate or 0.0) for r in rates], label=label, linewidth=1.8)
-        low, high = [100 * r.low for r in rates], [100 * r.high for r in rates]
+        so_far = cumulative_rates(records)
+        counts = range(1, len(so_far) + 1)
+        (line,) = curve.plot(counts, [100 * (r.rate or 0.0) for r in so_far], label=label, linewidth=1.8)
+        low, high = [100 * r.low for r in so_far], [100 * r.high for r in so_far]
         curve.fill_between(counts, low, high, alpha=0.15, color=line.get_color(), linewidth=0)
     curve.set(xlabel="episodes", ylabel="success so far [%]", ylim=(0, 103))
     curve.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -93,23 +96,34 @@ def _drawn(groups: Sequence[Group]) -> list[Group]:
     return chosen
 
 
-def _draw_bars(axes: Axes, comparison: Comparison) -> None:
-    groups, summaries = _drawn(comparison.groups), comparison.summaries
-    width = 0.8 / len(summaries)
-    for index, (label, summary) in enumerate(summaries.items()):
-        rates = [summary.success(group) for group in groups]
-        places = [x + (index - (len(summaries) - 1) / 2) * width for x in range(len(groups))]
+def bar_places(number: int, bars: int, groups: int) -> tuple[list[float], float]:
+    """Returns where bar ``number`` of ``bars`` stands in each group, and its width."""
+    width = 0.85 / bars
+    return [group + (number - (bars - 1) / 2) * width for group in range(groups)], width
+
+
+def draw_bars(axes: Axes, names: Sequence[str], bars: Mapping[str, Sequence[Rate]], *, counts: bool = False) -> None:
+    """Draws success with intervals in groups of bars.
+
+    Args:
+        axes: to draw in.
+        names: of the groups.
+        bars: label -> success in each group. One of no episodes is marked: no bar would look like a success of zero.
+        counts: write successes and episodes on each bar.
+    """
+    for number, (label, rates) in enumerate(bars.items()):
+        places, width = bar_places(number, len(bars), len(names))
         values, errors = heights_and_errors(rates)
-        axes.bar(places, values, 0.92 * width, yerr=errors, capsize=3, label=label, ecolor="0.25")
-        for x, r in zip(places, rates, strict=True):
-            if r.episodes:
-                _label_bar(axes, x, r, width)
-    names = [group.label for group in groups]
-    turned = sum(map(len, names)) > _CHARACTERS_FLAT
-    axes.set_xticks(range(len(groups)), names, rotation=35 if turned else 0, ha="right" if turned else "center")
+        axes.bar(places, values, 0.92 * width, yerr=errors, capsize=3 if counts else 1.5, label=label, ecolor="0.25")
+        for x, success in zip(places, rates, strict=True):
+            if not success.episodes:
+                axes.text(x, 0, "no number", rotation=90, fontsize=6, color="0.5", ha="center", va="bottom")
+            elif counts:
+                _label_bar(axes, x, success, width)
+    turned = sum(map(len, names)) > _CHARACTERS_FLAT and counts
+    axes.set_xticks(range(len(names)), names, rotation=35 if turned else 0, ha="right" if turned else "center")
     axes.tick_params(axis="x", labelsize=8)
-    axes.set(ylabel="success [%]", ylim=(0, 103))
-    axes.legend(frameon=False, fontsize=9, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=4, borderaxespad=0.2)
+    axes.set(ylabel="success [%]", xlim=(-0.5, len(names) - 0.5), ylim=(0, 103))
 
 
 def _label_bar(axes: Axes, x: float, success: Rate, width: float) -> None:

@@ -13,7 +13,7 @@ from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.episode.options import from_stored, to_stored
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
-from lerobot_adamanip.util import json_fields as checked_json
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 LABEL = r"[^\r\n\x00-\x1f\u2028\u2029]{1,100}"
@@ -166,49 +166,49 @@ def _object_id(name: str, value: object) -> str:
 
 
 def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
-    values = checked_json.either(checked_json.flag, checked_json.number(-1e9, 1e9))
-    found: dict[str, HiddenValue] = checked_json.mapping(_WORD, values, 20)(name, value)
-    checked_json.flag(f"{name}.locked", found.get("locked", False))
+    values = json_fields.either(json_fields.flag, json_fields.number(-1e9, 1e9))
+    found: dict[str, HiddenValue] = json_fields.mapping(_WORD, values, 20)(name, value)
+    json_fields.flag(f"{name}.locked", found.get("locked", False))
     return found
 
 
 def _try(name: str, value: object) -> TryMade:
-    joint, sign, failed = checked_json.listing(lambda _, entry: entry, 3, 3)(name, value)
+    joint, sign, failed = json_fields.listing(lambda _, entry: entry, 3, 3)(name, value)
     return (
-        checked_json.integer(0, 20)(f"{name}[0]", joint),
-        checked_json.integer(-1, 1)(f"{name}[1]", sign),
-        checked_json.flag(f"{name}[2]", failed),
+        json_fields.integer(0, 20)(f"{name}[0]", joint),
+        json_fields.integer(-1, 1)(f"{name}[1]", sign),
+        json_fields.flag(f"{name}[2]", failed),
     )
 
 
 _LONGEST = 200
-_COUNT = checked_json.integer(0, 2**31)
-_TEXT = checked_json.text(rf"[^\r\n]{{1,{_LONGEST}}}", f"a line of at most {_LONGEST} characters")
-_WORD = checked_json.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
-_RECORD = checked_json.table(
+_COUNT = json_fields.integer(0, 2**31)
+_TEXT = json_fields.text(rf"[^\r\n]{{1,{_LONGEST}}}", f"a line of at most {_LONGEST} characters")
+_WORD = json_fields.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
+_RECORD = json_fields.table(
     {
         "seed": _COUNT,
         "given_seed": _COUNT,
-        "split": checked_json.optional(checked_json.choice(tuple(SPLITS))),
+        "split": json_fields.optional(json_fields.choice(tuple(SPLITS))),
         "object_id": _object_id,
-        "object_split": checked_json.optional(checked_json.choice(("seen", "unseen", "novel"))),
+        "object_split": json_fields.optional(json_fields.choice(("seen", "unseen", "novel"))),
         "category": _WORD,
         "hidden_state": _hidden_state,
-        "success": checked_json.flag,
+        "success": json_fields.flag,
         "key_frames": _COUNT,
         "tries": _COUNT,
         "blocked_pulls": _COUNT,
         "wrong_turns": _COUNT,
-        "key_moved": checked_json.flag,
-        "first_part": checked_json.optional(_TEXT),
-        "first_try_failed": checked_json.flag,
-        "try_sequence": checked_json.listing(_try, 0, 10_000),
-        "joints": checked_json.mapping(_TEXT, checked_json.number(-1e9, 1e9), 50),
-        "fingerprint": checked_json.text(r"[0-9a-f]{8,64}", "a hash"),
+        "key_moved": json_fields.flag,
+        "first_part": json_fields.optional(_TEXT),
+        "first_try_failed": json_fields.flag,
+        "try_sequence": json_fields.listing(_try, 0, 10_000),
+        "joints": json_fields.mapping(_TEXT, json_fields.number(-1e9, 1e9), 50),
+        "fingerprint": json_fields.text(r"[0-9a-f]{8,64}", "a hash"),
         "version": _TEXT,
-        "mechanism_preset": checked_json.choice(tuple(MECHANISM_RULES)),
-        "run_id": checked_json.optional(_TEXT),
-        "run_label": checked_json.optional(checked_json.text(LABEL, "a label")),
+        "mechanism_preset": json_fields.choice(tuple(MECHANISM_RULES)),
+        "run_id": json_fields.optional(_TEXT),
+        "run_label": json_fields.optional(json_fields.text(LABEL, "a label")),
         "evaluation": _COUNT,
     }
 )

@@ -1,37 +1,32 @@
-"""Tables of result files: the page docs/results.md, and the block in the README."""
+"""Tables of result files: the page docs/results.md, its CSV, and the block in the README."""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 
-from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS
-from lerobot_adamanip.evaluation.metric_values import mean_length
-from lerobot_adamanip.evaluation.metrics import METRICS, pool
+from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.results import ResultFile, ResultRow
+from lerobot_adamanip.evaluation.tables import metrics_table
 from lerobot_adamanip.evaluation.text_format import duration_text, markdown_table, words
 
 START, END = "<!-- results -->", "<!-- /results -->"
 INTRODUCTION = """# Results
 
-Generated from the files in `results/` by `python scripts/make_results.py`; a test compares the two. Each table says
-with which command, commit and seeds it was measured, and by which code: the *fingerprint* is a hash of all that decides
-how an episode comes out (contract, mechanisms, objects, simulator; experts, where they acted). Only tables of the
-present fingerprint stand in the README. Intervals are Wilson's, 95 %; in brackets behind a count: mean key frames of a
-success. *Wasted tries*: failed ones per success, beyond those that the best strategy needs that sees nothing hidden
-either. *Failed tries repeated*: unchanged, of those that another try followed; both are told for the kinds of objects
-in the order of their columns. *A success's failed tries*: at a part that opens and was held, at a key (knob, cap,
-lever) that did not turn that way, or where a joint that had gone this way went no further, as at its stop, which nobody
-sees. *How failures ended*: without any try, without a joint that moved, with the key moved, or ajar. Behind ± is the
-sample standard deviation of trainings that differ in their seed alone.
+Generated from the files in `results/` by `python scripts/make_results.py`; a test compares the two.
+[results.csv](results.csv) has all metrics of all rows, by split of objects and by hidden value;
+[metrics](metrics.md) defines them.
+
+The *fingerprint* is a hash of the code that decides how an episode comes out (contract, mechanisms, objects, simulator;
+experts, where they acted). Only tables of the present fingerprint stand in the README. Brackets hold Wilson's 95 %
+intervals, ± the sample standard deviation of trainings that differ in their seed alone. Tables of tries count all
+splits of objects together.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
-_COLUMNS = ("wasted_tries", "repeated", "trained", "failed_at", "failures", "hidden")
-"""Metrics in the tables of policies, with the minutes of their training; a new one is shown behind them."""
-_ELSEWHERE = ("success", "key_frames", "failed_tries", "untried", "tried_locked_first")
-"""Metrics that tables of policies show otherwise, or not at all."""
+_TRIES = ("key_frames", "wasted_tries", "repeated", "failures")
+"""Metrics of the second table. With two labels it is as wide as a page's column; the CSV has the others."""
 
 
 def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
@@ -42,20 +37,27 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
         present: fingerprints of the present code: with experts, and without.
     """
     parts = [INTRODUCTION]
-    fresh = {name: result for name, result in results.items() if result.fingerprint in present}
-    stale = {name: result for name, result in results.items() if result.fingerprint not in present}
-    if not fresh:
+    if not any(result.fingerprint in present for result in results.values()):
         parts.append(f"{NOTHING}\n")
-    for name, result in (*fresh.items(), *stale.items()):
+    for name, result in sorted(results.items(), key=lambda item: item[1].fingerprint not in present):
         parts.append(f"## {_heading(result)}\n")
         if result.fingerprint not in present:
             parts.append(
                 f"**Of another fingerprint**, `{result.fingerprint}` (version {result.version}): "
                 "not what the present code would give.\n"
             )
-        parts.append(f"{result_table(result)}\n")
+        tables = (_seeds_table(result.rows),) if result.kind == "seeds" else (success_table(result), _tries(result))
+        parts += [f"{table}\n" for table in tables if table]
         parts.append(f"{source_line(name, result)}\n")
     return "\n".join(parts)
+
+
+def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, object], Metrics]]:
+    """Yields labels and metrics of each row of the files, for `csv_table`."""
+    for name, result in results.items():
+        for row in result.rows:
+            labels = {each: value for each, value in vars(row).items() if each != "metrics"}
+            yield {"result": name, "fingerprint": result.fingerprint, **labels}, row.metrics
 
 
 def readme_block(results: Mapping[str, ResultFile], present: Container[str], more: Iterable[str] = ()) -> str:
@@ -67,14 +69,10 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], mor
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
     by_kind = {kind: [result for result in fresh if result.kind == kind] for kind in ("policy", "expert")}
-    fresh = by_kind["policy"] or by_kind["expert"]
     parts = [START]
-    for result in fresh:
-        told = (
-            f" {result.rows[0].metrics.show('success')}"
-            if len(result.rows) == 1
-            else f"\n\n{result_table(result, brief=True)}"
-        )
+    for result in by_kind["policy"] or by_kind["expert"]:
+        single = len(result.rows) == 1
+        told = f" {result.rows[0].metrics.show('success')}" if single else f"\n\n{success_table(result)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
     parts += [f"{line}\n" for line in more if line]
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
@@ -90,16 +88,83 @@ def with_block(document: str, block: str) -> str:
     return before + block + after
 
 
-def result_table(result: ResultFile, *, brief: bool = False) -> str:
-    """Returns a result's table: a row per category, and for policies one per subject and category.
+def success_table(result: ResultFile) -> str:
+    """Returns success by subject, category and split of objects; with means where a subject has several categories."""
+    rows = result.rows
+    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
+    trained = any(row.train_minutes is not None for row in rows)
+    lines = []
+    for subject, of_subject in _by_subject(rows).items():
+        categories = _by_category(of_subject)
+        for category, mine in categories.items():
+            shown = {row.objects: row.metrics.show("success") for row in mine}
+            lines.append([subject, words(category), *(shown.get(split, "-") for split in splits)])
+            if trained:
+                lines[-1].append(_minutes(mine))
+        if len(categories) > 1:
+            means = [_mean_success([row for row in of_subject if row.objects == each], categories) for each in splits]
+            lines.append([subject, f"mean of {len(categories)}", *means, *[""] * trained])
+    titles = [result.kind, "category", *(f"{split} objects" for split in splits), *["trained"] * trained]
+    return markdown_table(titles, lines)
 
-    Args:
-        result: what to tell.
-        brief: without what failed, how failures ended and what was hidden.
-    """
-    if result.kind == "seeds":
-        return _seeds_table(result.rows)
-    return _expert_table(result.rows) if result.kind == "expert" else _policy_table(result.rows, brief)
+
+def _tries(result: ResultFile) -> str:
+    rows = [
+        ((subject, words(category)), pool(row.metrics for row in mine))
+        for subject, of_subject in _by_subject(result.rows).items()
+        for category, mine in _by_category(of_subject).items()
+    ]
+    return metrics_table((result.kind, "category"), rows, _TRIES)
+
+
+def _by_subject(rows: Sequence[ResultRow]) -> dict[str, list[ResultRow]]:
+    """Returns name -> its rows; presets are part of the name where there are several."""
+    several = len({row.preset for row in rows}) > 1
+    found: dict[str, list[ResultRow]] = {}
+    for row in rows:
+        found.setdefault(f"{row.subject} ({row.preset})" if several else row.subject, []).append(row)
+    return found
+
+
+def _by_category(rows: Iterable[ResultRow]) -> dict[str, list[ResultRow]]:
+    found: dict[str, list[ResultRow]] = {}
+    for row in rows:
+        found.setdefault(row.category, []).append(row)
+    return found
+
+
+def _minutes(rows: Iterable[ResultRow]) -> str:
+    known = [row.train_minutes for row in rows if row.train_minutes is not None]
+    return f"{max(known):.0f} min" if known else "-"
+
+
+def _mean_success(rows: Sequence[ResultRow], categories: Collection[str]) -> str:
+    """Returns the mean of the categories' shares; nothing where one of them was not measured."""
+    shares = [row.metrics.success.rate or 0.0 for row in rows]
+    return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == len(categories) else "-"
+
+
+def _seeds_table(rows: Sequence[ResultRow]) -> str:
+    """Returns mean, spread and each training's success; of wasted tries the same, of all splits of objects together."""
+    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
+    lines = []
+    for category, mine in _by_category(rows).items():
+        shares = [[100 * (row.metrics.success.rate or 0.0) for row in mine if row.objects == each] for each in splits]
+        trainings = _by_subject(mine)
+        pooled = [pool(row.metrics for row in each).wasted_tries for each in trainings.values()]
+        wasted = [round(each.value, 2) for each in pooled if each is not None and each.value is not None]
+        cells = [_spread(values, ".1f", " %") for values in shares]
+        lines.append([words(category), str(len(trainings)), *cells, _spread(wasted, ".2f", "")])
+    return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
+
+
+def _spread(values: Sequence[float], digits: str, unit: str) -> str:
+    """Returns ``97.7 % ± 1.2 (97, 97, 99)``: mean, sample standard deviation, each; without it where there is one."""
+    if not values:
+        return "-"
+    deviation = f" ± {statistics.stdev(values):{digits}}" if len(values) > 1 else ""
+    each = ", ".join(f"{value:.4g}" for value in values)
+    return f"{statistics.mean(values):{digits}}{unit}{deviation} ({each})"
 
 
 def source_line(name: str, result: ResultFile) -> str:
@@ -118,95 +183,3 @@ def _heading(result: ResultFile) -> str:
 
 def _scenes(result: ResultFile) -> str:
     return "scenes of no split" if result.scenes is None else f"{result.scenes} scenes"
-
-
-def _expert_table(rows: Sequence[ResultRow]) -> str:
-    columns = sorted(
-        {(row.preset, row.subject, row.objects) for row in rows},
-        key=lambda key: (*key[:2], OBJECT_SPLITS.index(key[2])),
-    )
-    several = len({preset for preset, _, _ in columns}) > 1
-    titles = [f"{preset + ': ' if several else ''}{subject}, {objects}" for preset, subject, objects in columns]
-
-    def cells(chosen: Sequence[ResultRow]) -> list[str]:
-        found = [[row for row in chosen if (row.preset, row.subject, row.objects) == column] for column in columns]
-        return [_expert_cell(each) if each else "-" for each in found]
-
-    names = [name for name in CATEGORIES if any(row.category == name for row in rows)]
-    lines = [[words(name), *cells([row for row in rows if row.category == name])] for name in names]
-    return markdown_table(["", *titles], [*lines, ["all", *cells(rows)]] if len(names) > 1 else lines)
-
-
-def _expert_cell(rows: Sequence[ResultRow]) -> str:
-    metrics = pool(row.metrics for row in rows)
-    frames = mean_length(metrics.key_frames) if len(rows) == 1 else None
-    return f"{metrics.success.count}/{metrics.success.episodes}{'' if frames is None else f' ({frames:.1f})'}"
-
-
-def _policy_table(rows: Sequence[ResultRow], brief: bool) -> str:
-    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
-    several = len({row.preset for row in rows}) > 1
-    names = [*_COLUMNS, *(name for name in METRICS if name not in (*_COLUMNS, *_ELSEWHERE))]
-    names = [name for name in names if not brief or name == "trained" or not METRICS[name].is_detail]
-    lines = []
-    for subject, preset in dict.fromkeys((row.subject, row.preset) for row in rows):
-        of_policy = [row for row in rows if (row.subject, row.preset) == (subject, preset)]
-        name = f"{subject} ({preset})" if several else subject
-        categories = list(dict.fromkeys(row.category for row in of_policy))
-        for category in categories:
-            mine = [row for row in of_policy if row.category == category]
-            cells = _by_split(mine, splits, "success")
-            lines.append([name, words(category), *cells, *(_policy_cell(mine, splits, each) for each in names)])
-        if len(categories) > 1:
-            means = [_mean_success([row for row in of_policy if row.objects == each], categories) for each in splits]
-            lines.append([name, f"mean of {len(categories)}", *means, *[""] * len(names)])
-    metrics = ["trained" if name == "trained" else METRICS[name].title for name in names]
-    titles = ["policy", "category", *(f"{split} objects" for split in splits), *metrics]
-    kept = [place for place in range(len(titles)) if any(line[place] not in ("-", "") for line in lines)]
-    return markdown_table([titles[place] for place in kept], [[line[place] for place in kept] for line in lines])
-
-
-def _by_split(rows: Iterable[ResultRow], splits: Sequence[str], name: str) -> list[str]:
-    by_split = {row.objects: row.metrics.show(name) for row in rows}
-    return [by_split.get(split, "-") for split in splits]
-
-
-def _policy_cell(rows: Sequence[ResultRow], splits: Sequence[str], name: str) -> str:
-    """Returns a metric by split of objects, or of all objects together."""
-    if name == "trained":
-        known = [row.train_minutes for row in rows if row.train_minutes is not None]
-        return f"{max(known):.0f} min" if known else "-"
-    if not METRICS[name].by_objects:
-        return pool(row.metrics for row in rows).show(name)
-    cells = _by_split(rows, splits, name)
-    return "-" if set(cells) == {"-"} else ", ".join(cells)
-
-
-def _mean_success(rows: Sequence[ResultRow], categories: Sequence[str]) -> str:
-    """Returns the mean of the categories' shares; nothing where one of them was not measured."""
-    shares = [row.metrics.success.rate or 0.0 for row in rows]
-    return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == len(categories) else "-"
-
-
-def _seeds_table(rows: Sequence[ResultRow]) -> str:
-    """Returns mean, spread and each training's success; of wasted tries the same, of all splits of objects together."""
-    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
-    lines = []
-    for category in dict.fromkeys(row.category for row in rows):
-        mine = [row for row in rows if row.category == category]
-        shares = [[100 * (row.metrics.success.rate or 0.0) for row in mine if row.objects == each] for each in splits]
-        trainings = list(dict.fromkeys(row.subject for row in mine))
-        pooled = [pool(row.metrics for row in mine if row.subject == name).wasted_tries for name in trainings]
-        wasted = [round(each.value, 2) for each in pooled if each is not None and each.value is not None]
-        cells = [_spread(values, ".1f", " %") for values in shares]
-        lines.append([words(category), str(len(trainings)), *cells, _spread(wasted, ".2f", "")])
-    return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
-
-
-def _spread(values: Sequence[float], digits: str, unit: str) -> str:
-    """Returns ``97.7 % ± 1.2 (97, 97, 99)``: mean, sample standard deviation, each; without it where there is one."""
-    if not values:
-        return "-"
-    deviation = f" ± {statistics.stdev(values):{digits}}" if len(values) > 1 else ""
-    each = ", ".join(f"{value:.4g}" for value in values)
-    return f"{statistics.mean(values):{digits}}{unit}{deviation} ({each})"

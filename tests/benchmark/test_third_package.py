@@ -67,7 +67,7 @@ def test_it_is_in_the_table_by_its_entry_point_alone(tmp_path: Path, monkeypatch
     assert "--policy.type=hold_still --policy.gripper=0.5" in results[0].steps["train"].command
     for known in (declaration, before):  # whoever reads the files need not have the package
         page = benchmark_page(make_report(results, known, SCALE, {CODE.episodes}))
-        assert re.search(r"^\| Hold still \(lerobot_policy_hold_still\) \| \d/5: ", page, re.MULTILINE)
+        assert re.search(r"^\| safe \| Hold still \(lerobot_policy_hold_still\) \| \d/5: ", page, re.MULTILINE)
 
 
 @pytest.mark.nightly

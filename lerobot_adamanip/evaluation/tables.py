@@ -1,0 +1,43 @@
+"""Tables of metrics: Markdown that fits a page's column, and CSV that is complete."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+
+from lerobot_adamanip.evaluation.metrics import METRICS, Metrics
+from lerobot_adamanip.evaluation.text_format import markdown_table
+
+
+def metrics_table(
+    titles: Sequence[str], rows: Iterable[tuple[Sequence[str], Metrics]], names: Iterable[str] = METRICS
+) -> str:
+    """Returns a table with a line for each row's labels and metrics, empty if there is nothing to show.
+
+    Args:
+        titles: of the labels.
+        rows: labels and metrics.
+        names: of the metrics; those that no row has are left out.
+    """
+    found = list(rows)
+    shown = [name for name in names if any(metrics.show(name) != "-" for _, metrics in found)]
+    lines = [[*labels, *(metrics.show(name) for name in shown)] for labels, metrics in found]
+    return markdown_table([*titles, *(METRICS[name].title for name in shown)], lines) if shown else ""
+
+
+def csv_table(rows: Iterable[tuple[Mapping[str, object], Metrics]]) -> str:
+    """Returns all metrics as CSV, a line for each row; labels are the first columns, shares have their interval."""
+    lines = []
+    for labels, metrics in rows:
+        success = metrics.success
+        counts = {"successes": success.count, "episodes": success.episodes}
+        interval = {"low": f"{success.low:.4f}", "high": f"{success.high:.4f}"}
+        shown = {name: metrics.show(name) for name in METRICS if name != "success"}
+        lines.append({**labels, **counts, **interval, **shown})
+    text = io.StringIO()
+    columns = dict.fromkeys(name for line in lines for name in line)
+    writer = csv.DictWriter(text, list(columns), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()
