@@ -142,19 +142,16 @@ def test_curves_over_trials_and_key_frames(cells: Path) -> None:
     assert within == sorted(within)
     assert (within[0], within[-1]) == (0, table.numbers.success.count)
     assert lines[1][4].startswith(f"{within[15]}/")
-    assert rows_of(page, "Success within a number of key frames")["mean over the categories", "objects"] == [
-        "10", "15", "25", "45",
-    ]  # fmt: skip
+    budgets = rows_of(page, "Success within a number of key frames")
+    assert budgets["mean over the categories", "objects"] == ["10", "15", "25", "45"]
 
 
 def test_the_csv_has_every_number_with_its_metrics(cells: Path) -> None:
     report = report_of(cells)
     lines = list(csv.DictReader(csv_table(report.csv_rows()).splitlines()))
     assert len(lines) == len(report.entries)
-    (line,) = (
-        each for each in lines
-        if (each["subject"], each["category"], each["objects"], each["trials"]) == ("ours", "safe", "seen", "")
-    )  # fmt: skip
+    places = ("subject", "category", "objects", "trials")
+    (line,) = (each for each in lines if [each[name] for name in places] == ["ours", "safe", "seen", ""])
     found = report.entry("ours", "safe", "seen")
     assert found is not None
     assert (int(line["successes"]), int(line["episodes"])) == (found.numbers.success.count, 10)
