@@ -21,11 +21,8 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.hardware.adamanip_franka.observed import SkewWatch
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
-from lerobot_adamanip.hardware.camera_frames import Frame
-from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
@@ -222,29 +219,6 @@ def test_lerobots_warning_of_a_slow_loop_is_not_told_in_lockstep(
     robot.disconnect()
     logging.warning("Record loop is running slower")
     assert caplog.messages == ["another", "Record loop is running slower"]
-
-
-@pytest.mark.parametrize(("server", "counted"), [(LOCKSTEP, 0), (PATIENT, 1)])
-def test_skew_is_counted_where_time_passes_by_itself(
-    make: Callable[..., FakeFranka], server: ServerOptions, counted: int
-) -> None:
-    """In lockstep the clock stands still while a picture is taken: it belongs to its tick."""
-
-    class Late(FrameReader):
-        use_rgb = use_depth = False
-        is_connected = False
-
-        def connect(self) -> None:
-            pass
-
-        def latest_frame(self, max_age: float) -> Frame:
-            return Frame(time.perf_counter() + 1.0, time.perf_counter() + 1.0, None, None, 0)
-
-    robot = make(server)
-    robot.cameras, robot._skews = {"front": Late()}, {"front": SkewWatch()}
-    robot.connect()
-    robot.get_observation()
-    assert robot._skews["front"].skewed == counted
 
 
 def test_a_file_of_cameras_does_not_pass_for_calibrations_of_motors(

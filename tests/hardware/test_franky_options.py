@@ -21,7 +21,7 @@ from lerobot_adamanip.hardware.backends.franky_sdk import (
     set_limits,
     wanted_limits,
 )
-from lerobot_adamanip.hardware.limits import FR3, PANDA
+from lerobot_adamanip.hardware.limits import MODELS
 from lerobot_adamanip.util.errors import RobotError
 
 VALUES = {"address": "172.16.0.2", "model": "fr3"}
@@ -47,13 +47,13 @@ def robot(highest: float, loses: float = 0.0) -> Any:
     )
 
 
-@pytest.mark.parametrize(("model", "table"), [("fr3", FR3), ("panda", PANDA)])
-def test_what_is_read_back_is_our_table_times_the_dynamics(model: str, table: Any) -> None:
+@pytest.mark.parametrize("model", MODELS)
+def test_what_is_read_back_is_our_table_times_the_dynamics(model: str) -> None:
     options = FrankyOptions(model=model, dynamics=0.05)
     read = set_limits(robot(1e9), options)
     assert read == dict(wanted_limits(options))
-    assert read["translation_velocity_limit"] == [table.translation.velocity * 0.05]
-    assert read["joint_acceleration_limit"] == pytest.approx(np.array(table.joint_acceleration) * 0.05)
+    assert read["translation_velocity_limit"] == [MODELS[model].translation.velocity * 0.05]
+    assert read["joint_acceleration_limit"] == pytest.approx(np.array(MODELS[model].joint.acceleration) * 0.05)
     assert len(read) == 12
 
 
@@ -83,6 +83,15 @@ def test_a_wrong_tool_frame_is_refused_before_anything_is_written(monkeypatch: p
     monkeypatch.setattr(franky, "connect_robot", lambda *_: arm)
     with pytest.raises(RobotError, match="not the Franka Hand"):
         franky.FrankyBackend(FrankyOptions(**VALUES)).connect()
+
+
+def test_the_two_models_are_not_mixed_up() -> None:
+    """As `franky` does: an FR3 crosses space faster and accelerates less."""
+    panda, fr3 = MODELS["panda"], MODELS["fr3"]
+    assert (panda.translation.velocity, fr3.translation.velocity) == (1.7, 3.0)
+    assert fr3.translation.acceleration < panda.translation.acceleration
+    assert max(fr3.joint.acceleration) < max(panda.joint.acceleration)
+    assert fr3.joint.velocity[4] > panda.joint.velocity[4]
 
 
 def test_an_arm_outside_the_models_range_is_another_arm() -> None:

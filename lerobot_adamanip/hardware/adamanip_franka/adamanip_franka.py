@@ -17,7 +17,7 @@ from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, action_vector
-from lerobot_adamanip.hardware.adamanip_franka.observed import SkewWatch, camera_features, pictures, scalars
+from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
@@ -32,8 +32,6 @@ from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
 MAX_LEADS = 2.0
 """Multiple of the filter's lead that the arm's process allows: its reading is a newer one."""
-
-_logger = logging.getLogger(__name__)
 
 
 class SlowLoopFilter(logging.Filter):
@@ -59,7 +57,6 @@ class AdamanipFranka(Robot):
         self._client: ArmClient | None = None
         self._driver: MotionDriver | None = None
         self._session = RobotSession()
-        self._skews = {key: SkewWatch() for key in self.cameras}
         self._slow_loop = SlowLoopFilter()
         self._connected_at = 0.0
 
@@ -192,9 +189,7 @@ class AdamanipFranka(Robot):
         for handler in logging.getLogger().handlers:
             handler.removeFilter(self._slow_loop)
         ROBOTS.close(self._registry_id)
-        for key, camera in self.cameras.items():
-            if self._skews[key].skewed:
-                _logger.warning("camera %s: %s", key, self._skews[key])
+        for camera in self.cameras.values():
             if camera.is_connected:
                 camera.disconnect()
 
@@ -222,11 +217,8 @@ class AdamanipFranka(Robot):
         """
         reading = self._motion.read()
         seen: dict[str, Any] = dict(self._scalars(reading))
-        in_steps = LOCKSTEP_DT in self._session.details  # then nothing moves between the state and its picture
         for key, camera in self.cameras.items():
-            age, rested = self.config.camera_age, self._motion.rested_at
-            skew = None if in_steps else self._skews[key]
-            seen |= pictures(key, camera, reading, skew, max_age=age, after=rested)
+            seen |= pictures(key, camera, max_age=self.config.camera_age, after=self._motion.rested_at)
         return seen
 
     def _scalars(self, reading: ArmReading) -> dict[str, float]:

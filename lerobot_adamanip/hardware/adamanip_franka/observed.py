@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,27 +14,6 @@ from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
 
 NO_OUTCOME = -1.0
-MAX_SKEW = 0.05
-"""Largest distance in time of a picture and a state of one moment [s]: 5 mm at the arm's 0.1 m/s."""
-
-
-@dataclass
-class SkewWatch:
-    """Counts the rows of one camera whose picture is not of the state's moment."""
-
-    rows: int = 0
-    skewed: int = 0
-    worst: float = 0.0
-
-    def count(self, frame_stamp: float, state_stamp: float) -> None:
-        """Counts a row by the stamps of its frame and its state [s, same clock]."""
-        skew = abs(frame_stamp - state_stamp)
-        self.rows, self.skewed = self.rows + 1, self.skewed + (skew > MAX_SKEW)
-        self.worst = max(self.worst, skew)
-
-    def __str__(self) -> str:
-        share = f"{self.skewed} of {self.rows} rows"
-        return f"{share} skewed by more than {1e3 * MAX_SKEW:.0f} ms, at worst {1e3 * self.worst:.0f} ms"
 
 
 def camera_features(cameras: dict[str, Camera]) -> dict[str, tuple[int, int, int]]:
@@ -65,16 +43,12 @@ def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, su
     return dict(zip(SCALAR_NAMES, values.tolist(), strict=True))
 
 
-def pictures(
-    key: str, camera: Camera, reading: ArmReading, skew: SkewWatch | None, *, max_age: float, after: float | None
-) -> dict[str, NDArray[Any]]:
+def pictures(key: str, camera: Camera, *, max_age: float, after: float | None) -> dict[str, NDArray[Any]]:
     """Returns a camera's pictures by name, of one exposure if it is a `FrameReader`.
 
     Args:
         key: of the camera.
         camera: connected.
-        reading: of the same observation.
-        skew: counts; None where pictures and states are of one moment by construction.
         max_age: of a frame [s].
         after: the arm is at rest since then, and the frame exposed after it (`time.perf_counter()`, [s]); None takes
             the latest.
@@ -87,8 +61,6 @@ def pictures(
         frame = camera.latest_frame(max_age)
         if after is not None and frame.stamp < after:
             frame = camera.frame_after(after)
-        if skew is not None:
-            skew.count(frame.stamp, reading.stamp)
         if camera.use_rgb and frame.color is not None:
             found[key] = frame.color
         if camera.use_depth and frame.depth is not None:

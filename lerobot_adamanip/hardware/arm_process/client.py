@@ -77,8 +77,6 @@ class ArmClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # Life ------------------------------------------------------------------------------------------------------------
-
     @property
     def is_connected(self) -> bool:
         """Whether the process was started and has not ended."""
@@ -95,7 +93,11 @@ class ArmClient:
         try:
             self._start()
             details = self._receive(0, self._connect_time, "connect")
-            self._await_status()
+            until = time.perf_counter() + self._connect_time
+            while self._box(STATUS).number == 0:
+                if time.perf_counter() > until or not self.is_connected:
+                    raise RobotError(self._last_words("published no state"))
+                time.sleep(POLL)
         except BaseException:
             self.close()
             raise
@@ -122,19 +124,12 @@ class ArmClient:
         with contextlib.suppress(OSError):  # a process that has ended already is told by its exit status
             self._connection.send_bytes(encode(self._first))
 
-    def _await_status(self) -> None:
-        until = time.perf_counter() + self._connect_time
-        while self._box(STATUS).number == 0:
-            if time.perf_counter() > until or not self.is_connected:
-                raise RobotError(self._last_words("published no state"))
-            time.sleep(POLL)
-
     def close(self) -> None:
         """Ends the process, which stops the arm before; kills it after `CLOSE_TIME`. Idempotent, never raises."""
         process, connection = self._process, self._connection
         if connection is not None:
-            with contextlib.suppress(OSError):
-                connection.send_bytes(encode(Request(0, "shutdown")))
+            with contextlib.suppress(OSError):  # without the lock: another thread may wait for an answer
+                self._write(Request(0, "shutdown"))
             connection.close()  # end of file, for a process that reads no messages
         if process is not None:
             try:
@@ -179,6 +174,11 @@ class ArmClient:
         """Returns (number, value) of the newest in a mailbox of the backend; None before the first. Thread-safe."""
         return self._box(name).read()
 
+    def _box(self, name: str) -> Mailbox:
+        if not self._boxes:
+            raise RobotError("The arm is not connected.")
+        return self._boxes[name]
+
     # Targets ---------------------------------------------------------------------------------------------------------
 
     def send(self, pose: NDArray[np.float32], execution: Execution) -> int:
@@ -218,21 +218,21 @@ class ArmClient:
         """
         with self._lock:
             self._asked += 1
-            self._write(Request(self._asked, ask, dict(values or {})))
+            try:
+                self._write(Request(self._asked, ask, dict(values or {})))
+            except OSError as error:
+                raise RobotError(self._last_words(f"cannot be asked for {ask!r} ({error})")) from None
             return self._receive(self._asked, time_limit, ask)
 
     def post(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
         """Sends a request without waiting for an answer; nothing happens if the process has ended."""
-        with self._lock, contextlib.suppress(RobotError):
+        with self._lock, contextlib.suppress(OSError):
             self._write(Request(0, ask, dict(values or {})))
 
     def _write(self, request: Request) -> None:
-        try:
-            if self._connection is None:
-                raise OSError("not connected")
-            self._connection.send_bytes(encode(request))
-        except OSError as error:
-            raise RobotError(self._last_words(f"cannot be asked for {request.ask!r} ({error})")) from None
+        if self._connection is None:
+            raise OSError("not connected")
+        self._connection.send_bytes(encode(request))
 
     def _receive(self, number: int, time_limit: float, ask: str) -> dict[str, Any]:
         """Returns the values of the reply of this number; older replies are dropped."""
@@ -243,26 +243,15 @@ class ArmClient:
             try:
                 reply = decode(self._connection.recv_bytes(), Reply)
             except (EOFError, OSError) as error:
-                self._await_end()
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    if self._process is not None:
+                        self._process.wait(1.0)  # for its exit status
                 raise RobotError(self._last_words(f"broke off at {ask!r} ({type(error).__name__})")) from None
             if reply.number in (number, 0):
                 if reply.error is not None:
                     raise RobotError(reply.error)
                 return reply.values
         raise RobotError(self._last_words(f"cannot be asked for {ask!r}"))
-
-    # Help ------------------------------------------------------------------------------------------------------------
-
-    def _box(self, name: str) -> Mailbox:
-        if not self._boxes:
-            raise RobotError("The arm is not connected.")
-        return self._boxes[name]
-
-    def _await_end(self) -> None:
-        """Waits a second for the exit status of a process that closed its connection."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            if self._process is not None:
-                self._process.wait(1.0)
 
     def _last_words(self, what: str) -> str:
         """Returns a message with the error that the process sent before it ended.

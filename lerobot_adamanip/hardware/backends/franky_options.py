@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from lerobot_adamanip.hardware.arm_process.encoding import message
-from lerobot_adamanip.hardware.limits import MODELS, FrankaLimits, limits_of
+from lerobot_adamanip.hardware.limits import MODELS, FrankaLimits
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 BOUNDS = {
@@ -66,7 +66,7 @@ class FrankyOptions:
     @property
     def limits(self) -> FrankaLimits:
         """Limits of the model."""
-        return limits_of(self.model)
+        return MODELS[self.model]
 
     def check(self) -> None:
         """Raises `ConfigurationError` for a missing address or model, and for a value out of bounds."""

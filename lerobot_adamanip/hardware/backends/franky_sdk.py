@@ -80,16 +80,10 @@ def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
 
 def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
     """Yields franky's name of a limit and its values in our table, times ``dynamics``."""
-    limits, share = options.limits, options.dynamics
-    for name, bounds in (
-        ("translation", limits.translation),
-        ("rotation", limits.rotation),
-        ("elbow", limits.elbow),
-    ):
+    for name in ("translation", "rotation", "elbow", "joint"):
         for what in ("velocity", "acceleration", "jerk"):
-            yield f"{name}_{what}_limit", [getattr(bounds, what) * share]
-    for what in ("velocity", "acceleration", "jerk"):
-        yield f"joint_{what}_limit", [value * share for value in getattr(limits, f"joint_{what}")]
+            values = np.atleast_1d(getattr(getattr(options.limits, name), what))
+            yield f"{name}_{what}_limit", (values * options.dynamics).tolist()
 
 
 def check_joints(qpos: Any, options: FrankyOptions) -> None:
