@@ -22,18 +22,21 @@ for line in sys.argv[2:]:
     assert status == (0 if line.endswith("--help") else 2), (line, status, err.getvalue())
     found = sorted(set(sys.argv[1].split(",")) & set(sys.modules))
     assert not found, (line, found)
+with contextlib.redirect_stderr(io.StringIO()):
+    assert main("collect x --objects 0:99".split()) == 2
+assert not {"sapien", "mani_skill"} & set(sys.modules)
 """
 WRONG = (
     "doctor extra", "collect", "collect x --category dor", "collect x --expert adaptiv", "collect x --seed x",
-    "collect x --mechanism-rules papr", "collect x --mechanism-preset paper", "replay", "replay x --episode first",
-    "render", "check", "repair", "keyframes one", "stats", "merge one", "filter x --out", "split one", "view",
-    "push datset x --repo-id a/b", "objects --category dor", "annotate --category dor", "calibrate x --mounting hand",
-    "report --label", "benchmark --workers x", "bench --category dor",
+    "collect x --mechanism-rules papr", "collect x --mechanism-preset paper", "collct", "replay",
+    "replay x --episode first", "render", "check", "repair", "keyframes one", "stats", "merge one", "filter x --out",
+    "split one", "view", "push datset x --repo-id a/b", "objects --category dor", "annotate --category dor",
+    "calibrate x --mounting hand", "report --label", "benchmark --workers x", "bench --category dor",
 )  # fmt: skip
 
 
 def test_help_and_wrong_options_import_nothing_heavy() -> None:
-    assert {line.split()[0] for line in WRONG} == set(COMMANDS)
+    assert {line.split()[0] for line in WRONG} >= set(COMMANDS)
     lines = [f"{name} {option}" for name in COMMANDS for option in ("--help", "--no-such-option")]
     command = [sys.executable, "-c", ASK, ",".join(HEAVY), *lines, *WRONG]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
