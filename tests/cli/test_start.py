@@ -13,6 +13,9 @@ HEAVY = ("torch", "lerobot", "pandas", "datasets", "scipy", "sapien", "trimesh",
 ASK = """
 import contextlib, io, sys
 from lerobot_adamanip.cli.main import main
+with contextlib.redirect_stdout(io.StringIO()):
+    assert main(["--help"]) == 0
+assert not {"numpy", "tyro"} & set(sys.modules)
 for line in sys.argv[2:]:
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
         try:
