@@ -50,21 +50,7 @@ def wheel(dist: Path) -> Path:
     return find_wheel(dist)
 
 
-@pytest.fixture(scope="module")
-def in_wheel(wheel: Path) -> set[str]:
-    with zipfile.ZipFile(wheel) as archive:
-        return set(archive.namelist())
-
-
-@pytest.fixture(scope="module")
-def in_archive(dist: Path) -> set[str]:
-    """Paths in the source archive, its top folder left off."""
-    (path,) = dist.glob("*.tar.gz")
-    with tarfile.open(path) as archive:
-        return {name.partition("/")[2] for name in archive.getnames()}
-
-
-def test_wheel_holds_all_packages_and_nothing_else(in_wheel: set[str]) -> None:
+def test_wheel_and_source_archive_hold_the_packages_and_no_binaries(dist: Path, wheel: Path) -> None:
     packages = {
         "lerobot_adamanip": ROOT,
         "lerobot_env_adamanip": ROOT / "envs",
@@ -73,26 +59,22 @@ def test_wheel_holds_all_packages_and_nothing_else(in_wheel: set[str]) -> None:
     wanted = {f"lerobot_adamanip/{path}" for path in tracked("hub_cards")}
     for package, home in packages.items():
         wanted |= {(ROOT / path).relative_to(home).as_posix() for path in tracked((home / package).as_posix())}
-    assert {name for name in in_wheel if ".dist-info/" not in name} == wanted
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (told,) = [name for name in names if name.endswith(".dist-info/METADATA")]
+        assert "Name: lerobot_env_adamanip" in archive.read(told).decode().splitlines()  # LeRobot looks for such names
+    assert [name for name in names if name.endswith("licenses/LICENSE")]
+    in_wheel = {name for name in names if ".dist-info/" not in name}
+    assert in_wheel == wanted
     assert {f"{package}/py.typed" for package in packages} | {"lerobot_adamanip/benchmark/paper_table.toml"} <= wanted
 
-
-def test_source_archive_holds_what_the_wheel_is_built_of(in_archive: set[str]) -> None:
+    (path,) = dist.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        in_archive = {name.partition("/")[2] for name in archive.getnames()}
     folders = ("lerobot_adamanip", "envs", "policies", "hub_cards")
     files = ("CHANGELOG.md", "CITATION.cff", "LICENSE", "README.md", "constraints.txt", "pyproject.toml")
     assert in_archive == {*files, "PKG-INFO", ".gitignore", *(path for folder in folders for path in tracked(folder))}
-
-
-def test_a_release_holds_text_alone(in_wheel: set[str], in_archive: set[str]) -> None:
-    """No mesh, picture, video or checkpoint."""
-    assert {Path(name).suffix for name in in_wheel | in_archive if ".dist-info/" not in name} <= TEXT
-
-
-def test_wheel_name_is_one_that_lerobot_looks_for(wheel: Path) -> None:
-    with zipfile.ZipFile(wheel) as archive:
-        (path,) = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
-        assert "Name: lerobot_env_adamanip" in archive.read(path).decode().splitlines()
-        assert [n for n in archive.namelist() if n.endswith("licenses/LICENSE")]
+    assert {Path(name).suffix for name in in_wheel | in_archive} <= TEXT
 
 
 @pytest.mark.nightly

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
 VERSION = re.compile(r"[\w.-]+/[\w.-]+@(v\d+\.\d+\.\d+|[0-9a-f]{40})")
+TARGETS = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 INPUTS = {"input", "textarea", "dropdown", "checkboxes"}
 
 
@@ -31,21 +32,22 @@ def commands(workflow: dict[Any, Any]) -> str:
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.name)
-def test_a_workflow_is_whole(path: Path) -> None:
-    workflow = read(path)
+def test_a_workflow_is_whole_pinned_and_without_rights(path: Path) -> None:
+    workflow, text = read(path), path.read_text(encoding="utf-8")
     assert workflow["name"] == path.stem
     assert workflow[True]  # YAML reads the key `on` as a boolean, GitHub does not
+    assert workflow["permissions"] == {"contents": "read"}
     jobs = workflow["jobs"]
     for name, job in jobs.items():
         assert job.get("needs", name) in jobs, name
         assert job["runs-on"]
         assert all(("run" in step) != ("uses" in step) for step in job["steps"]), name
-
-
-@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.name)
-def test_actions_are_pinned(path: Path) -> None:
-    used = [step["uses"] for step in steps(read(path)) if "uses" in step]
-    assert [action for action in used if not VERSION.fullmatch(action)] == []
+    assert all(VERSION.fullmatch(step["uses"]) for step in steps(workflow) if "uses" in step)
+    assert "secrets." not in text
+    assert "pull_request_target" not in text
+    # What others choose (a branch's name, a title) is an environment variable, never part of a script.
+    chosen = r"\$\{\{\s*github\.(head_ref|ref_name|event\.(issue|pull_request|comment|head_commit))"
+    assert not re.search(chosen, commands(workflow))
 
 
 def test_one_version_of_each_action() -> None:
@@ -53,43 +55,20 @@ def test_one_version_of_each_action() -> None:
     assert len({action.partition("@")[0] for action in used}) == len(used)
 
 
-@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda p: p.name)
-def test_what_a_workflow_runs_is_there(path: Path) -> None:
-    text = commands(read(path))
-    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    named = {word for line in re.findall(r"\bmake ([a-z ]+)", text) for word in line.split()}
-    assert named <= targets
+def test_what_workflows_run_is_there() -> None:
+    text = "\n".join(commands(read(path)) for path in WORKFLOWS)
+    assert all(word in text for word in ("make docs", "make check", "scripts/smoke_test_release.py", ".ci/run"))
+    assert {word for line in re.findall(r"\bmake ([a-z ]+)", text) for word in line.split()} <= TARGETS
     files = set(re.findall(r"(?<![\w./-])((?:scripts|tests|\.ci)/[\w./-]+|constraints\.txt|CHANGELOG\.md)", text))
     assert {name for name in files if not (ROOT / name).exists()} == set()
 
 
-def test_the_workflows_name_targets_and_scripts() -> None:
-    """What the test before looks for is what they say."""
-    text = "\n".join(commands(read(path)) for path in WORKFLOWS)
-    assert all(word in text for word in ("make docs", "make check", "scripts/smoke_test_release.py", ".ci/run"))
-
-
-def test_only_what_publishes_may_write() -> None:
-    """A job of a workflow reads the repository; the two that publish may say who they are, and nothing else."""
-    found = {}
-    for path in WORKFLOWS:
-        workflow = read(path)
-        assert workflow["permissions"] == {"contents": "read"}, path.name
-        for name, job in workflow["jobs"].items():
-            if "permissions" in job:
-                found[f"{path.stem}.{name}"] = job["permissions"]
+def test_only_jobs_that_publish_have_rights() -> None:
+    """They may say who they are, and write the pages."""
+    jobs = {f"{path.stem}.{name}": job for path in WORKFLOWS for name, job in read(path)["jobs"].items()}
+    rights = {name: job["permissions"] for name, job in jobs.items() if "permissions" in job}
     pages = {"pages": "write", "id-token": "write"}
-    assert found == {"docs.publish": pages, "release.publish": {"id-token": "write"}}
-
-
-def test_no_workflow_keeps_a_secret_or_runs_a_stranger_with_rights() -> None:
-    for path in WORKFLOWS:
-        text = path.read_text(encoding="utf-8")
-        assert "secrets." not in text, path.name
-        assert "pull_request_target" not in text, path.name
-        # What others choose (a branch's name, a title) is an environment variable, never part of a script.
-        chosen = r"\$\{\{\s*github\.(head_ref|ref_name|event\.(issue|pull_request|comment|head_commit))"
-        assert not re.search(chosen, commands(read(path))), path.name
+    assert rights == {"docs.publish": pages, "release.publish": {"id-token": "write"}}
 
 
 def test_a_release_uploads_what_was_tried_and_by_tag_alone() -> None:
@@ -121,8 +100,6 @@ def test_an_issue_form_is_one(path: Path) -> None:
     for field in fields:
         for option in field["attributes"].get("options", []):
             assert isinstance(option["label"] if field["type"] == "checkboxes" else option, str)
-    text = path.read_text(encoding="utf-8")
-    assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/[\w/-]+\.md|SECURITY\.md)\b", text))
 
 
 def test_there_are_forms_for_what_is_reported() -> None:
@@ -132,8 +109,10 @@ def test_there_are_forms_for_what_is_reported() -> None:
     assert bug["doctor"]["validations"]["required"]
 
 
-def test_what_a_pull_request_is_asked_for_exists() -> None:
-    text = (ROOT / ".github" / "PULL_REQUEST_TEMPLATE.md").read_text(encoding="utf-8")
-    assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/[\w/]+\.md|CHANGELOG\.md)\b", text))
-    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    assert set(re.findall(r"`make ([a-z]+)`", text)) == {"check", "test"} <= set(targets)
+def test_files_that_templates_name_exist() -> None:
+    request = ROOT / ".github" / "PULL_REQUEST_TEMPLATE.md"
+    for path in (*FORMS, request):
+        text = path.read_text(encoding="utf-8")
+        assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/[\w/-]+|CHANGELOG|SECURITY)\.md\b", text))
+    named = set(re.findall(r"`make ([a-z]+)`", request.read_text(encoding="utf-8")))
+    assert named == {"check", "test"} <= TARGETS
