@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
-import importlib
+import importlib.util
 import re
 import subprocess
 import sys
@@ -17,18 +17,21 @@ from documents import DOCUMENTS, ROOT, Block, blocks, commands
 
 from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.experts import Outcome, Phase
+
+OFTEN = ("README.md", "docs/extending.md")
+"""Documents of which the Python blocks run in `make test`; those of the others run every night."""
 
 
-def python_blocks(*documents: str) -> list[Any]:
-    """Blocks that run by themselves, of all documents or of those named."""
-    return [
-        pytest.param(
-            block, id=f"{block.document}-{block.number}", marks=[pytest.mark.sim] * block.mark.startswith("sim")
-        )
-        for block in blocks("python")
-        if not block.mark.startswith(("new: ", "edit: "))  # tests/test_extending.py has these
-        and block.document in (documents or DOCUMENTS)
-    ]
+def python_blocks() -> list[Any]:
+    """Blocks that run by themselves."""
+    found = []
+    for block in blocks("python"):
+        if not block.mark.startswith(("new: ", "edit: ")):  # tests/test_extending.py has these
+            marks = [pytest.mark.sim] * block.mark.startswith("sim")
+            marks += [pytest.mark.nightly] * (block.document not in OFTEN)
+            found.append(pytest.param(block, id=f"{block.document}-{block.number}", marks=marks))
+    return found
 
 
 def test_documents_hold_what_is_tested_here() -> None:
@@ -53,12 +56,14 @@ def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
     from lerobot.configs.train import TrainPipelineConfig
 
     kinds: dict[str, type] = {"lerobot-train": TrainPipelineConfig, "lerobot-eval": EvalPipelineConfig}
+    if words[0] == "accelerate":
+        words = ["lerobot-train", *words[words.index("$(which lerobot-train)") + 1 :]]
     files = ("--policy.path=", "--config_path=")
     downloaded = [f"--policy.type={kind}" for path, kind in DOWNLOADED.items() if f"--policy.path={path}" in words]
     return kinds[words[0]], [*downloaded, *(word for word in words[1:] if not word.startswith(files))]
 
 
-@pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval")])
+@pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval"), *commands("accelerate")])
 def test_lerobot_commands_parse(words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import draccus
 
@@ -81,18 +86,6 @@ def test_lerobot_commands_parse(words: list[str], tmp_path: Path, monkeypatch: p
             check_input_features(policy.input_features, env.image_size)
 
 
-def test_training_on_several_gpus_parses() -> None:
-    import draccus
-
-    import lerobot_env_adamanip  # noqa: F401
-
-    (found,) = commands("accelerate")
-    (words,) = found.values
-    at = words.index("$(which lerobot-train)")
-    kind, arguments = lerobot_config(["lerobot-train", *words[at + 1 :]])
-    assert draccus.parse(config_class=kind, args=arguments).policy.type == "dp3_adaptive"
-
-
 def test_job_scripts_are_bash() -> None:
     scripts = [block.code for block in blocks("bash") if block.code.startswith("#!/bin/bash")]
     assert len(scripts) == 2
@@ -111,15 +104,9 @@ def check_input_features(features: dict[str, Any], image_size: int) -> None:
 
 @pytest.mark.parametrize("words", commands("lerobot-dataset-viz"))
 def test_options_of_the_viewer_exist(words: list[str]) -> None:
-    from importlib.util import find_spec
-
-    spec = find_spec("lerobot.scripts.lerobot_dataset_viz")
-    assert spec is not None
-    assert spec.origin is not None
-    source = Path(spec.origin).read_text(encoding="utf-8")
-    for word in words[1:]:
-        if word.startswith("--"):
-            assert f'"{word}"' in source
+    spec = importlib.util.find_spec("lerobot.scripts.lerobot_dataset_viz")
+    source = Path(str(spec and spec.origin)).read_text(encoding="utf-8")
+    assert all(f'"{word}"' in source for word in words[1:] if word.startswith("--"))
 
 
 def test_make_targets_exist() -> None:
@@ -138,15 +125,8 @@ def run_block(block: Block, folder: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_vulkan")
-@pytest.mark.parametrize("block", python_blocks("README.md", "docs/extending.md"))
-def test_python_runs(block: Block, tmp_path: Path) -> None:
-    run_block(block, tmp_path)
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("no_vulkan")
 @pytest.mark.parametrize("block", python_blocks())
-def test_python_of_other_pages_runs(block: Block, tmp_path: Path) -> None:
+def test_python_runs(block: Block, tmp_path: Path) -> None:
     run_block(block, tmp_path)
 
 
@@ -160,11 +140,13 @@ def test_what_python_imports_of_ours_is_there() -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
-def test_links_and_images_exist(document: str) -> None:
+def test_links_exist_and_no_path_of_a_machine_is_named(document: str) -> None:
     path = ROOT / document
-    for target in re.findall(r"\]\(([^)\s]+)\)", path.read_text(encoding="utf-8")):
+    text = path.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if not target.startswith(("http://", "https://", "#")):
             assert (path.parent / target.partition("#")[0]).exists(), target
+    assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text)
 
 
 def test_images_are_small() -> None:
@@ -184,16 +166,11 @@ def test_contract_table_is_the_schema() -> None:
     written = [(key, dtype, shape) for key, dtype, shape, _ in table("contract", "dataset_columns.md")]
     features = schema.dataset_features()
     assert written == [(key, feature["dtype"], str(tuple(feature["shape"]))) for key, feature in features.items()]
-
-
-def test_labels_in_the_contract_table_are_the_codes() -> None:
-    from lerobot_adamanip.experts import Outcome, Phase
-
     meaning = {key: text for key, _, _, text in table("contract", "dataset_columns.md")}
-    said = {"TIMEOUT": "time limit"}
     for key, labels in ((schema.PHASE, Phase), (schema.OUTCOME, Outcome)):
         for label in labels:
-            assert f"{label.value} {said.get(label.name, label.name.lower())}" in meaning[key]
+            name = "time limit" if label.name == "TIMEOUT" else label.name.lower()
+            assert f"{label.value} {name}" in meaning[key]
 
 
 @pytest.mark.sim  # the driver's module imports sapien
@@ -205,25 +182,15 @@ def test_motion_limits_are_the_codes() -> None:
     assert written == actual
 
 
-def test_seed_numbers_are_the_codes() -> None:
+def test_numbers_in_the_text_are_the_codes() -> None:
     from lerobot_adamanip.datasets.collection_spec import DEMO_SEED_START
-
-    text = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
-    assert f"{DEMO_SEED_START:,}" in text
-
-
-def test_history_drawings_are_the_presets() -> None:
     from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
 
-    text = (ROOT / "docs" / "policy.md").read_text(encoding="utf-8")
+    concepts, policy = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("concepts.md", "policy.md"))
+    assert f"{DEMO_SEED_START:,}" in concepts
     names = ("n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")
-    assert ", ".join(f"`{name} = {PRESETS['fast'][name]}`" for name in names) in " ".join(text.split())
-    assert f"({', '.join(str(PRESETS['paper'][name]) for name in names)})" in text
-
-
-def test_text_is_free_of_machine_paths() -> None:
-    for document in DOCUMENTS:
-        assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", (ROOT / document).read_text(encoding="utf-8"))
+    assert ", ".join(f"`{name} = {PRESETS['fast'][name]}`" for name in names) in " ".join(policy.split())
+    assert f"({', '.join(str(PRESETS['paper'][name]) for name in names)})" in policy
 
 
 def test_reference_pages_are_the_options_of_the_code() -> None:

@@ -16,7 +16,7 @@ import yaml
 from hub_store import ProblemError, Repository, entries, git_oid, is_lfs
 
 USER, TOKEN = "someone", "hf_loopback"
-_KINDS = {"models": "", "datasets": "datasets/", "spaces": "spaces/"}
+_KINDS = {"models": "", "datasets": "datasets/"}
 
 
 class Request(NamedTuple):
@@ -81,30 +81,32 @@ class Handler(BaseHTTPRequestHandler):
     def _known(self) -> bool:
         return self.headers.get("Authorization") == f"Bearer {TOKEN}"
 
-    def _require_login(self) -> None:
-        if not self._known:
-            raise ProblemError(401, "Invalid username or password.")
-
     def _repository(self, kind: str, name: str) -> Repository:
         found = self.hub.repositories.get((kind, name))
         if found is None or (found.private and not self._known):
             raise ProblemError(401 if not self._known else 404, "Repository not found", "RepoNotFound")
         return found
 
+    def _files(self, kind: str, name: str, revision: str) -> dict[str, bytes]:
+        repository = self._repository(kind, name)
+        return repository.commits[repository.resolve(revision)]
+
     def _route(self, path: str, query: dict[str, list[str]], body: bytes) -> None:
         for pattern, call in _ROUTES:
             if (found := re.fullmatch(pattern, line := f"{self.command} {path}")) is not None:
+                if self.command in ("POST", "DELETE") and call not in _OPEN and not self._known:
+                    raise ProblemError(401, "Invalid username or password.")
                 return call(self, query, body, *found.groups())
         raise ProblemError(404, f"this Hub does not know {line}", "EntryNotFound")
 
     # Accounts and repositories -------------------------------------------------------------------------------------
 
     def whoami(self, _query: Any, _body: bytes) -> None:
-        self._require_login()
+        if not self._known:
+            raise ProblemError(401, "Invalid username or password.")
         self._send(200, {"type": "user", "name": USER, "fullname": USER, "orgs": [], "auth": {"type": "access_token"}})
 
     def create(self, _query: Any, body: bytes) -> None:
-        self._require_login()
         asked = json.loads(body)
         owner, kind = asked.get("organization") or USER, f"{asked.get('type') or 'model'}s"
         if owner != USER:
@@ -137,9 +139,7 @@ class Handler(BaseHTTPRequestHandler):
     # Uploads --------------------------------------------------------------------------------------------------------
 
     def preupload(self, _query: Any, body: bytes, kind: str, name: str, revision: str) -> None:
-        self._require_login()
-        repository, found = self._repository(kind, name), []
-        present = repository.commits[repository.resolve(revision)]
+        present, found = self._files(kind, name, revision), []
         for asked in json.loads(body)["files"]:
             path = asked["path"]
             mode, content = "lfs" if is_lfs(path) else "regular", present.get(path)
@@ -150,7 +150,6 @@ class Handler(BaseHTTPRequestHandler):
         self._send(200, {"files": found})
 
     def batch(self, _query: Any, body: bytes, _name: str) -> None:
-        self._require_login()
         found = []
         for asked in json.loads(body)["objects"]:
             upload, verify = {"href": f"{self.hub.url}/lfs/{asked['oid']}"}, {"href": f"{self.hub.url}/lfs-verify"}
@@ -169,9 +168,7 @@ class Handler(BaseHTTPRequestHandler):
         self._send(200 if known else 404, {})
 
     def commit(self, _query: Any, body: bytes, kind: str, name: str, revision: str) -> None:
-        self._require_login()
-        repository = self._repository(kind, name)
-        files = dict(repository.commits[repository.resolve(revision)])
+        repository, files = self._repository(kind, name), dict(self._files(kind, name, revision))
         for line in body.splitlines():
             operation = json.loads(line)
             value = operation["value"]
@@ -197,38 +194,29 @@ class Handler(BaseHTTPRequestHandler):
         branches, tags = listed(repository.branches, "heads"), listed(repository.tags, "tags")
         self._send(200, {"branches": branches, "converts": [], "tags": tags})
 
-    def mark(self, _query: Any, body: bytes, kind: str, name: str, what: str, revision: str) -> None:
-        self._require_login()
-        repository = self._repository(kind, name)
-        asked = json.loads(body or b"{}")
-        place = repository.tags if what == "tag" else repository.branches
-        made = asked["tag"] if what == "tag" else revision
-        if made in place:
-            raise ProblemError(409, f"{what} {made} exists")
-        start = revision if what == "tag" else asked.get("startingPoint", "main")
-        place[made] = repository.resolve(start)
+    def mark(self, _query: Any, body: bytes, kind: str, name: str, revision: str) -> None:
+        repository, tag = self._repository(kind, name), json.loads(body)["tag"]
+        if tag in repository.tags:
+            raise ProblemError(409, f"tag {tag} exists")
+        repository.tags[tag] = repository.resolve(revision)
         self._send(200, {})
 
-    def unmark(self, _query: Any, _body: bytes, kind: str, name: str, what: str, marked: str) -> None:
-        self._require_login()
-        repository = self._repository(kind, name)
-        if (repository.tags if what == "tag" else repository.branches).pop(marked, None) is None:
-            raise ProblemError(404, f"no {what} {marked}", "RevisionNotFound")
+    def unmark(self, _query: Any, _body: bytes, kind: str, name: str, tag: str) -> None:
+        if self._repository(kind, name).tags.pop(tag, None) is None:
+            raise ProblemError(404, f"no tag {tag}", "RevisionNotFound")
         self._send(200, {})
 
     # Downloads ------------------------------------------------------------------------------------------------------
 
     def tree(self, query: Any, _body: bytes, kind: str, name: str, revision: str, inside: str | None) -> None:
-        repository = self._repository(kind, name)
-        files = repository.commits[repository.resolve(revision)]
+        files = self._files(kind, name, revision)
         prefix, recursive = f"{inside}/" if inside else "", query.get("recursive", ["false"])[0].lower() == "true"
         if inside and not any(path.startswith(prefix) for path in files):
             raise ProblemError(404, f"no folder {inside}", "EntryNotFound")
         self._send(200, list(entries(files, prefix, recursive)))
 
     def paths_info(self, _query: Any, body: bytes, kind: str, name: str, revision: str) -> None:
-        repository = self._repository(kind, name)
-        files = repository.commits[repository.resolve(revision)]
+        files = self._files(kind, name, revision)
         asked = parse_qs(body.decode()).get("paths", [])
         self._send(200, [entry for entry in entries(files, "", recursive=True) if entry["path"] in asked])
 
@@ -250,21 +238,23 @@ class Handler(BaseHTTPRequestHandler):
         return self._send(206, content[first : last + 1], headers)
 
 
-_API = r"/api/(models|datasets|spaces)/([^/]+/[^/]+)"
+_API = r"/api/(models|datasets)/([^/]+/[^/]+)"
 _ROUTES: tuple[tuple[str, Callable[..., None]], ...] = (
     (r"GET /api/whoami-v2", Handler.whoami),
     (r"POST /api/repos/create", Handler.create),
     (r"POST /api/validate-yaml", Handler.validate),
     (rf"GET {_API}(?:/revision/(.+))?", Handler.info),
     (rf"POST {_API}/preupload/(.+)", Handler.preupload),
-    (r"POST /(?:datasets/|spaces/)?([^/]+/[^/]+)\.git/info/lfs/objects/batch", Handler.batch),
+    (r"POST /(?:datasets/)?([^/]+/[^/]+)\.git/info/lfs/objects/batch", Handler.batch),
     (r"PUT /lfs/([0-9a-f]{64})", Handler.store),
     (r"POST /lfs-verify", Handler.verify),
     (rf"POST {_API}/commit/(.+)", Handler.commit),
     (rf"GET {_API}/refs", Handler.refs),
-    (rf"POST {_API}/(tag|branch)/(.+)", Handler.mark),
-    (rf"DELETE {_API}/(tag|branch)/(.+)", Handler.unmark),
+    (rf"POST {_API}/tag/(.+)", Handler.mark),
+    (rf"DELETE {_API}/tag/(.+)", Handler.unmark),
     (rf"GET {_API}/tree/([^/]+)(?:/(.+))?", Handler.tree),
     (rf"POST {_API}/paths-info/(.+)", Handler.paths_info),
-    (r"(?:GET|HEAD) /(datasets/|spaces/)?([^/]+/[^/]+)/resolve/([^/]+)/(.+)", Handler.content),
+    (r"(?:GET|HEAD) /(datasets/)?([^/]+/[^/]+)/resolve/([^/]+)/(.+)", Handler.content),
 )
+_OPEN = (Handler.validate, Handler.verify, Handler.paths_info)
+"""POST requests without a login."""

@@ -40,18 +40,15 @@ def changed(staged: Staged, name: str, more: bytes) -> Staged:
 def test_what_changed_after_it_was_scanned_is_not_published(
     staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses
 ) -> None:
-    changed(staged, "meta/cameras.json", b" ")
-    assert "meta/cameras.json" in refuses(DatasetError, lambda: push(staged, api))
-    assert not hub.repositories
-
-
-def test_what_changes_while_it_is_sent_is_told(staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses) -> None:
     def write(line: str) -> None:
         if re.match(r"POST .*/preupload", line):
             changed(staged, "meta/cameras.json", b" ")
 
     hub.on_request = write
-    assert "meta/cameras.json" in refuses(HubError, lambda: push(staged, api))
+    assert "meta/cameras.json" in refuses(HubError, lambda: push(staged, api))  # it changed while it was sent
+    hub.repositories.clear()
+    assert "meta/cameras.json" in refuses(DatasetError, lambda: push(staged, api))
+    assert not hub.repositories
 
 
 def test_what_links_lead_to_is_scanned_and_published(
@@ -89,7 +86,7 @@ def test_a_model_leaves_no_file_of_the_one_before(trained: Path, hub: LoopbackHu
     assert set(hub.files("models", name)) == {*staged["two"].files(), "notes.md"}
 
 
-def test_the_hub_holds_what_was_sent_in_one_commit_under_our_card(
+def test_the_hub_holds_what_was_sent_in_one_commit_and_again_sends_nothing(
     published: Path, staged: Staged, hub: LoopbackHub, api: HfApi
 ) -> None:
     result = push(staged, api)
@@ -107,12 +104,8 @@ def test_the_hub_holds_what_was_sent_in_one_commit_under_our_card(
     assert result.bytes == sum(map(len, remote.values()))
     assert not repository.private
 
-
-def test_again_sends_nothing(staged: Staged, hub: LoopbackHub, api: HfApi) -> None:
-    first = push(staged, api)
     hub.requests.clear()
-    second = push(staged, api)
-    assert second == replace(first, changed=False)
+    assert push(staged, api) == replace(result, changed=False)
     assert hub.count(r"^PUT|/commit/|/tag/") == 0
     assert sum(request.sent for request in hub.requests) < 30_000  # samples of 512 bytes, and the card for its check
 
@@ -203,7 +196,7 @@ def test_a_release_is_tagged_once_and_stays(staged: Staged, hub: LoopbackHub, ap
 
 @pytest.mark.parametrize("tag", ["1.0", "v3.1", "2026.11", "3", "main", "a b", ""])
 def test_release_tags_never_parse_as_versions(refuses: Refuses, tag: str) -> None:
-    assert "elease" in refuses(ConfigurationError, lambda: require_release_name(tag)) or tag in ("main", "a b", "")
+    refuses(ConfigurationError, lambda: require_release_name(tag))
 
 
 @pytest.mark.parametrize(
@@ -213,17 +206,12 @@ def test_publishing_needs_a_name_on_the_hub(refuses: Refuses, name: str | None) 
     refuses(ConfigurationError, lambda: require_hub_name(name))
 
 
-def test_without_a_token_nothing_is_asked_for(
+def test_what_the_hub_refuses_is_one_clear_error(
     staged: Staged, hub: LoopbackHub, online: None, refuses: Refuses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("HF_TOKEN", raising=False)
     assert "hf auth login" in refuses(HubError, lambda: push(staged, HfApi(endpoint=hub.url)))
-    assert hub.requests == []
-
-
-def test_what_the_hub_refuses_is_one_clear_error(
-    staged: Staged, hub: LoopbackHub, online: None, refuses: Refuses
-) -> None:
+    assert hub.requests == []  # without a token nothing is asked for
     foreign = replace(staged, repo_id="nobody/safes")
     for what, endpoint, token, texts in (
         (staged, hub.url, "hf_wrong", ["login"]),
@@ -238,15 +226,11 @@ def test_offline_is_one_clear_error(staged: Staged, refuses: Refuses) -> None:
     assert "HF_HUB_OFFLINE" in refuses(HubError, lambda: push(staged, HfApi(token=TOKEN)))
 
 
-def test_an_unfinished_dataset_is_one_clear_error(tmp_path: Path, refuses: Refuses) -> None:
+def test_an_unfinished_or_damaged_dataset_is_one_clear_error(published: Path, tmp_path: Path, refuses: Refuses) -> None:
     (tmp_path / "safes.partial" / "episodes").mkdir(parents=True)
-    message = refuses(DatasetError, lambda: stage_dataset(tmp_path / "safes", NAME, tmp_path / "staged"))
-    assert "not finished" in message
-
-
-def test_a_damaged_dataset_is_one_clear_error(published: Path, tmp_path: Path, refuses: Refuses) -> None:
     broken = shutil.copytree(published, tmp_path / "broken")
     (video,) = broken.rglob("*.mp4")
     video.write_bytes(video.read_bytes()[:-400])
     (tmp_path / "staged").mkdir()
-    assert "damaged" in refuses(DatasetError, lambda: stage_dataset(broken, NAME, tmp_path / "staged"))
+    for root, word in ((tmp_path / "safes", "not finished"), (broken, "damaged")):
+        assert word in refuses(DatasetError, lambda: stage_dataset(root, NAME, tmp_path / "staged"))  # noqa: B023

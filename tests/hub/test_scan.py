@@ -28,42 +28,41 @@ def parquet(
     pq.write_table(table.replace_schema_metadata(metadata), path)
 
 
-def write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
-
-
 HIDING = {
-    "a path in JSON": ("a.json", lambda p: write(p, b'{"root": "/home/x/demos"}'), "path"),
-    "a path of Windows": ("a.json", lambda p: write(p, rb'{"root": "C:\\Users\\x"}'), "path"),
-    "a folder of mine": ("a.txt", lambda p: write(p, b"see /srv/fast/wanda7"), "path"),
-    "my name": ("README.md", lambda p: write(p, b"by wanda."), "user"),
-    "my machine": ("log.jsonl", lambda p: write(p, b'{"host": "quokka-ws4"}'), "host"),
+    "a path in JSON": ("a.json", b'{"root": "/home/x/demos"}', "path"),
+    "a path of Windows": ("a.json", rb'{"root": "C:\\Users\\x"}', "path"),
+    "a folder of mine": ("a.txt", b"see /srv/fast/wanda7", "path"),
+    "my name": ("README.md", b"by wanda.", "user"),
+    "my machine": ("log.jsonl", b'{"host": "quokka-ws4"}', "host"),
     "a column of text": ("a.parquet", lambda p: parquet(p, "/home/x/demos"), "path"),
     "a column of lists": ("a.parquet", lambda p: parquet(p, ["fine", "wanda"]), "user"),
     "a column of structures": ("a.parquet", lambda p: parquet(p, {"from": {"host": "quokka-ws4"}}), "host"),
     "a column of bytes": ("a.parquet", lambda p: parquet(p, b"/home/x/picture.png"), "path"),
     "a column's name": ("a.parquet", lambda p: parquet(p, name="of wanda"), "user"),
     "Parquet's metadata": ("a.parquet", lambda p: parquet(p, metadata={"made": "/Users/x/demos"}), "path"),
-    "a header of weights": ("a.safetensors", lambda p: write(p, b"\0\1{'from': '/home/x/run/'}\0\xff"), "path"),
-    "a video": ("a.mp4", lambda p: write(p, b"\0\xff\1comment quokka-ws4\0"), "host"),
-    "an address": ("a.jsonl", lambda p: write(p, b"pid: 4242 namespace: ns-abc ip: 10.20.30.40"), "address"),
-    "an address in a video": ("a.mp4", lambda p: write(p, b"\0\xffrecorded on 192.168.17.4, camera 2\0"), "address"),
-    "a public address": ("a.json", lambda p: write(p, b'{"server": "tcp://52.19.3.77"}'), "address"),
-    "an address with a port": ("a.json", lambda p: write(p, b'"52.19.3.77:6379"'), "address"),
-    "an address of IPv6": ("a.txt", lambda p: write(p, b"[fe80::1ff:fe23:4567:890a]:6379"), "address"),
+    "a header of weights": ("a.safetensors", b"\0\1{'from': '/home/x/run/'}\0\xff", "path"),
+    "a video": ("a.mp4", b"\0\xff\1comment quokka-ws4\0", "host"),
+    "an address": ("a.jsonl", b"pid: 4242 namespace: ns-abc ip: 10.20.30.40", "address"),
+    "an address in a video": ("a.mp4", b"\0\xffrecorded on 192.168.17.4, camera 2\0", "address"),
+    "a public address": ("a.json", b'{"server": "tcp://52.19.3.77"}', "address"),
+    "an address with a port": ("a.json", b'"52.19.3.77:6379"', "address"),
+    "an address of IPv6": ("a.txt", b"[fe80::1ff:fe23:4567:890a]:6379", "address"),
     "a private address of IPv6": ("a.parquet", lambda p: parquet(p, "on fd00::7"), "address"),
-    "an e-mail address": ("a.yaml", lambda p: write(p, b"by: someone.else@lab-x.edu"), "e-mail"),
-    "a host of a cloud": ("a.log.txt", lambda p: write(p, b"died on ip-10-20-30-40.ec2.internal"), "host"),
-    "a host of a network": ("a.md", lambda p: write(p, b"trained on gpu-03.local"), "host"),
-    "a host by its key": ("a.json", lambda p: write(p, b'{"hostname": "platypus"}'), "host"),
-    "a file's name": ("wanda.json", lambda p: write(p, b"{}"), "user"),
+    "an e-mail address": ("a.yaml", b"by: someone.else@lab-x.edu", "e-mail"),
+    "a host of a cloud": ("a.log.txt", b"died on ip-10-20-30-40.ec2.internal", "host"),
+    "a host of a network": ("a.md", b"trained on gpu-03.local", "host"),
+    "a host by its key": ("a.json", b'{"hostname": "platypus"}', "host"),
+    "a file's name": ("wanda.json", b"{}", "user"),
 }
 
 
 @pytest.mark.parametrize("name", HIDING)
 def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refuses) -> None:
-    file, make, kind = HIDING[name]
-    make(tmp_path / file)
+    file, content, kind = HIDING[name]
+    if isinstance(content, bytes):
+        (tmp_path / file).write_bytes(content)
+    else:
+        content(tmp_path / file)
     files = {file: tmp_path / file}
     assert {finding.kind for finding in scan(files, ME)} == {kind}
     assert file in refuses(DatasetError, lambda: require_clean(files, ME))
@@ -124,26 +123,12 @@ def test_a_trainings_configuration_is_published_without_its_paths(
     assert staged.files().keys() >= {"model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"}
 
 
-def test_another_path_in_it_is_refused(trained: Path, tmp_path: Path, refuses: Refuses) -> None:
-    mine = shutil.copytree(trained, tmp_path / "mine")
-    told = json.loads((mine / "train_config.json").read_text())
-    (mine / "train_config.json").write_text(json.dumps({**told, "job_name": "of /home/x/run"}))
-    (tmp_path / "staged").mkdir()
-    assert "train_config.json" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
-
-
-def test_where_a_policy_came_from_is_told_if_it_is_on_the_hub(tmp_path: Path) -> None:
-    for path, told in (
-        ("someone/policy", "someone/policy"),
-        (str(tmp_path), None),
-        ("a/b/c", None),
-        (None, None),
-        ("outputs/train", None),
-        ("./train", None),
-        ("../train", None),
-    ):
-        assert shareable({"pretrained_path": path})["pretrained_path"] == told
-        assert shareable({"policy": {"pretrained_path": path}})["policy"]["pretrained_path"] == told
+@pytest.mark.parametrize("path", ["someone/policy", "FOLDER", "a/b/c", None, "outputs/train", "./train", "../train"])
+def test_where_a_policy_came_from_is_told_if_it_is_on_the_hub(path: str | None, tmp_path: Path) -> None:
+    told = path if path == "someone/policy" else None
+    path = str(tmp_path) if path == "FOLDER" else path
+    assert shareable({"pretrained_path": path})["pretrained_path"] == told
+    assert shareable({"policy": {"pretrained_path": path}})["policy"]["pretrained_path"] == told
 
 
 @pytest.mark.parametrize(("tracker", "name"), [("wandb", "entity"), ("trackio", "space_id")])
@@ -160,8 +145,14 @@ def test_a_checkpoint_that_lacks_something_is_one_clear_error(
     assert f"no {lost}" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
 
 
-def test_a_checkpoint_that_is_cut_is_one_clear_error(trained: Path, tmp_path: Path, refuses: Refuses) -> None:
+def test_a_checkpoint_that_is_cut_or_names_a_path_is_one_clear_error(
+    trained: Path, tmp_path: Path, refuses: Refuses
+) -> None:
     mine = shutil.copytree(trained, tmp_path / "mine")
+    told = json.loads((mine / "train_config.json").read_text())
+    (mine / "train_config.json").write_text(json.dumps({**told, "job_name": "of /home/x/run"}))
+    (tmp_path / "staged").mkdir()
+    assert "train_config.json" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
     (state,) = mine.glob("policy_preprocessor*.safetensors")
     state.write_bytes(state.read_bytes()[:-3])
-    assert state.name in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
+    assert state.name in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "again"))
