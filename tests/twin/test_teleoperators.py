@@ -35,8 +35,7 @@ from lerobot_adamanip.hardware.teleoperators.devices import (
     AdamanipKeyboard,
     AdamanipSpacemouse,
 )
-from lerobot_adamanip.hardware.teleoperators.jog import Jog, JogTeleop, dead_zone
-from lerobot_adamanip.hardware.teleoperators.tcp_teleop import MAX_PAUSE_S
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import MAX_PAUSE_S, Jog, JogTeleop, dead_zone
 from lerobot_adamanip.util.errors import AdaManipError, RobotError
 from lerobot_env_adamanip.twin.config_devices import AdamanipScriptedConfig
 

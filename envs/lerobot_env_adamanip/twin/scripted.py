@@ -35,12 +35,6 @@ class AdamanipScripted(TcpTeleop):
         self.key_frames = 0
         """Key frames played in this episode."""
 
-    def _open(self) -> None:
-        """There is no device."""
-
-    def _close(self) -> None:
-        """There is no device."""
-
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
         if new_episode:
             self._frames = self._motion = None

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_adamanip.contract.rotations import Array
 from lerobot_adamanip.hardware.teleoperators.config_devices import (
     AdamanipGamepadConfig,
     AdamanipKeyboardConfig,
     AdamanipSpacemouseConfig,
 )
-from lerobot_adamanip.hardware.teleoperators.jog import Array, Jog, JogTeleop, dead_zone
+from lerobot_adamanip.hardware.teleoperators.tcp_teleop import Jog, JogTeleop, dead_zone
 from lerobot_adamanip.util.errors import RobotError
 
 SHIFTS = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "u": (2, 1.0), "j": (2, -1.0)}

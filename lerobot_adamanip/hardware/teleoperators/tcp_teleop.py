@@ -5,14 +5,16 @@ from __future__ import annotations
 import abc
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
+import numpy as np
 from lerobot.teleoperators.teleoperator import Teleoperator
 
-from lerobot_adamanip.contract.rotations import pose_vector
-from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.contract.rotations import Array, matrix_from_rotation_vector, pose_from_vector, pose_vector
+from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, ROBOTS, RobotSession
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConfig
@@ -35,37 +37,19 @@ class TcpTeleop(Teleoperator):
 
     config_class = TcpTeleopConfig
     name = "adamanip_tcp"
+    action_features = dict.fromkeys(POSE_NAMES, float)
+    feedback_features: ClassVar[dict[str, type]] = {}
+    is_calibrated, is_connected = True, False
 
     def __init__(self, config: TcpTeleopConfig, clock: Callable[[], float] = time.perf_counter) -> None:
         super().__init__(config)
         self.config, self._clock = config, clock
-        self._connected = False
         self._filter: SafetyFilter | None = None
         self._session: RobotSession | None = None
         self._episode = -1
         self._anchored_after = self._called = float("-inf")
 
     # LeRobot's teleoperator -------------------------------------------------------------------------------------------
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        """The contract's action: tool pose and gripper."""
-        return dict.fromkeys(POSE_NAMES, float)
-
-    @property
-    def feedback_features(self) -> dict[str, type]:
-        """None."""
-        return {}
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the device is open."""
-        return self._connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        """Nothing to calibrate."""
-        return True
 
     def calibrate(self) -> None:
         """Nothing to calibrate."""
@@ -75,16 +59,16 @@ class TcpTeleop(Teleoperator):
 
     def connect(self, calibrate: bool = True) -> None:
         """Opens the device; raises `RobotError` where it, or its SDK, is missing."""
-        if self._connected:
+        if self.is_connected:
             raise RobotError(f"Teleoperator {self.name} is connected already.")
         self._open()
-        self._connected = True
+        self.is_connected = True
         self.reset()
 
     def disconnect(self) -> None:
         """Closes the device; idempotent."""
-        if self._connected:
-            self._connected = False
+        if self.is_connected:
+            self.is_connected = False
             self._close()
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
@@ -115,7 +99,7 @@ class TcpTeleop(Teleoperator):
         self._filter, self._anchored_after = None, self._clock()
 
     def _robot(self) -> tuple[RobotSession, ArmReading]:
-        if not self._connected:
+        if not self.is_connected:
             raise RobotError(f"Teleoperator {self.name} is not connected.")
         session = ROBOTS.find(self.config.robot_id)
         if session is None or session.reading is None:
@@ -146,11 +130,9 @@ class TcpTeleop(Teleoperator):
 
     # Subclasses ------------------------------------------------------------------------------------------------------
 
-    @abc.abstractmethod
     def _open(self) -> None:
-        """Opens the device. Raises `RobotError`."""
+        """Opens the device, if there is one. Raises `RobotError`."""
 
-    @abc.abstractmethod
     def _close(self) -> None:
         """Closes it; idempotent."""
 
@@ -160,6 +142,73 @@ class TcpTeleop(Teleoperator):
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
         """Called before the goal is anchored."""
+
+
+@dataclass(frozen=True)
+class Jog:
+    """One reading of a device.
+
+    Attributes:
+        shift: (3,) deflection along the base frame's axes, -1 ... 1 each; times the teleoperator's speed.
+        turn: (3,) likewise about them; times its angular speed.
+        toggle: whether to open a closed gripper, or close an open one.
+        clutch: whether the device drives: while False the goal stays; closing it anchors at the measured pose.
+        success: the operator says that the task is done.
+        reset: the operator wants a twin's scene reset.
+    """
+
+    shift: Array = field(default_factory=lambda: np.zeros(3))
+    turn: Array = field(default_factory=lambda: np.zeros(3))
+    toggle: bool = False
+    clutch: bool = True
+    success: bool = False
+    reset: bool = False
+
+
+def dead_zone(values: Array, width: float) -> Array:
+    """Returns deflections (N,), zero below ``width``, continuous there and 1 at 1."""
+    size = np.minimum(np.abs(values), 1.0)
+    return np.asarray(np.sign(values) * np.maximum(size - width, 0.0) / (1.0 - width))
+
+
+class JogTeleop(TcpTeleop):
+    """Integrates the deflections of a device, which `_read` reports."""
+
+    _driving = False
+
+    @abc.abstractmethod
+    def _read(self) -> Jog:
+        """Returns the present deflections; pressed keys are reported once. Never waits. Raises `RobotError`."""
+
+    def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
+        self._driving = False
+        if new_episode:
+            session.details.pop(OPERATOR_SUCCESS, None)
+
+    def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
+        jog = self._read()
+        if jog.success:
+            session.details[OPERATOR_SUCCESS] = True
+        if jog.reset:
+            session.details[RESET_WANTED] = True
+        assert self._filter is not None
+        if jog.clutch and not self._driving:
+            held = self._filter.last
+            self._filter.anchor(reading.tcp_in_base, reading.gripper if held is None else float(held[GRIPPER_DIM]))
+            dt = 0.0  # deflections from before the clutch closed move nothing
+        self._driving = jog.clutch
+        last = self._filter.last
+        assert last is not None
+        pose, gripper = pose_from_vector(last)
+        still = not jog.clutch or not (jog.shift.any() or jog.turn.any())
+        if jog.toggle:
+            gripper = 0.0 if gripper > 0.5 else 1.0
+        if jog.clutch:
+            pose[:3, 3] += jog.shift * (self.config.speed * dt)
+            pose[:3, :3] = matrix_from_rotation_vector(jog.turn * (self.config.angular_speed * dt)) @ pose[:3, :3]
+        wanted = last.copy() if still else pose_vector(pose, gripper)
+        wanted[GRIPPER_DIM] = gripper
+        return self._to(wanted, reading, dt)
 
 
 def _named(target: Target) -> dict[str, float]:
