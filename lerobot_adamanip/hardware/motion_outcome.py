@@ -28,16 +28,6 @@ class StallRule:
     rotational_stiffness: float = 40.0
     ticks: int = DEFAULT_MOTION.stall_ticks
 
-    @property
-    def position_lag(self) -> float:
-        """Lag of a blocked tool behind its target [m]."""
-        return self.force / self.stiffness
-
-    @property
-    def rotation_lag(self) -> float:
-        """Likewise [rad]."""
-        return self.torque / self.rotational_stiffness
-
 
 def pose_error(tcp_in_base: Array, goal_in_base: Array) -> tuple[float, float]:
     """Returns the distance of two (4, 4) poses [m, rad]."""
@@ -80,9 +70,10 @@ class OutcomeWatch:
             now: the arm's own clock [s].
         """
         lag, turned = pose_error(tcp_in_base, desired_in_base)
-        strained = lag > self._rule.position_lag or turned > self._rule.rotation_lag
+        rule = self._rule
+        strained = lag > rule.force / rule.stiffness or turned > rule.torque / rule.rotational_stiffness
         self._strained = self._strained + 1 if strained else 0
-        if self._strained >= self._rule.ticks:
+        if self._strained >= rule.ticks:
             return Outcome.STALLED
         if now > self._until:
             return Outcome.TIMEOUT

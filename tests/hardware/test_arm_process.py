@@ -128,17 +128,12 @@ def test_a_lost_connection_is_repaired_by_connecting_only(arm: ArmClient) -> Non
     arm.healthy()
 
 
-@pytest.mark.parametrize(
-    ("values", "message"), [({2: np.nan}, "no pose"), ({3: 0.5}, "rotation is none"), ({0: 0.71}, "outside the box")]
-)
-def test_a_target_that_no_filter_lets_through_is_a_fault(values: dict[int, float], message: str) -> None:
-    box = ServerOptions(state_age=5.0, box_lower=(0.3, -0.3, 0.2), box_upper=(0.7, 0.3, 0.6))
-    with fake_arm(box) as arm:
-        pose = pose_ahead(arm, 0.1)
-        pose[list(values)] = list(values.values())
-        arm.send(pose, Execution.STREAM)
-        assert message in fault_of(arm)
-        assert arm.request("targets") == {"targets": []}
+def test_a_target_that_no_filter_lets_through_is_a_fault(arm: ArmClient) -> None:
+    pose = pose_ahead(arm, 0.1)
+    pose[2] = np.nan
+    arm.send(pose, Execution.STREAM)
+    assert "no pose" in fault_of(arm)
+    assert arm.request("targets") == {"targets": []}
 
 
 def test_a_process_that_dies_is_noticed_named_and_replaced(arm: ArmClient) -> None:

@@ -49,6 +49,13 @@ def test_the_server_bounds_jumps_and_the_hands_corners_itself(
     assert (problem is None) if message is None else (problem is not None and message in problem)
 
 
+@pytest.mark.parametrize(("values", "message"), [({2: np.nan}, "no pose"), ({3: 0.5}, "rotation is none")])
+def test_the_server_takes_poses_only(values: dict[int, float], message: str) -> None:
+    pose = pose_vector(HERE, 1.0)
+    pose[list(values)] = list(values.values())
+    assert message in str(malformed(ArmTarget(pose, Execution.KEYFRAME, 0.0), OPTIONS, HERE))
+
+
 class Flood:
     """A connection that has always one more request."""
 

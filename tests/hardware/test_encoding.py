@@ -27,7 +27,16 @@ from lerobot_env_adamanip.twin.process import TwinOptions
 DRAW = np.random.default_rng(0)
 POSE = DRAW.normal(size=(4, 4))
 READING = ArmReading(
-    0.1 + 0.2, 5e-324, POSE.T, 1 / 3, *DRAW.normal(size=(3, 7)), ArmMode.REFLEX, ("joint_reflex",), Outcome.STALLED
+    0.1 + 0.2,
+    5e-324,
+    POSE.T,
+    1 / 3,
+    POSE[0],
+    POSE[1, :3],
+    POSE[:, 2],
+    ArmMode.REFLEX,
+    ("joint_reflex",),
+    Outcome.STALLED,
 )
 TARGET = ArmTarget(DRAW.normal(size=10).astype(np.float32), Execution.STREAM, 1e9 / 3)
 PART = PartAnnotation("knob", transform((0, 0, 1)), (Motion("door", "revolute", POSE[0, :3], POSE[1, :3]),))

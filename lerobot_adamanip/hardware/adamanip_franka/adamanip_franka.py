@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
 from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
@@ -152,14 +151,9 @@ class AdamanipFranka(Robot):
                 allowed="two corners [m, base frame]; no default is safe on every table",
                 hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
             )
-        return SafetyLimits(
-            corner(config.box_lower),
-            corner(config.box_upper),
-            speed=config.speed,
-            angular_speed=config.angular_speed,
-            lead=config.lead,
-            angular_lead=config.angular_lead,
-        )
+        lower, upper = (tuple(map(float, corner)) for corner in (config.box_lower, config.box_upper))
+        rest = {name: getattr(config, name) for name in ("speed", "angular_speed", "lead", "angular_lead")}
+        return SafetyLimits(cast("Corner", lower), cast("Corner", upper), **rest)
 
     def _make_client(self) -> ArmClient:
         """Returns the arm's process, not yet started. Raises `ConfigurationError`. A twin overrides it."""
@@ -207,8 +201,6 @@ class AdamanipFranka(Robot):
         if self.calibration_file.is_file():
             self._session.calibrations.update(read_calibrations(self.calibration_file))
 
-    # Observation ------------------------------------------------------------------------------------------------------
-
     def get_observation(self) -> dict[str, Any]:
         """Returns state and pictures; after a key frame, pictures exposed since the arm is at rest.
 
@@ -227,8 +219,6 @@ class AdamanipFranka(Robot):
         assert self._session.sent is not None
         return scalars(reading, self._session.sent, self._connected_at, success)
 
-    # Action -----------------------------------------------------------------------------------------------------------
-
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Sends an action through the safety filter, and returns what was sent.
 
@@ -244,9 +234,3 @@ class AdamanipFranka(Robot):
     def recover(self) -> None:
         """Clears a fault; nothing moves, and the next actions begin at the present pose. Raises `RobotError`."""
         self._motion.recover()
-
-
-def corner(values: Sequence[float]) -> Corner:
-    """Returns three coordinates [m] that a parser may have read as a list."""
-    x, y, z = map(float, values)
-    return x, y, z

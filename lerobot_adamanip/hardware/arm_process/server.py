@@ -56,8 +56,8 @@ class ArmServer:
         self._backend, self._connection, self._options = served.backend, connection, options
         self._lockstep = options.lockstep_fps is not None
         self._command, self._status = boxes[COMMAND], boxes[STATUS]
-        own: dict[str, Handler] = {"step": self._step, "stop": self._hold, "recover": self._recover}
-        self._handlers = {**{name: self._observed(name, each) for name, each in served.handlers.items()}, **own}
+        self._handlers = {name: self._observed(name, each) for name, each in served.handlers.items()}
+        self._handlers |= {"step": self._step, "stop": self._hold, "recover": self._recover, "shutdown": self._end}
         self._parent, self._ended = os.getppid(), False
         self._reading: ArmReading | None = None
         self._accepted = self._faults = 0
@@ -70,7 +70,7 @@ class ArmServer:
     def run(self) -> None:
         """Ticks until the recorder is gone, then stops the arm and waits until it rests. Never raises `RobotError`."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder gets it as well, and ends this process in order
-        signal.signal(signal.SIGTERM, lambda *_: self._end())
+        signal.signal(signal.SIGTERM, self._end)
         self._observe()
         due = time.perf_counter()
         while not self._ended:
@@ -82,12 +82,13 @@ class ArmServer:
                 break
             if not self._lockstep:
                 self._accept()
-                self._tick()
+                self._observe(tick=True)
             due = max(due, time.perf_counter() - self._backend.period)  # ticks that were missed are not made up for
         self._come_to_rest()
 
-    def _end(self) -> None:
+    def _end(self, *_: object) -> dict[str, Any]:
         self._ended = True
+        return {}
 
     # One tick --------------------------------------------------------------------------------------------------------
 
@@ -96,8 +97,6 @@ class ArmServer:
         try:
             while self._connection.poll(max(0.0, due - time.perf_counter())):
                 request = decode(self._connection.recv_bytes(), Request)
-                if request.ask == "shutdown":
-                    self._end()
                 reply = self._answered(request)
                 if request.number:
                     self._connection.send_bytes(encode(reply))
@@ -109,8 +108,6 @@ class ArmServer:
             self._fail(str(error))
 
     def _answered(self, request: Request) -> Reply:
-        if request.ask == "shutdown":
-            return Reply(request.number)
         handler = self._handlers.get(request.ask)
         if handler is None:
             return Reply(request.number, f"unknown request {request.ask!r}; known are {', '.join(self._handlers)}")
@@ -146,11 +143,10 @@ class ArmServer:
         if streamed and not self._holding and time.perf_counter() - self._arrival > self._options.command_age:
             self._hold({})
 
-    def _tick(self) -> None:
-        self._try(self._backend.tick)
-        self._observe()
-
-    def _observe(self) -> None:
+    def _observe(self, *, tick: bool = False) -> None:
+        """Reads and publishes the state, a tick later if asked to."""
+        if tick:
+            self._try(self._backend.tick)
         self._try(self._read)
         self._publish()
 
@@ -219,7 +215,7 @@ class ArmServer:
         self._fault, self._holding, self._target = None, True, None
         self._accepted = self._command.number
         self._advanced = time.perf_counter()
-        self._tick()
+        self._observe(tick=True)
         if self._fault is not None:
             raise RobotError(self._fault)
         return {}
@@ -231,21 +227,15 @@ class ArmServer:
             raise RobotError("Time advances in real time here; steps are for lockstep.")
         self._accept()
         period = self._backend.period
-        if self._target is not None and self._target.execution is Execution.KEYFRAME:
-            self._backlog_s = KEYFRAME_LIMIT
-        else:
-            self._backlog_s += 1.0 / fps
+        whole = self._target is not None and self._target.execution is Execution.KEYFRAME
+        self._backlog_s = KEYFRAME_LIMIT if whole else self._backlog_s + 1.0 / fps
         while self._backlog_s >= period * (1 - 1e-9) and self._fault is None:
             self._backlog_s -= period
-            self._tick()
-            if self._ended_keyframe():
+            self._observe(tick=True)
+            if whole and self._reading is not None and self._reading.outcome is not None:
                 self._backlog_s = 0.0
         self._publish()
         return {}
-
-    def _ended_keyframe(self) -> bool:
-        moving = self._target is not None and self._target.execution is Execution.KEYFRAME
-        return moving and self._reading is not None and self._reading.outcome is not None
 
     def _come_to_rest(self) -> None:
         """Stops the arm and ticks until it rests."""

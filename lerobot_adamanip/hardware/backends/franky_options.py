@@ -65,7 +65,7 @@ class FrankyOptions:
 
     @property
     def limits(self) -> FrankaLimits:
-        """Limits of the model."""
+        """Of the model."""
         return MODELS[self.model]
 
     def check(self) -> None:

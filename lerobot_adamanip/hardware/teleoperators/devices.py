@@ -118,7 +118,7 @@ class AdamanipSpacemouse(JogTeleop):
                 hint="is it plugged in, and may this user read it (udev rule)?",
             ) from None
         self._down: set[int] = set()
-        self._report, self._reported_at = None, self._clock()
+        self._report, self._reported_at = -1.0, self._clock()
 
     def _read(self) -> Jog:
         state = self._newest()
