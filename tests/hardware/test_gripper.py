@@ -13,14 +13,13 @@ from lerobot_adamanip.util.errors import RobotError
 
 
 class SlowHand:
-    """Takes its time, and writes down what it was told."""
+    """Waits for `go_on`, and writes down what it was told."""
 
     def __init__(self, opening: float = 1.0) -> None:
         self.told: list[str] = []
-        self.width = opening
+        self.width, self.fails = opening, False
         self.go_on = threading.Event()
         self.go_on.set()
-        self.fails = False
 
     def open(self) -> None:
         self._do("open", 1.0)
@@ -76,51 +75,37 @@ def test_a_stream_of_openings_is_few_commands(gripper: GripperThread, hand: Slow
     assert gripper.commands == 2
 
 
-def test_wanting_never_waits_and_only_the_newest_is_carried_out(gripper: GripperThread, hand: SlowHand) -> None:
+def test_wanting_never_waits_only_the_newest_is_carried_out_and_the_fingers_are_seen_meanwhile(
+    gripper: GripperThread, hand: SlowHand
+) -> None:
+    """A command takes up to 0.9 s."""
     hand.go_on.clear()
     gripper.want(0.0)
     until(lambda: hand.told == ["close"])
     began = time.perf_counter()
-    for _ in range(1000):
-        gripper.want(1.0)
-        gripper.want(0.0)
-        gripper.want(1.0)
-    took = time.perf_counter() - began
-    assert took / 3000 < 0.005
-    assert gripper.busy
-    hand.go_on.set()
-    until(lambda: not gripper.busy)
-    assert hand.told == ["close", "open"]
-
-
-def test_the_opening_is_seen_while_a_command_is_under_way(gripper: GripperThread, hand: SlowHand) -> None:
-    """A command takes up to 0.9 s; what is told of the fingers meanwhile is not from before it."""
-    hand.go_on.clear()
-    gripper.want(0.0)
-    until(lambda: hand.told == ["close"])
+    for opening in 1000 * (1.0, 0.0, 1.0):
+        gripper.want(opening)
+    assert (time.perf_counter() - began) / 3000 < 0.005
     for width in (0.8, 0.5, 0.3):
         hand.width = width
         until(lambda width=width: gripper.opening == width)  # type: ignore[misc]
     assert gripper.busy
     hand.go_on.set()
     until(lambda: not gripper.busy)
-    assert gripper.opening == 0.2
+    assert hand.told == ["close", "open"]
+    assert gripper.opening == 1.0
 
 
-@pytest.mark.parametrize(
-    ("opening", "wanted", "told"), [(1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"]), (0.5, 0.5, [])]
-)
-def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open(
-    opening: float, wanted: float, told: list[str]
-) -> None:
+def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open() -> None:
     """Fingers that are closed may not hold: they are told to."""
-    hand = SlowHand(opening)
-    gripper = GripperThread(lambda: hand)
-    gripper.start()
-    gripper.want(wanted)
-    until(lambda: not gripper.busy)
-    assert hand.told == told
-    gripper.close()
+    for opening, wanted, told in ((1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"]), (0.5, 0.5, [])):
+        hand = SlowHand(opening)
+        gripper = GripperThread(lambda hand=hand: hand)  # type: ignore[misc]
+        gripper.start()
+        gripper.want(wanted)
+        until(lambda gripper=gripper: not gripper.busy)  # type: ignore[misc]
+        assert hand.told == told
+        gripper.close()
 
 
 def test_a_hand_that_fails_is_told_and_can_be_forgiven(gripper: GripperThread, hand: SlowHand) -> None:
@@ -144,9 +129,7 @@ def test_a_hand_that_is_not_there_is_an_error_of_connecting() -> None:
         GripperThread(connect).start()
 
 
-def test_closing_ends_a_command_under_way(hand: SlowHand) -> None:
-    gripper = GripperThread(lambda: hand)
-    gripper.start()
+def test_closing_ends_a_command_under_way(gripper: GripperThread, hand: SlowHand) -> None:
     hand.go_on.clear()
     gripper.want(0.0)
     until(lambda: hand.told == ["close"])
