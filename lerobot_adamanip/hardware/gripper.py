@@ -19,6 +19,7 @@ OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
 WIDE = 0.95
 """Opening of fingers that need not be opened at first."""
 READ_PERIOD = 0.05
+CONNECT_TIME, CLOSE_TIME = 10.0, 0.5
 """[s]"""
 
 
@@ -39,41 +40,41 @@ class Hand(Protocol):
 
 
 class GripperThread:
-    """Executes the wanted opening and reads the present one; ``connect`` makes the hand in the commanding thread."""
+    """Executes the wanted opening and reads the present one; ``connect`` makes the hand in the commanding thread.
+
+    Attributes:
+        opening: last reading, 0 closed ... 1 open.
+        commands: how many were given.
+    """
 
     def __init__(self, connect: Callable[[], Hand]) -> None:
         self._connect = connect
-        self._wake, self._stopping = threading.Event(), threading.Event()
-        self._ready, self._reading = threading.Event(), threading.Lock()
+        self._wake, self._stopping, self._ready = threading.Event(), threading.Event(), threading.Event()
+        self._reading = threading.Lock()
         self._wanted: bool | None = None
         self._done: bool | None = None
-        self._opening, self._error = 1.0, ""
-        self.commands = 0
+        self._error = ""
+        self.opening, self.commands = 1.0, 0
         self._hand: Hand | None = None
-        self._thread = threading.Thread(target=self._run, name="gripper", daemon=True)
-        self._looks = threading.Thread(target=self._look, name="gripper's eye", daemon=True)
+        self._commander = threading.Thread(target=self._carry_out, name="gripper", daemon=True)
+        self._reader = threading.Thread(target=self._keep_reading, name="gripper reader", daemon=True)
 
-    def start(self, time_limit: float = 10.0) -> None:
-        """Connects. Raises `RobotError` if that fails or takes longer than ``time_limit`` [s]."""
-        self._thread.start()
-        if not self._ready.wait(time_limit):
-            raise RobotError(f"The gripper did not connect within {time_limit:g} s.")
+    def start(self) -> None:
+        """Connects. Raises `RobotError` if that fails or takes longer than `CONNECT_TIME`."""
+        self._commander.start()
+        if not self._ready.wait(CONNECT_TIME):
+            raise RobotError(f"The gripper did not connect within {CONNECT_TIME:g} s.")
         self.check()
 
     def want(self, opening: float) -> None:
         """Sets the wanted opening, 0 closed ... 1 open; returns at once."""
         if CLOSE_BELOW <= opening <= OPEN_ABOVE:
             return
-        if self._wanted is None and opening > OPEN_ABOVE and self._opening > WIDE:
+        if self._wanted is None and opening > OPEN_ABOVE and self.opening > WIDE:
             self._done = True
         self._wanted = opening > OPEN_ABOVE
         if self._wanted != self._done:
             self._wake.set()
-
-    @property
-    def opening(self) -> float:
-        """Last reading, 0 closed ... 1 open."""
-        return self._opening
 
     @property
     def busy(self) -> bool:
@@ -89,54 +90,54 @@ class GripperThread:
         """Clears a failure and the wanted opening."""
         self._error, self._wanted, self._done = "", None, None
 
-    def close(self, time_limit: float = 0.5) -> None:
-        """Stops a command under way and ends the threads, waiting at most ``time_limit`` [s]."""
+    def close(self) -> None:
+        """Stops a command under way and ends the threads, waiting at most `CLOSE_TIME`."""
         self._stopping.set()
         self._wake.set()
         if self.busy and self._hand is not None:
             with contextlib.suppress(Exception):
                 self._hand.stop()
-        until = time.perf_counter() + time_limit
-        for thread in (self._thread, self._looks):
+        until = time.perf_counter() + CLOSE_TIME
+        for thread in (self._commander, self._reader):
             if thread.is_alive():
                 thread.join(max(0.0, until - time.perf_counter()))
 
-    def _run(self) -> None:
-        try:
-            self._hand = self._connect()
-            self._opening = self._hand.opening()
-            self._looks.start()
-        except Exception as error:  # of whatever library: told by `check`
-            self._error = f"{type(error).__name__}: {error}"
+    def _carry_out(self) -> None:
+        self._guarded(self._open_hand)
         self._ready.set()
         while not self._stopping.is_set():
             self._wake.wait()
             self._wake.clear()
-            if self._hand is None or self._error or self._stopping.is_set():
-                continue
-            try:
-                self._serve(self._hand)
-            except Exception as error:
-                self._error = f"{type(error).__name__}: {error}"
+            if not self._stopping.is_set():
+                self._guarded(self._command)
 
-    def _serve(self, hand: Hand) -> None:
-        wanted = self._wanted
-        if wanted is not None and wanted != self._done:
-            self.commands += 1
-            hand.open() if wanted else hand.close()
-            self._read(hand)
-            self._done = wanted
-
-    def _read(self, hand: Hand) -> None:
-        with self._reading:  # a look from before a command's end does not overwrite one from after it
-            self._opening = hand.opening()
-
-    def _look(self) -> None:
+    def _keep_reading(self) -> None:
         """Reads the opening, during commands as well."""
         while not self._stopping.wait(READ_PERIOD):
-            if self._hand is None or self._error:
-                continue
+            self._guarded(self._read)
+
+    def _guarded(self, call: Callable[[], None]) -> None:
+        """Calls, unless the hand has failed; keeps an error, of whatever library, for `check`."""
+        if not self._error:
             try:
-                self._read(self._hand)
+                call()
             except Exception as error:
                 self._error = f"{type(error).__name__}: {error}"
+
+    def _open_hand(self) -> None:
+        self._hand = self._connect()
+        self._read()
+        self._reader.start()
+
+    def _command(self) -> None:
+        wanted = self._wanted
+        if self._hand is not None and wanted is not None and wanted != self._done:
+            self.commands += 1
+            self._hand.open() if wanted else self._hand.close()
+            self._read()
+            self._done = wanted
+
+    def _read(self) -> None:
+        assert self._hand is not None
+        with self._reading:  # a reading from before a command's end does not overwrite one from after it
+            self.opening = self._hand.opening()

@@ -6,27 +6,10 @@ An arm of stiffness K that is held back by a force F lags F / K behind its targe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
 from lerobot_adamanip.contract.rotations import Array, rotation_vector_from_matrix
-
-
-@dataclass(frozen=True)
-class StallRule:
-    """Condition of a stall.
-
-    Attributes:
-        force, torque: of the strongest pull [N, N m], as the simulated arm's.
-        stiffness, rotational_stiffness: of the arm's controller [N/m, N m/rad].
-        ticks: in a row.
-    """
-
-    force: float = 30.0
-    torque: float = 1.1
-    stiffness: float = 1000.0
-    rotational_stiffness: float = 40.0
-    ticks: int = DEFAULT_MOTION.stall_ticks
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 
 
 def pose_error(tcp_in_base: Array, goal_in_base: Array) -> tuple[float, float]:
@@ -40,7 +23,7 @@ class OutcomeWatch:
 
     Args:
         goal_in_base: (4, 4) goal of the tool.
-        rule: of a stall.
+        options: force, torque and stiffness of a stall.
         began: by the arm's own clock [s].
         time_limit: for the motion [s].
     """
@@ -52,8 +35,10 @@ class OutcomeWatch:
     SNUG = (0.002, 0.01)
     """Error at which settling ends early [m, rad]."""
 
-    def __init__(self, goal_in_base: Array, rule: StallRule, began: float, time_limit: float) -> None:
-        self._goal, self._rule = goal_in_base, rule
+    def __init__(self, goal_in_base: Array, options: FrankyOptions, began: float, time_limit: float) -> None:
+        self._goal = goal_in_base
+        self._stall_lag = options.stall_force / options.stiffness
+        self._stall_turn = options.stall_torque / options.rotational_stiffness
         self._until, self._strained = began + time_limit, 0
         self._arrived: float | None = None
 
@@ -70,10 +55,9 @@ class OutcomeWatch:
             now: the arm's own clock [s].
         """
         lag, turned = pose_error(tcp_in_base, desired_in_base)
-        rule = self._rule
-        strained = lag > rule.force / rule.stiffness or turned > rule.torque / rule.rotational_stiffness
+        strained = lag > self._stall_lag or turned > self._stall_turn
         self._strained = self._strained + 1 if strained else 0
-        if self._strained >= rule.ticks:
+        if self._strained >= DEFAULT_MOTION.stall_ticks:
             return Outcome.STALLED
         if now > self._until:
             return Outcome.TIMEOUT

@@ -6,7 +6,6 @@ checkpoint alone. Robots register here what both need, under the robot's id.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,29 +46,26 @@ class RobotSession:
 
 
 class RobotRegistry:
-    """Robot id -> `RobotSession`, of this process. Thread-safe."""
+    """Robot id -> `RobotSession`, of this process."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._sessions: dict[str, RobotSession] = {}
 
     def open(self, robot_id: str) -> RobotSession:
         """Returns a new session of this robot, instead of an older one."""
-        with self._lock:
-            self._sessions[robot_id] = RobotSession()
-            return self._sessions[robot_id]
+        self._sessions[robot_id] = RobotSession()
+        return self._sessions[robot_id]
 
     def find(self, robot_id: str | None = None) -> RobotSession | None:
         """Returns the session of ``robot_id``, or without one the only session; None if there is none such."""
-        with self._lock:
-            if robot_id is not None:
-                return self._sessions.get(robot_id)
-            return next(iter(self._sessions.values())) if len(self._sessions) == 1 else None
+        if robot_id is not None:
+            return self._sessions.get(robot_id)
+        sessions = list(self._sessions.values())
+        return sessions[0] if len(sessions) == 1 else None
 
     def close(self, robot_id: str) -> None:
         """Removes a robot; nothing happens if it is not registered."""
-        with self._lock:
-            self._sessions.pop(robot_id, None)
+        self._sessions.pop(robot_id, None)
 
 
 ROBOTS = RobotRegistry()

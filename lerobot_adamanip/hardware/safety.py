@@ -32,6 +32,8 @@ from lerobot_adamanip.util.errors import RobotError
 
 MAX_REFUSED = 10
 """Malformed targets in a row that are an error."""
+ANCHOR_MARGIN_M = 0.02
+"""Distance outside the box at which an arm may still begin [m]."""
 TURN_SHARES = (1.0, 0.5, 0.25, 0.0)
 """Shares of a turn, tried in order where the hand's corners would leave the box."""
 SHORTER = (1.0, 0.999, 0.9)
@@ -64,13 +66,13 @@ class SafetyFilter:
         """(10,) the last returned target; the anchor before the first; None before that."""
         return None if self._last is None else self._last.copy()
 
-    def anchor(self, tcp_in_base: Array, gripper: float, *, margin: float = 0.02) -> Target:
+    def anchor(self, tcp_in_base: Array, gripper: float) -> Target:
         """Starts at the measured pose, which becomes the last target: after connect, recovery and clutch.
 
         Raises:
-            RobotError: the hand is outside the box by more than ``margin`` [m].
+            RobotError: the hand is outside the box by more than `ANCHOR_MARGIN_M`.
         """
-        if not self.limits.contains(tcp_in_base, margin):
+        if not self.limits.contains(tcp_in_base, ANCHOR_MARGIN_M):
             lower, upper = self.limits.reduced_box(tcp_in_base[:3, :3])
             raise RobotError(
                 "The hand is outside the box that it may be in.",
@@ -135,10 +137,6 @@ class SafetyFilter:
     def origin(self, tcp_in_base: Array) -> Target:
         """Returns the target that steps count from: the last, or nearer to an arm that was pushed away from it."""
         return self._origin(self._measured(tcp_in_base)).target
-
-    def measured(self, tcp_in_base: Array) -> Target:
-        """Returns the measured pose, moved into the box: leads count from it."""
-        return self._measured(tcp_in_base).target
 
     def limited(self, wanted: Target, tcp_in_base: Array, dt: float) -> Target:
         """Returns a well-formed target within box, step and lead, without storing it. See `stream`."""

@@ -69,7 +69,7 @@ def broken_laws(filter_: SafetyFilter, target: Target, measured: Array, dt: floa
     again = SafetyFilter(limits)
     again._last = filter_.last
     out = filter_.stream(target, measured, dt)
-    here = filter_.measured(measured)
+    here = filter_._measured(measured).target
     step = max(0.0, min(dt, limits.max_dt)) if np.isfinite(dt) else (limits.max_dt if dt > 0 else 0.0)
     # The filter's own words are used for nothing but where the arm is and what is counted from.
     rotation = matrix_from_rotation_6d(out[3:9])

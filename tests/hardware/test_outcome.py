@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
 from lerobot_adamanip.contract.rotations import rotation_about, transform
-from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, StallRule
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch
 
-RULE = StallRule()
+STALL_TICKS = DEFAULT_MOTION.stall_ticks
 GOAL = transform((0.5, 0.0, 0.4))
 TICK = 0.02
 
 
-def watch(rule: StallRule = RULE, time_limit: float = 10.0) -> OutcomeWatch:
-    return OutcomeWatch(GOAL, rule, 0.0, time_limit)
+def watch(time_limit: float = 10.0) -> OutcomeWatch:
+    return OutcomeWatch(GOAL, FrankyOptions(), 0.0, time_limit)
 
 
 def behind(lag: float = 0.0, angle: float = 0.0) -> np.ndarray:
@@ -25,14 +26,14 @@ def behind(lag: float = 0.0, angle: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize("pose", [behind(lag=0.031), behind(angle=0.028)])
 def test_a_tool_that_is_held_back_for_some_ticks_stalls(pose: np.ndarray) -> None:
     looking = watch()
-    outcomes = [looking.look(pose, GOAL, running=True, speed=0.0, now=k * TICK) for k in range(RULE.ticks)]
-    assert outcomes == [None] * (RULE.ticks - 1) + [Outcome.STALLED]
+    outcomes = [looking.look(pose, GOAL, running=True, speed=0.0, now=k * TICK) for k in range(STALL_TICKS)]
+    assert outcomes == [None] * (STALL_TICKS - 1) + [Outcome.STALLED]
 
 
 def test_a_jerk_is_no_stall() -> None:
     looking = watch()
     for k in range(50):
-        lag = 0.029 if k % RULE.ticks == 0 else 0.04
+        lag = 0.029 if k % STALL_TICKS == 0 else 0.04
         assert looking.look(behind(lag), GOAL, running=True, speed=0.1, now=k * TICK) is None
 
 

@@ -67,19 +67,15 @@ def killed_with_parent() -> Iterator[None]:
 
     For calls that may hang in a driver, where nothing checks the parent; the arm does not move yet.
     """
-    parent = os.getppid()
-    _set_death_signal(signal.SIGKILL)
+    parent, library = os.getppid(), ctypes.CDLL(None, use_errno=True)
+    if library.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
     if os.getppid() != parent:  # it died before the kernel was told
         os.kill(os.getpid(), signal.SIGKILL)
     try:
         yield
     finally:
-        _set_death_signal(0)
-
-
-def _set_death_signal(number: int) -> None:
-    if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, number, 0, 0, 0) != 0:
-        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
+        library.prctl(PR_SET_PDEATHSIG, 0, 0, 0, 0)
 
 
 if __name__ == "__main__":

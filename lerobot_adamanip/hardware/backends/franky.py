@@ -30,7 +30,7 @@ from lerobot_adamanip.hardware.backends.franky_sdk import (
     set_limits,
 )
 from lerobot_adamanip.hardware.gripper import GripperThread
-from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, StallRule, pose_error
+from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
@@ -56,9 +56,6 @@ class FrankyBackend:
 
     def __init__(self, options: FrankyOptions) -> None:
         self._options = options
-        self._stall = StallRule(
-            options.stall_force, options.stall_torque, options.stiffness, options.rotational_stiffness
-        )
         self._robot: Any = None
         self._franky: Any = None
         self._hand: GripperThread | None = None
@@ -173,7 +170,7 @@ class FrankyBackend:
         here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
         leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANS
         ways = [here, goal] if leaning else [goal]
-        self._watch = OutcomeWatch(goal, self._stall, now, self._time_limit(here, goal))
+        self._watch = OutcomeWatch(goal, self._options, now, self._time_limit(here, goal))
         if not leaning and max(pose_error(here, goal)) < STAYS:
             return  # the fingers alone
         points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
