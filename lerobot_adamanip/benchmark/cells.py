@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
-from lerobot_adamanip.benchmark.declaration import Declaration
-from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
+from lerobot_adamanip.benchmark.declaration import NAME, OBJECT_SPLITS, Declaration
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.json_fields import choice, integer, optional
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,11 +24,11 @@ class Cell:
         trials: in the demonstrations, for a point of the curve over trials; None for the table.
     """
 
-    method: str
-    category: str
-    objects: str
-    seed: int
-    trials: int | None = None
+    method: Annotated[str, NAME]
+    category: Annotated[str, choice(tuple(CATEGORIES))]
+    objects: Annotated[str, choice(OBJECT_SPLITS)]
+    seed: Annotated[int, integer(0, 2**31)]
+    trials: Annotated[int | None, optional(integer(0, 1000))] = None
 
     @property
     def name(self) -> str:
@@ -37,37 +37,17 @@ class Cell:
         return "-".join((self.method, *trials, self.category, self.objects, str(self.seed)))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Selection:
-    """Which cells are wanted; an empty tuple stands for all."""
-
-    methods: tuple[str, ...] = ()
-    categories: tuple[str, ...] = ()
-    splits: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = ()
-
-    def __contains__(self, cell: Cell) -> bool:
-        asked: tuple[tuple[Any, tuple[Any, ...]], ...] = (
-            (cell.method, self.methods),
-            (cell.category, self.categories),
-            (cell.objects, self.splits),
-            (cell.seed, self.seeds),
-        )
-        return all(not wanted or value in wanted for value, wanted in asked)
-
-
 def all_cells(declaration: Declaration, scale: str) -> list[Cell]:
     """Returns the cells of a scale, category by category: so that whatever stops it, some categories are whole."""
-    return [*_table(declaration, scale), *_curve(declaration, scale)]
-
-
-def _table(declaration: Declaration, scale: str) -> Iterator[Cell]:
     chosen = declaration.scale(scale)
-    for seed in chosen.seeds:
-        for category in chosen.categories:
-            for method in declaration.methods:
-                for objects in chosen.splits:
-                    yield Cell(method=method, category=category, objects=objects, seed=seed)
+    table = [
+        Cell(method=method, category=category, objects=objects, seed=seed)
+        for seed in chosen.seeds
+        for category in chosen.categories
+        for method in declaration.methods
+        for objects in chosen.splits
+    ]
+    return [*table, *_curve(declaration, scale)]
 
 
 def _curve(declaration: Declaration, scale: str) -> Iterator[Cell]:
@@ -81,37 +61,45 @@ def _curve(declaration: Declaration, scale: str) -> Iterator[Cell]:
                     yield Cell(method=curve.method, category=category, objects=objects, seed=seed, trials=trials)
 
 
-def select_cells(declaration: Declaration, scale: str, wanted: Selection) -> list[Cell]:
-    """Returns the wanted cells of a scale.
+def select_cells(
+    declaration: Declaration,
+    scale: str,
+    *,
+    methods: tuple[str, ...] = (),
+    categories: tuple[str, ...] = (),
+    splits: tuple[str, ...] = (),
+    seeds: tuple[int, ...] = (),
+) -> list[Cell]:
+    """Returns the wanted cells of a scale; nothing given stands for all.
 
     Raises:
         ConfigurationError: a name is unknown, or no cell of this scale is wanted.
     """
     for what, names, known in (
-        ("method", wanted.methods, tuple(declaration.methods)),
-        ("category", wanted.categories, tuple(CATEGORIES)),
-        ("split of objects", wanted.splits, OBJECT_SPLITS),
+        ("method", methods, tuple(declaration.methods)),
+        ("category", categories, tuple(CATEGORIES)),
+        ("split of objects", splits, OBJECT_SPLITS),
     ):
         for name in names:
             require_choice(what, name, known)
     cells = all_cells(declaration, scale)
-    chosen = [cell for cell in cells if cell in wanted]
+    wanted = (methods, categories, splits, seeds)
+    chosen = [
+        cell
+        for cell in cells
+        if all(
+            value in names
+            for value, names in zip((cell.method, cell.category, cell.objects, cell.seed), wanted, strict=True)
+            if names
+        )
+    ]
     if not chosen:
+        scale_has = declaration.scale(scale)
         raise ConfigurationError(
             f"The scale {scale!r} has no such cells.",
-            got="; ".join(f"{what} {', '.join(map(str, names))}" for what, names in vars(wanted).items() if names),
-            allowed=_span(cells),
+            got="; ".join(", ".join(map(str, names)) for names in wanted if names),
+            allowed=f"categories {', '.join(scale_has.categories)}; splits {', '.join(scale_has.splits)}; "
+            f"seeds {', '.join(map(str, scale_has.seeds))}",
             hint="adamanip benchmark --list; or a declaration of your own, --config FILE",
         )
     return chosen
-
-
-def _span(cells: Iterable[Cell]) -> str:
-    """What a scale's cells are of, in words."""
-    found = list(cells)
-    names = {
-        "categories": [cell.category for cell in found],
-        "splits": [cell.objects for cell in found],
-        "seeds": [str(cell.seed) for cell in found],
-    }
-    return "; ".join(f"{what} {', '.join(dict.fromkeys(values))}" for what, values in names.items())

@@ -6,13 +6,13 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from lerobot_adamanip.util.errors import ConfigurationError
 
+type Runner = Callable[..., subprocess.Popen[bytes]]
+"""Begins a command; arguments are those of `begin_command`."""
 _STOP_SECONDS = 20.0
 _KEPT_BYTES = 2**34
 _DEFAULTS = {
@@ -26,48 +26,40 @@ _DEFAULTS = {
     ),
 }
 """Environment of commands, where it does not say otherwise."""
-_THREADS = "OMP_NUM_THREADS"
 
 
-class Running(Protocol):
-    """A command that was begun."""
+def begin_command(
+    command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0
+) -> subprocess.Popen[bytes]:
+    """Begins a program of this installation.
 
-    def poll(self) -> int | None:
-        """Returns its exit status; None while it runs."""
+    Args:
+        command: program and arguments.
+        folder: to run it in.
+        log: file that its output is appended to.
+        lock: file descriptor that it inherits: while it runs, even if this process is killed, no other benchmark begins
+            in the same folder.
+        threads: that it may compute with; 0 for as many as it likes.
 
-    def stop(self) -> None:
-        """Ends it, if it still runs, and waits for its end."""
-
-
-class Runner(Protocol):
-    """Begins commands."""
-
-    def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int) -> Running:
-        """Begins a command.
-
-        Args:
-            command: program and arguments.
-            folder: to run it in.
-            log: file that what it says is appended to.
-            lock: file descriptor that it inherits: while it runs, whatever becomes of this process, no other benchmark
-                begins in the same folder.
-            threads: that it may compute with; 0 for as many as it likes.
-        """
-
-
-@dataclass(frozen=True)
-class _Process:
-    process: subprocess.Popen[bytes]
-
-    def poll(self) -> int | None:
-        return self.process.poll()
-
-    def stop(self) -> None:
-        ended(self.process)
+    Raises:
+        ConfigurationError: there is no such program.
+    """
+    limit = {"OMP_NUM_THREADS": str(threads)} if threads else {}
+    line = [_find_program(command[0]), *command[1:]]
+    with log.open("ab") as output:
+        return subprocess.Popen(
+            line,
+            cwd=folder,
+            env={**_DEFAULTS, **limit, **os.environ},
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            pass_fds=(lock,),
+        )
 
 
-def ended(process: subprocess.Popen[bytes]) -> None:
-    """Ends a process if it still runs: in order, if it does so soon."""
+def end_command(process: subprocess.Popen[bytes]) -> None:
+    """Ends a command if it still runs, by SIGTERM first, and waits for its end."""
     if process.poll() is None:
         process.terminate()
         try:
@@ -77,44 +69,8 @@ def ended(process: subprocess.Popen[bytes]) -> None:
             process.wait()
 
 
-def begun(
-    command: Sequence[str], *, folder: Path, log: Path, threads: int, pass_fds: Sequence[int] = ()
-) -> subprocess.Popen[bytes]:
-    """Returns the process of a program of this installation; arguments are those of `Runner`."""
-    line = [find_program(command[0]), *command[1:]]
-    with log.open("ab") as said:
-        return subprocess.Popen(
-            line,
-            cwd=folder,
-            env=environment(threads),
-            stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-            pass_fds=pass_fds,
-        )
-
-
-def environment(threads: int = 0) -> dict[str, str]:
-    """Returns the environment of commands: this process's, and where that says nothing, what suits long work.
-
-    Args:
-        threads: of a command at most; 0 for no limit.
-    """
-    limit = {_THREADS: str(threads)} if threads else {}
-    return {**_DEFAULTS, **limit, **os.environ}
-
-
-def run_command(command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0) -> Running:
-    """Begins a program of this installation; see `Runner`."""
-    return _Process(begun(command, folder=folder, log=log, threads=threads, pass_fds=(lock,)))
-
-
-def find_program(name: str) -> str:
-    """Returns the path of a program, of this Python's installation if it has one of that name.
-
-    Raises:
-        ConfigurationError: there is none.
-    """
+def _find_program(name: str) -> str:
+    """Returns the path of a program, of this Python's installation if it has one of that name."""
     beside = str(Path(sys.executable).parent)
     found = shutil.which(name, path=os.pathsep.join((beside, os.environ.get("PATH", os.defpath))))
     if found is None:

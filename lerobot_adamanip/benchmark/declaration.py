@@ -4,24 +4,43 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from lerobot_adamanip.benchmark.declaration_fields import DECLARATION, DEMONSTRATIONS, METHOD, ROUND, SCALE, TRIALS
+from lerobot_adamanip.benchmark.paper_rates import SUCCESS
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, POSES
-from lerobot_adamanip.experts import EXPERT_STRATEGIES
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES
+from lerobot_adamanip.datasets.collection_spec import LIMITS
+from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, IMAGE_SIZES, POSES
+from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
-from lerobot_adamanip.util.json_fields import Check, choice, table
+from lerobot_adamanip.util.json_fields import (
+    choice,
+    flag,
+    integer,
+    listing,
+    mapping,
+    number,
+    optional,
+    record,
+    text,
+)
 
 PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
 """The declaration that is used where no other is given."""
 METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
 """Entry points by which other packages declare methods: each is what a table ``[methods.NAME]`` would be."""
+OBJECT_SPLITS = ("seen", "unseen", "novel")
+NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
+TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
+_COUNT = integer(1, 10**8)
+_CATEGORIES = listing(choice(tuple(CATEGORIES)), 1, len(CATEGORIES))
+_SPLITS = listing(choice(OBJECT_SPLITS), 1, len(OBJECT_SPLITS))
+_OPTIONS = listing(text(r"--[a-z][\w.]*=[^\r\n`]{0,400}", "an option --NAME=VALUE"), 0, 60)
+_POLICY_OPTIONS = listing(text(r"--policy\.[a-z][\w.]*=[^\r\n`]{0,400}", "an option --policy.NAME=VALUE"), 0, 60)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,14 +50,14 @@ class Demonstrations:
     ``num_points``, ``image_size`` (0: no pictures), ``poses`` and ``mechanism_rules`` hold in evaluations too.
     """
 
-    expert: str = "adaptive"
-    expert_strategy: str = EXPERT_STRATEGIES[0]
-    trials: int = 1
-    late_starts: float = DEFAULT_LATE_STARTS
-    num_points: int = schema.DEFAULT_NUM_POINTS
-    image_size: int = 0
-    poses: str = POSES[0]
-    mechanism_rules: str = DEFAULT_MECHANISM_RULES
+    expert: Annotated[str, choice(EXPERT_KINDS)] = "adaptive"
+    expert_strategy: Annotated[str, choice(EXPERT_STRATEGIES)] = EXPERT_STRATEGIES[0]
+    trials: Annotated[int, integer(*LIMITS["trials"])] = 1
+    late_starts: Annotated[float, number(0, 1)] = DEFAULT_LATE_STARTS
+    num_points: Annotated[int, integer(1, 16_384)] = schema.DEFAULT_NUM_POINTS
+    image_size: Annotated[int, integer(0, IMAGE_SIZES[1])] = 0
+    poses: Annotated[str, choice(POSES)] = POSES[0]
+    mechanism_rules: Annotated[str, choice(tuple(MECHANISM_RULES))] = DEFAULT_MECHANISM_RULES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +70,9 @@ class Round:
         start: ``new`` weights, or those that were ``trained`` before.
     """
 
-    corrections: int
-    steps: int
-    start: str = "new"
+    corrections: Annotated[int, _COUNT]
+    steps: Annotated[int, _COUNT]
+    start: Annotated[str, choice(("new", "trained"))] = "new"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,16 +93,16 @@ class Method:
         package: the distribution that declares it; empty for the declaration's own.
     """
 
-    title: str
-    policy: str
-    options: tuple[str, ...] = ()
-    demonstrations: str = ""
-    rounds: tuple[Round, ...] = ()
-    train: tuple[str, ...] = ()
-    evaluate: tuple[str, ...] = ()
-    steps: Mapping[str, int] = field(default_factory=dict)
-    train_at: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    paper: str = ""
+    title: Annotated[str, TITLE]
+    policy: Annotated[str, NAME]
+    options: Annotated[tuple[str, ...], _POLICY_OPTIONS] = ()
+    demonstrations: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or nothing")] = ""
+    rounds: Annotated[tuple[Round, ...], listing(record(Round), 0, 20)] = ()
+    train: Annotated[tuple[str, ...], _OPTIONS] = ()
+    evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
+    steps: Annotated[Mapping[str, int], mapping(NAME, _COUNT, 20)] = field(default_factory=dict)
+    train_at: Annotated[Mapping[str, tuple[str, ...]], mapping(NAME, _OPTIONS, 20)] = field(default_factory=dict)
+    paper: Annotated[str, choice(("", *SUCCESS))] = ""
     package: str = ""
 
 
@@ -105,21 +124,21 @@ class Scale:
             result.
     """
 
-    objects: str
-    demonstrations: int
-    steps: int
-    batch_size: int
-    save_every: int
-    episodes: int
-    environments: int
-    device: str
-    poses: str = ""
-    evaluate: tuple[str, ...] = ()
-    categories: tuple[str, ...] = tuple(CATEGORIES)
-    splits: tuple[str, ...] = ("seen", "unseen")
-    seeds: tuple[int, ...] = (1000,)
-    note: str = ""
-    beside_paper: bool = True
+    objects: Annotated[str, text(r"[\w:,]{1,400}", "objects, as `adamanip collect --objects` takes them")]
+    demonstrations: Annotated[int, _COUNT]
+    steps: Annotated[int, _COUNT]
+    batch_size: Annotated[int, _COUNT]
+    save_every: Annotated[int, _COUNT]
+    episodes: Annotated[int, _COUNT]
+    environments: Annotated[int, _COUNT]
+    device: Annotated[str, text(r"[a-z]{1,10}(:\d{1,2})?", "a device of torch")]
+    poses: Annotated[str, choice(("", *POSES))] = ""
+    evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
+    categories: Annotated[tuple[str, ...], _CATEGORIES] = tuple(CATEGORIES)
+    splits: Annotated[tuple[str, ...], _SPLITS] = ("seen", "unseen")
+    seeds: Annotated[tuple[int, ...], listing(integer(0, 2**31 - 1), 1, 100)] = (1000,)
+    note: Annotated[str, text(r"[^\r\n|*`<>]{0,300}", "a line of plain text")] = ""
+    beside_paper: Annotated[bool, flag] = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,12 +152,12 @@ class TrialsCurve:
         categories, splits, scales: where the curve is measured.
     """
 
-    method: str
-    numbers: tuple[int, ...]
-    none: str
-    categories: tuple[str, ...]
-    splits: tuple[str, ...]
-    scales: tuple[str, ...]
+    method: Annotated[str, NAME]
+    numbers: Annotated[tuple[int, ...], listing(integer(0, LIMITS["trials"][1]), 1, 30)]
+    none: Annotated[str, NAME]
+    categories: Annotated[tuple[str, ...], _CATEGORIES]
+    splits: Annotated[tuple[str, ...], _SPLITS]
+    scales: Annotated[tuple[str, ...], listing(NAME, 1, 20)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,11 +170,11 @@ class Declaration:
         trials: None if no such curve is wanted.
     """
 
-    reference: str
-    scales: Mapping[str, Scale]
-    demonstrations: Mapping[str, Demonstrations]
-    methods: Mapping[str, Method]
-    trials: TrialsCurve | None = None
+    reference: Annotated[str, NAME]
+    scales: Annotated[Mapping[str, Scale], mapping(NAME, record(Scale), 20)]
+    demonstrations: Annotated[Mapping[str, Demonstrations], mapping(NAME, record(Demonstrations), 60)]
+    methods: Annotated[Mapping[str, Method], mapping(NAME, record(Method), 200)]
+    trials: Annotated[TrialsCurve | None, optional(record(TrialsCurve))] = None
 
     def scale(self, name: str) -> Scale:
         """Returns a scale by its name; raises `ConfigurationError` if there is none."""
@@ -177,64 +196,7 @@ def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
 
 def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     """Returns the declaration in decoded TOML; raises ValueError that names what is wrong with it."""
-    found = DECLARATION("the declaration", {"trials": {}, **content})
-    made = Declaration(
-        reference=found["reference"],
-        scales={name: _made(Scale, SCALE, f"scales.{name}", each) for name, each in found["scales"].items()},
-        demonstrations={
-            name: _made(Demonstrations, DEMONSTRATIONS, f"demonstrations.{name}", each)
-            for name, each in found["demonstrations"].items()
-        },
-        methods={name: _method(f"methods.{name}", each) for name, each in found["methods"].items()},
-        trials=TrialsCurve(**TRIALS("trials", found["trials"])) if found["trials"] else None,
-    )
-    _check_names(made)
-    return made
-
-
-def with_packages(declaration: Declaration) -> Declaration:
-    """Returns a declaration with the methods that installed packages declare; raises `ConfigurationError`."""
-    methods = dict(declaration.methods)
-    for point in sorted(entry_points(group=METHODS_GROUP)):
-        methods[point.name] = _declared_by(point, declaration)
-    return replace(declaration, methods=methods)
-
-
-def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
-    package = point.dist.name if point.dist is not None else point.module
-    try:
-        if point.name in declaration.methods:
-            raise ValueError("the declaration has a method of that name")
-        method = _method(point.name, dict(point.load()))
-        _check_method(declaration, point.name, method)
-    except Exception as error:  # other packages may raise anything when they are imported
-        raise ConfigurationError(
-            f"The benchmark method {point.name!r} cannot be used.",
-            got=f"{point.value} of {package}: {error}",
-            allowed="a table like [methods.NAME], see docs/extending_policy.md",
-            hint=f"repair {package}, or uninstall it",
-        ) from error
-    return replace(method, package=package)
-
-
-def _method(name: str, given: Mapping[str, Any]) -> Method:
-    method = _made(Method, METHOD, name, given)
-    rounds = (_made(Round, ROUND, f"{name}.rounds[{place}]", each) for place, each in enumerate(method.rounds))  # type: ignore[arg-type]
-    return replace(method, rounds=tuple(rounds))
-
-
-def _made[Made](kind: type[Made], check: Mapping[str, Check], name: str, given: Mapping[str, Any]) -> Made:
-    """Returns a dataclass of given fields and defaults, all of them checked."""
-    values = dict(given)
-    for item in fields(kind):  # type: ignore[arg-type]
-        if item.name in check and item.default is not MISSING:
-            values.setdefault(item.name, item.default)
-        elif item.name in check and item.default_factory is not MISSING:
-            values.setdefault(item.name, item.default_factory())
-    return kind(**table(check)(name, values))
-
-
-def _check_names(made: Declaration) -> None:
+    made = record(Declaration)("the declaration", content)
     _require("reference", made.reference, made.methods)
     for name, method in made.methods.items():
         _check_method(made, name, method)
@@ -245,6 +207,31 @@ def _check_names(made: Declaration) -> None:
         _require(f"methods.{curve.method}.demonstrations", learnt, made.demonstrations)
         for scale in curve.scales:
             _require("trials.scales", scale, made.scales)
+    return made
+
+
+def with_packages(declaration: Declaration) -> Declaration:
+    """Returns a declaration with the methods that installed packages declare; raises `ConfigurationError`."""
+    points = sorted(entry_points(group=METHODS_GROUP))
+    declared = {point.name: _declared_by(point, declaration) for point in points}
+    return replace(declaration, methods={**declaration.methods, **declared})
+
+
+def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
+    package = point.dist.name if point.dist is not None else point.module
+    try:
+        if point.name in declaration.methods:
+            raise ValueError("the declaration has a method of that name")
+        method = record(Method)(point.name, point.load())
+        _check_method(declaration, point.name, method)
+    except Exception as error:  # other packages may raise anything when they are imported
+        raise ConfigurationError(
+            f"The benchmark method {point.name!r} cannot be used.",
+            got=f"{point.value} of {package}: {error}",
+            allowed="a table like [methods.NAME], see docs/extending_policy.md",
+            hint=f"repair {package}, or uninstall it",
+        ) from error
+    return replace(method, package=package)
 
 
 def _check_method(made: Declaration, name: str, method: Method) -> None:

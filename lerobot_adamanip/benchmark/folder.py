@@ -9,16 +9,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.plan import EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step
-from lerobot_adamanip.benchmark.result import STEP_COST, StepCost
-from lerobot_adamanip.benchmark.training import last_checkpoint
+from lerobot_adamanip.benchmark.plan import EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step, last_checkpoint
+from lerobot_adamanip.benchmark.result import StepCost
 from lerobot_adamanip.util import files, json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
-_NOTE = json_fields.either(STEP_COST, json_fields.table({"begun": json_fields.integer(1, 10**6)}))
+_NOTE = json_fields.either(json_fields.record(StepCost), json_fields.table({"begun": json_fields.integer(1, 10**6)}))
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class BenchmarkFolder:
     def cost(self, step: Step) -> StepCost | None:
         """Returns what a step took; None if it has not been done."""
         note = self._read(step)
-        return StepCost(**note) if "seconds" in note else None
+        return note if isinstance(note, StepCost) else None
 
     def is_done(self, step: Step) -> bool:
         """Whether a step has been done, and its product is still there."""
@@ -75,8 +73,8 @@ class BenchmarkFolder:
         return self._begun(step) > 0
 
     def _begun(self, step: Step) -> int:
-        begun: int = self._read(step).get("begun", 0)
-        return begun
+        note = self._read(step)
+        return note.begun if isinstance(note, StepCost) else note.get("begun", 0)
 
     def _note(self, step: Step) -> Path:
         return self.root / "steps" / f"{step.kind}-{step.key}.json"
@@ -84,12 +82,13 @@ class BenchmarkFolder:
     def _write(self, step: Step, note: Mapping[str, object]) -> None:
         files.write_atomically(self._note(step), (json.dumps(note) + "\n").encode())
 
-    def _read(self, step: Step) -> dict[str, Any]:
+    def _read(self, step: Step) -> StepCost | dict[str, int]:
+        """Returns the cost of a step that is done, how often one was begun, or nothing."""
         path = self._note(step)
         if not path.exists():
             return {}
         try:
-            found: dict[str, Any] = _NOTE("the note", json_fields.read(path))
+            found: StepCost | dict[str, int] = _NOTE("the note", json_fields.read(path))
         except ValueError as error:
             raise DatasetError(
                 "The note of a step is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"

@@ -11,10 +11,10 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.declaration import Declaration, Demonstrations, Method, Scale
-from lerobot_adamanip.benchmark.training import last_checkpoint
 from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.evaluation.results import check_command
 
@@ -40,6 +40,11 @@ _SPELLED_IN_KEYS = {
 }
 """Option -> its former name, by which keys go on to be made: a new name changes no result."""
 _LENGTH = 16
+
+
+def last_checkpoint(folder: Path | str) -> Path:
+    """Returns the folder of the last weights of a training of `lerobot-train`, whether or not it has saved any."""
+    return Path(folder) / "checkpoints" / "last" / "pretrained_model"
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.declaration import Declaration
-from lerobot_adamanip.benchmark.declaration_fields import OBJECT_SPLITS
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
 from lerobot_adamanip.benchmark.paper_rates import reported, reported_mean
 from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import CellResult, StepCost
@@ -180,7 +179,7 @@ class BenchmarkReport:
             "missing": [{**asdict(cell), "reason": self.unavailable.get(cell.method, "")} for cell in self.missing],
             "seconds": {kind: round(sum(each.seconds for each in costs), 1) for kind, costs in self.costs().items()},
             "fingerprints": sorted({result.fingerprint for result in self.results}),
-            "commits": sorted({result.origin.commit or "" for result in self.results} - {""}),
+            "commits": sorted({result.commit or "" for result in self.results} - {""}),
         }
 
     def _means(self, method: str) -> dict[str, float | None]:

@@ -218,10 +218,9 @@ def _costs(report: BenchmarkReport) -> str:
         (each.machine for found in costs.values() for each in found), key=lambda m: (m["cores"], m["gpu"])
     )
     lines.append(f"- on {'; '.join(dict.fromkeys(map(machine_text, machines)))}")
-    origins = [each.origin for each in report.results]
-    commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in origins}
+    commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in report.results}
     fingerprints = {f"`{each.fingerprint}`" for each in report.results}
-    versions = {each.version for each in origins}
+    versions = {each.version for each in report.results}
     for what, values in (("commit", commits), ("fingerprint", fingerprints), ("version", versions)):
         lines.append(f"- {what}: {', '.join(sorted(values))}")
     return "\n".join(lines)

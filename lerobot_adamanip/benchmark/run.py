@@ -6,12 +6,15 @@ and trainings resume, a half-finished evaluation is begun anew.
 
 from __future__ import annotations
 
+import json
+import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.command import Runner, Running, run_command
+from lerobot_adamanip.benchmark.command import Runner, begin_command, end_command
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import (
@@ -23,13 +26,13 @@ from lerobot_adamanip.benchmark.plan import (
     TRAIN,
     Code,
     Step,
+    last_checkpoint,
     named_steps,
     option,
     options_key,
     plan,
 )
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, write_cell
-from lerobot_adamanip.benchmark.training import resuming, trained_steps
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
 from lerobot_adamanip.evaluation.log import read_log
@@ -78,7 +81,7 @@ class CellState:
 @dataclass(frozen=True)
 class _RunningStep:
     step: Step
-    process: Running
+    process: subprocess.Popen[bytes]
     begin: float
     program: str
     label: str
@@ -110,7 +113,7 @@ class BenchmarkRun:
     unavailable: Mapping[str, str] = field(default_factory=dict)
     collect_options: tuple[str, ...] = ()
     jobs: int = 1
-    runner: Runner = run_command
+    runner: Runner = begin_command
     say: Callable[[str], None] = lambda text: None
     _failed: dict[str, str] = field(default_factory=dict, init=False)
     _running: dict[str, _RunningStep] = field(default_factory=dict, init=False)
@@ -143,7 +146,7 @@ class BenchmarkRun:
                     self._wait()
             finally:
                 for each in self._running.values():
-                    each.process.stop()
+                    end_command(each.process)
                 self._running.clear()
 
     def _advanced(self, waiting: dict[Cell, str], lock: int) -> Iterator[CellState]:
@@ -242,9 +245,11 @@ class BenchmarkRun:
             return [*whole, *self.collect_options]
         if step.kind == TRAIN:
             leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods alike, LeRobot's own too
-        if step.kind == TRAIN and (behind := trained_steps(product)):
-            wanted = int(option(step.command, "--steps"))
-            return [] if behind >= wanted else resuming(step.product, wanted)
+            if behind := _trained_steps(product):
+                wanted = int(option(step.command, "--steps"))
+                config = last_checkpoint(step.product) / "train_config.json"
+                resumed = ["lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={wanted}"]
+                return [] if behind >= wanted else resumed
         # LeRobot refuses a folder without a checkpoint, and half a log of episodes would count as a whole one.
         files.remove_tree(product)
         return whole
@@ -278,8 +283,15 @@ class BenchmarkRun:
             options=options_key(cell, self.declaration, self.scale),
             steps={name: StepDone.of(each) for name, each in steps.items()},
             fingerprint=self.code.episodes,
-            origin=self.origin,
+            **vars(self.origin),
             scene_seeds=(min(seeds), max(seeds)),
             numbers=measure(without_repeats(records)),
             costs={name: cost for name, each in steps.items() if (cost := self.folder.cost(each)) is not None},
         )
+
+
+def _trained_steps(folder: Path) -> int:
+    """Returns how many steps the last checkpoint of a training has behind it; 0 if there is none."""
+    state = last_checkpoint(folder).parent / "training_state" / "training_step.json"
+    # LeRobot renews the link to the last checkpoint once all of that is written; between two links there is none.
+    return int(json.loads(state.read_text(encoding="utf-8"))["step"]) if state.exists() else 0

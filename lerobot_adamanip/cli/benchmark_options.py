@@ -51,8 +51,7 @@ class BenchmarkOptions:
     one after the other on two."""
 
     cluster: str | None = None
-    """Ray cluster that collects, trains and evaluates: HOST:PORT, auto or local. Its nodes have to share --out; --jobs
-    is how many commands run on it at once."""
+    """Ray cluster that collects demonstrations: HOST:PORT, auto or local. Trainings and tests run here."""
 
     insecure_cluster: bool = False
     """Use a cluster that demands no token: anyone who reaches its ports runs code on it."""

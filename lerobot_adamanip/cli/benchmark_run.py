@@ -9,11 +9,11 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.benchmark.cells import Cell, Selection, all_cells, select_cells
+from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import NUMBERS, Code
@@ -41,7 +41,7 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 def run_benchmark(options: BenchmarkOptions) -> int:
     """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
     declaration = with_packages(read_declaration(options.config or PAPER_TABLE))
-    cells = select_cells(declaration, options.chosen_scale, _selection(options))
+    cells = select_cells(declaration, options.chosen_scale, **_selection(options))
     _require_choice(options, len(cells))
     if options.list_cells and options.report:
         raise ConfigurationError("Two things at once.", got="--list and --report", allowed="one of them", hint="--list")
@@ -52,9 +52,7 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
         made = _benchmark(options, declaration)
         try:
-            states = (
-                [made.state(cell) for cell in cells] if _runs_nothing(options) else _run_cells(options, made, cells)
-            )
+            states = [made.state(cell) for cell in cells] if _runs_nothing(options) else run_cells(made, cells)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. What is done is kept. To go on:\n  {command}")
@@ -82,16 +80,12 @@ def _runs_nothing(options: BenchmarkOptions) -> bool:
     return options.list_cells or options.report
 
 
-def _selection(options: BenchmarkOptions) -> Selection:
+def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
     seeds = _names(options.seeds)
     if not all(seed.isdecimal() for seed in seeds):
         raise ConfigurationError("Not a seed.", got=options.seeds, allowed="whole numbers", hint="--seeds 1000,1001")
-    return Selection(
-        methods=_names(options.methods),
-        categories=_names(options.categories),
-        splits=_names(options.splits),
-        seeds=tuple(map(int, seeds)),
-    )
+    names = {name: _names(getattr(options, name)) for name in ("methods", "categories", "splits")}
+    return {**names, "seeds": tuple(map(int, seeds))}
 
 
 def _benchmark(options: BenchmarkOptions, declaration: Declaration) -> BenchmarkRun:
@@ -115,18 +109,6 @@ def _benchmark(options: BenchmarkOptions, declaration: Declaration) -> Benchmark
         jobs=options.jobs,
         say=lambda text: print(text, flush=True),
     )
-
-
-def _run_cells(options: BenchmarkOptions, made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
-    if options.cluster is None:
-        return run_cells(made, cells)
-    from lerobot_adamanip.benchmark.cluster_command import cluster_commands
-
-    gpu = made.declaration.scale(options.chosen_scale).device.startswith("cuda")
-    with cluster_commands(options.cluster, made.folder.root, insecure=options.insecure_cluster, gpu=gpu) as commands:
-        # No command computes with more than the smallest node has.
-        machine = {"cores": min(commands.cores, commands.smallest * options.jobs), "gpu": gpu}
-        return run_cells(replace(made, machine=machine, runner=commands), cells)
 
 
 def _collect_options(options: BenchmarkOptions) -> tuple[str, ...]:

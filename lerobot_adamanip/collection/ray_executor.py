@@ -1,6 +1,6 @@
 """Actors on a Ray cluster.
 
-Ray is imported only here, in `ray_cluster` and in `lerobot_adamanip.benchmark.cluster_command`.
+Ray is imported only here and in `ray_cluster`.
 
 An actor is what a worker of `lerobot_adamanip.util.jobs.WorkerPool` is here: it holds what a session makes from item to
 item. Items go to it and results come back; nothing is read from or written to a folder that machines would share.

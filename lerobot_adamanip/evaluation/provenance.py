@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.util import json_fields
@@ -15,6 +16,12 @@ from lerobot_adamanip.util.fingerprint import versions
 
 EQUIVALENT = Path(__file__).with_name("equivalent_fingerprints.json")
 """Changes of code that changed no result; scripts/equivalent_fingerprint.py adds to it."""
+
+HASH = json_fields.text(r"[0-9a-f]{8,64}", "a hash")
+LINE = json_fields.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
+MACHINE = json_fields.table({"cores": json_fields.integer(1, 10**5), "gpu": json_fields.flag})
+"""Check of what `machine_class` returns."""
+_VERSION = json_fields.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version")
 
 
 @dataclass(frozen=True)
@@ -26,10 +33,10 @@ class Origin:
         version: of this package; ``versions`` of what else may decide.
     """
 
-    commit: str | None
-    changed: bool
-    version: str
-    versions: Mapping[str, str]
+    commit: Annotated[str | None, json_fields.optional(HASH)]
+    changed: Annotated[bool, json_fields.flag]
+    version: Annotated[str, _VERSION]
+    versions: Annotated[Mapping[str, str], json_fields.mapping(LINE, LINE, 30)]
 
 
 def present_origin() -> Origin:
@@ -80,16 +87,3 @@ def _commit() -> tuple[str | None, bool]:
     if commit is None or git("ls-files", "--error-unmatch", Path(__file__).name) is None:
         return None, False  # installed, perhaps inside somebody else's repository
     return commit, bool(git("status", "--porcelain", "--untracked-files=no"))
-
-
-HASH = json_fields.text(r"[0-9a-f]{8,64}", "a hash")
-LINE = json_fields.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
-ORIGIN: Mapping[str, json_fields.Check] = {
-    "commit": json_fields.optional(HASH),
-    "changed": json_fields.flag,
-    "version": json_fields.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version"),
-    "versions": json_fields.mapping(LINE, LINE, 30),
-}
-"""Checks of an `Origin`'s fields."""
-MACHINE = json_fields.table({"cores": json_fields.integer(1, 10**5), "gpu": json_fields.flag})
-"""Check of what `machine_class` returns."""

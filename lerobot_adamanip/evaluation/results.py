@@ -8,18 +8,18 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS, without_repeats
 from lerobot_adamanip.evaluation.metrics import Metrics, measure
-from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, ORIGIN, machine_class, present_origin
+from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, Origin, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
+from lerobot_adamanip.util.json_fields import choice, integer, listing, number, optional, read, record, text
 
 KINDS = ("expert", "policy", "seeds")
 """Experts; policies; trainings of one policy that differ in their seed alone."""
@@ -42,12 +42,12 @@ class ResultRow:
         train_minutes: that a policy was trained; None if not measured.
     """
 
-    subject: str
-    preset: str
-    category: str
-    objects: str
-    metrics: Metrics
-    train_minutes: float | None = None
+    subject: Annotated[str, LINE]
+    preset: Annotated[str, text(r"[a-z_]{1,30}", "a preset's name")]
+    category: Annotated[str, choice(tuple(CATEGORIES))]
+    objects: Annotated[str, choice(OBJECT_SPLITS)]
+    metrics: Annotated[Metrics, Metrics.from_json]
+    train_minutes: Annotated[float | None, optional(number(0, 10**6))] = None
 
     def to_json(self) -> dict[str, Any]:
         """Returns a flat JSON-able dictionary."""
@@ -59,45 +59,40 @@ class ResultRow:
         """Returns the row in decoded JSON; raises ValueError that names what is wrong with it."""
         if not isinstance(content, Mapping):
             raise ValueError(f"{name} is not a row")
-        labels = {key: value for key, value in content.items() if key in _LABELS}
-        rest = {key: value for key, value in content.items() if key not in _LABELS}
-        return cls(**json_fields.table(_LABELS)(name, labels), metrics=Metrics.from_json(name, rest))
+        labels = [item.name for item in fields(cls) if item.name in content]
+        rest = {key: value for key, value in content.items() if key not in labels}
+        return record(cls)(name, {**{key: content[key] for key in labels}, "metrics": rest})
 
 
-@dataclass(frozen=True)
-class ResultFile:
+@dataclass(frozen=True, kw_only=True)
+class ResultFile(Origin):
     """A measurement.
 
     Attributes:
         kind: one of `KINDS`.
         title: what was measured, one line.
         command: that measured it, as typed in the repository's root.
-        commit: of the repository; None outside one. ``changed``: whether files differed from it.
         fingerprint: of the code that decides episodes.
-        version: of this package; ``versions`` of what else may decide.
         machine: ``cores`` and ``gpu``; no name.
         scenes: split of the scenes' seeds; ``seeds`` the first and the last.
         seconds: it took; None if not measured.
         rows: the numbers.
     """
 
-    kind: str
-    title: str
-    command: str
-    commit: str | None
-    changed: bool
-    fingerprint: str
-    version: str
-    versions: Mapping[str, str]
-    machine: Mapping[str, int | bool]
-    scenes: str | None
-    seeds: tuple[int, int]
-    seconds: float | None
-    rows: tuple[ResultRow, ...]
+    kind: Annotated[str, choice(KINDS)]
+    title: Annotated[str, LINE]
+    command: Annotated[str, text(r"[^\r\n`]{1,2000}", "one line without backquotes")]
+    fingerprint: Annotated[str, HASH]
+    machine: Annotated[Mapping[str, int | bool], MACHINE]
+    scenes: Annotated[str | None, optional(choice(("test", "validation", "train")))]
+    seeds: Annotated[tuple[int, int], listing(integer(0, 2**31), 2, 2)]
+    seconds: Annotated[float | None, optional(number(0, 10**9))]
+    rows: Annotated[tuple[ResultRow, ...], listing(ResultRow.from_json, 1, 10_000)]
+    schema: Annotated[int, integer(1, 1)] = 1
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
-        return {"schema": 1, **vars(self), "rows": [row.to_json() for row in self.rows]}
+        return {**vars(self), "rows": [row.to_json() for row in self.rows]}
 
 
 def check_command(command: str) -> str:
@@ -117,9 +112,9 @@ def rows_of_records(
 ) -> list[ResultRow]:
     """Returns a row for each preset, category and split of objects in an evaluation's records."""
     found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
-    for record in without_repeats(records):
-        key = (record.provenance.mechanism_rules, record.category, record.object_split or "external")
-        found.setdefault(key, []).append(record)
+    for each in without_repeats(records):
+        key = (each.provenance.mechanism_rules, each.category, each.object_split or "external")
+        found.setdefault(key, []).append(each)
 
     def order(key: tuple[str, str, str]) -> tuple[str, int, int]:
         return key[0], tuple(CATEGORIES).index(key[1]), OBJECT_SPLITS.index(key[2])
@@ -175,7 +170,7 @@ def policy_result(rows: Iterable[ResultRow], records: Sequence[EpisodeRecord], *
     Raises:
         ConfigurationError: the records are of several codes or splits of scenes, or the command cannot be published.
     """
-    made = sorted({(record.provenance.fingerprint, record.split) for record in records})
+    made = sorted({(each.provenance.fingerprint, each.split) for each in records})
     if len(made) > 1:
         raise ConfigurationError(
             "A result file is of one code and one split of scenes.",
@@ -184,7 +179,7 @@ def policy_result(rows: Iterable[ResultRow], records: Sequence[EpisodeRecord], *
             hint="a new log, or a result file for each",
         )
     ((fingerprint, split),) = made
-    seeds = [record.seed for record in records]
+    seeds = [each.seed for each in records]
     return make_result(rows, **{"kind": "policy", **given}, fingerprint=fingerprint, seeds=seeds, scenes=split)
 
 
@@ -199,7 +194,7 @@ def write_result(path: Path, result: ResultFile) -> None:
 def read_result(path: Path) -> ResultFile:
     """Reads a result file; raises `DatasetError` if it is none."""
     try:
-        return parse_result(json_fields.read(path))
+        return parse_result(read(path))
     except (OSError, ValueError) as error:
         raise DatasetError(
             "Not a result file.", got=f"{path}: {error}", allowed="what `write_result` writes", hint="measure again"
@@ -208,32 +203,7 @@ def read_result(path: Path) -> ResultFile:
 
 def parse_result(content: object) -> ResultFile:
     """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
-    found = _RESULT("the result", content)
-    del found["schema"]
-    if PRIVATE_PATH.search(found["command"]):
+    found = record(ResultFile)("the result", content)
+    if PRIVATE_PATH.search(found.command):
         raise ValueError("command holds a path of one machine")
-    return ResultFile(**found)
-
-
-_LABELS: Mapping[str, json_fields.Check] = {
-    "subject": LINE,
-    "preset": json_fields.text(r"[a-z_]{1,30}", "a preset's name"),
-    "category": json_fields.choice(tuple(CATEGORIES)),
-    "objects": json_fields.choice(OBJECT_SPLITS),
-    "train_minutes": json_fields.optional(json_fields.number(0, 10**6)),
-}
-_RESULT = json_fields.table(
-    {
-        "schema": json_fields.integer(1, 1),
-        "kind": json_fields.choice(KINDS),
-        "title": LINE,
-        "command": json_fields.text(r"[^\r\n`]{1,2000}", "one line without backquotes"),
-        **ORIGIN,
-        "fingerprint": HASH,
-        "machine": MACHINE,
-        "scenes": json_fields.optional(json_fields.choice(("test", "validation", "train"))),
-        "seeds": json_fields.listing(json_fields.integer(0, 2**31), 2, 2),
-        "seconds": json_fields.optional(json_fields.number(0, 10**9)),
-        "rows": json_fields.listing(ResultRow.from_json, 1, 10_000),
-    }
-)
+    return found

@@ -10,8 +10,9 @@ import math
 import re
 import reprlib
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_origin, get_type_hints
 
 MAX_BYTES = 8_000_000
 """No description of ours is larger."""
@@ -110,17 +111,38 @@ def mapping(key: Check, each: Check, highest: int) -> Check:
     return check
 
 
-def table(fields: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
+def table(checks: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
     """Returns a check for exactly these fields; others may be there that are ``ignored``."""
 
     def check(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, Mapping):
             raise _wrong(name, value, "named fields")
-        if unknown := sorted(map(str, set(value) - set(fields) - set(ignored))):
-            raise ValueError(f"{name} has an unknown field {reprlib.repr(unknown[0])}; known are {', '.join(fields)}")
-        if missing := [field for field in fields if field not in value]:
+        if unknown := sorted(map(str, set(value) - set(checks) - set(ignored))):
+            raise ValueError(f"{name} has an unknown field {reprlib.repr(unknown[0])}; known are {', '.join(checks)}")
+        if missing := [field for field in checks if field not in value]:
             raise ValueError(f"{name} lacks {', '.join(missing)}")
-        return {field: each(field, value[field]) for field, each in fields.items()}
+        return {field: each(field, value[field]) for field, each in checks.items()}
+
+    return check
+
+
+def record[Made](kind: type[Made]) -> Callable[[str, object], Made]:
+    """Returns a check for the fields of a dataclass, each of which is annotated with its own; gives the dataclass.
+
+    Fields with a default may be left out; fields without a check must be.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    checks = {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
+    defaults = {}
+    for item in fields(kind):  # type: ignore[arg-type]
+        if item.name in checks and item.default is not MISSING:
+            defaults[item.name] = item.default
+        elif item.name in checks and item.default_factory is not MISSING:
+            defaults[item.name] = item.default_factory()
+    inner = table(checks)
+
+    def check(name: str, value: object) -> Made:
+        return kind(**inner(name, {**defaults, **value} if isinstance(value, Mapping) else value))
 
     return check
 

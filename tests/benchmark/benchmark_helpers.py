@@ -7,14 +7,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from records import MADE, record
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.command import Running
 from lerobot_adamanip.benchmark.declaration import Declaration, parse_declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import Code
@@ -58,21 +56,6 @@ def with_scale(**changes: Any) -> Declaration:
     return declared(scales={SCALE: {**scale, **changes}})
 
 
-@dataclass(frozen=True)
-class FakeProcess:
-    """A command that runs, or one that has failed at once."""
-
-    process: subprocess.Popen[bytes] | None
-
-    def poll(self) -> int | None:
-        return FAILED if self.process is None else self.process.poll()
-
-    def stop(self) -> None:
-        if self.process is not None:
-            self.process.kill()
-            self.process.wait()
-
-
 class FakeRunner:
     """Runs `fake_command` instead of programs.
 
@@ -95,19 +78,21 @@ class FakeRunner:
         folder.mkdir(parents=True, exist_ok=True)
         self._templates.write_text(json.dumps(templates()))
 
-    def __call__(self, command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int) -> Running:
+    def __call__(
+        self, command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int
+    ) -> subprocess.Popen[bytes]:
         self.called.append(list(command))
         self.threads.append(threads)
-        if command[0] == self.failing:
-            return FakeProcess(None)
         line = [sys.executable, "-I", "-S", str(FAKE), str(self._templates), *command]
+        if command[0] == self.failing:
+            line = ["sh", "-c", f"exit {FAILED}"]
         with log.open("ab") as said:
             process = subprocess.Popen(
                 line, cwd=folder, env=self._environment, stdout=said, stderr=said, pass_fds=(lock,)
             )
         self.processes.append(process)
         self.most_at_once = max(self.most_at_once, sum(each.poll() is None for each in self.processes))
-        return FakeProcess(process)
+        return process
 
     @property
     def programs(self) -> list[str]:

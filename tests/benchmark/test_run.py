@@ -30,7 +30,7 @@ from benchmark_helpers import (
 )
 
 from lerobot_adamanip.benchmark import run
-from lerobot_adamanip.benchmark.command import Running, run_command
+from lerobot_adamanip.benchmark.command import begin_command, end_command
 from lerobot_adamanip.benchmark.plan import Code, plan
 from lerobot_adamanip.benchmark.result import read_cell
 from lerobot_adamanip.util import files
@@ -38,7 +38,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 # What is forked here runs nothing of the threads that other tests' libraries have left.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
-DEATHS, PAUSE = 20, 0.002
+DEATHS, PAUSE = 12, 0.002
 TRAINED = ["adamanip", "lerobot-train", "lerobot-eval", "lerobot-eval"]
 
 
@@ -72,7 +72,7 @@ def test_a_result_says_what_made_it(tmp_path: Path) -> None:
     assert numbers.success.episodes == 5
     assert sum((numbers.key_frames or {}).values()) == numbers.success.count
     assert sum(each.episodes for name, each in (numbers.hidden or {}).items() if name.endswith("locked")) == 5
-    assert (found.fingerprint, found.origin) == (CODE.episodes, made.origin)
+    assert (found.fingerprint, found.commit) == (CODE.episodes, made.origin.commit)
     assert {cost.begun for cost in found.costs.values()} == {1}
     assert found.costs["train"].machine == {"cores": 2, "gpu": False}
     text = (tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json").read_text()
@@ -95,7 +95,7 @@ def test_rounds_of_corrections_go_on_after_a_death(tmp_path: Path) -> None:
     assert list(found.steps)[2:6] == ["correct", "merge", "train_2", "correct_2"]
 
 
-@pytest.mark.parametrize("jobs", [2, 3, 8])
+@pytest.mark.parametrize("jobs", [2, 8])
 def test_several_at_once_come_to_the_same(tmp_path: Path, whole: dict[str, Any], jobs: int) -> None:
     runner = FakeRunner(tmp_path, pause=PAUSE)
     states = run_all(benchmark(tmp_path / "out", runner, jobs=jobs))
@@ -199,20 +199,19 @@ def test_a_death_in_any_step_changes_no_result(tmp_path: Path, whole: dict[str, 
     assert sorted(begun)[-2:] == [1, 2], "it was killed in that step"
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_twenty_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, Any], jobs: int) -> None:
+def test_random_deaths_change_no_result(tmp_path: Path, whole: dict[str, Any]) -> None:
     begin = time.monotonic()
-    run_all(benchmark(tmp_path / "timed", FakeRunner(tmp_path, pause=PAUSE), jobs=jobs))
+    run_all(benchmark(tmp_path / "timed", FakeRunner(tmp_path, pause=PAUSE), jobs=2))
     lasts, drawn, deaths, begun = time.monotonic() - begin, random.Random(0), 0, 0
     roots = (tmp_path / f"benchmark-{number}" for number in itertools.count())
     while deaths < DEATHS:
         # One may finish before its first death: each has a folder of its own, whatever the count of deaths.
         root, runner = next(roots), FakeRunner(tmp_path, pause=PAUSE)
         root.mkdir()
-        while deaths < DEATHS and killed(root, runner, seconds=drawn.uniform(0.01, lasts / 2), jobs=jobs):
+        while deaths < DEATHS and killed(root, runner, seconds=drawn.uniform(0.01, lasts / 2), jobs=2):
             deaths += 1
             wait_for_the_orphan(root)
-        run_all(benchmark(root, runner, jobs=jobs))
+        run_all(benchmark(root, runner, jobs=2))
         assert results(root) == whole
         begun += sum(json.loads(path.read_text())["begun"] - 1 for path in (root / "steps").glob("*.json"))
     assert begun >= DEATHS // 2, "most deaths were in the midst of a step"
@@ -305,16 +304,6 @@ def test_collecting_is_told_what_decides_nothing(tmp_path: Path) -> None:
 # Programs ---------------------------------------------------------------------------------------------------------
 
 
-def waited(process: Running) -> int:
-    """The exit status, once there is one."""
-    end = time.monotonic() + 30
-    while time.monotonic() < end:
-        if (status := process.poll()) is not None:
-            return status
-        time.sleep(0.005)
-    raise AssertionError("it runs for ever")
-
-
 @pytest.mark.parametrize(("threads", "told"), [(0, "None"), (2, "2")])
 def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int, told: str
@@ -324,7 +313,8 @@ def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(
     code = "import os, sys; e = os.environ; print(os.getcwd(), e['HF_HUB_OFFLINE'], e.get('OMP_NUM_THREADS')); exit(3)"
     with files.locked(tmp_path, "busy", "") as lock:
         program = Path(sys.executable).name
-        assert waited(run_command([program, "-c", code], folder=tmp_path, log=log, lock=lock, threads=threads)) == 3
+        process = begin_command([program, "-c", code], folder=tmp_path, log=log, lock=lock, threads=threads)
+        assert process.wait(30) == 3
     assert log.read_text() == f"{tmp_path} 1 {told}\n"
 
 
@@ -354,7 +344,7 @@ def test_a_program_keeps_the_memory_that_it_will_need_again_unless_the_user_says
     log = tmp_path / "log"
     with files.locked(tmp_path, "busy", "") as lock:
         command = [Path(sys.executable).name, "-c", ALLOCATES]
-        assert waited(run_command(command, folder=tmp_path, log=log, lock=lock)) == 0
+        assert begin_command(command, folder=tmp_path, log=log, lock=lock).wait(30) == 0
     faults = int(log.read_text())
     assert (faults < 2 * 16_384) == kept, faults
 
@@ -364,10 +354,10 @@ def test_a_program_is_stopped_even_if_it_will_not(tmp_path: Path, monkeypatch: p
     code = "import signal, time; signal.signal(15, signal.SIG_IGN); print('begun', flush=True); time.sleep(60)"
     log = tmp_path / "log"
     with files.locked(tmp_path, "busy", "") as lock:
-        process = run_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=log, lock=lock)
+        process = begin_command([Path(sys.executable).name, "-c", code], folder=tmp_path, log=log, lock=lock)
         while not log.read_text():
             time.sleep(0.005)
-        process.stop()
+        end_command(process)
     assert process.poll() == -signal.SIGKILL
     with files.locked(tmp_path, "the program still runs", ""):
         pass
@@ -396,4 +386,4 @@ def test_an_interruption_ends_all_programs(tmp_path: Path) -> None:
 
 def test_a_missing_program_is_one_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="lerobot-dance"):
-        run_command(["lerobot-dance"], folder=tmp_path, log=tmp_path / "log", lock=0)
+        begin_command(["lerobot-dance"], folder=tmp_path, log=tmp_path / "log", lock=0)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, declared
 
-from lerobot_adamanip.benchmark.cells import Selection, select_cells
+from lerobot_adamanip.benchmark.cells import select_cells
 from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, PAPER_TABLE, with_packages
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
@@ -61,7 +61,7 @@ def test_it_is_in_the_table_by_its_entry_point_alone(tmp_path: Path, monkeypatch
     declaration = with_packages(before)
     assert declaration.methods["hold_still"].package == "lerobot_policy_hold_still"
     made = benchmark(tmp_path / "out", FakeRunner(tmp_path), declaration)
-    wanted = select_cells(declaration, SCALE, Selection(methods=("hold_still",)))
+    wanted = select_cells(declaration, SCALE, methods=("hold_still",))
     assert [each.state for each in made.run(wanted)] == ["done"] * 2
     results = read_cells(made.folder.cells)
     assert "--policy.type=hold_still --policy.gripper=0.5" in results[0].steps["train"].command
@@ -100,7 +100,7 @@ def test_the_command_lists_it_as_one_that_can_be_run(tmp_path: Path) -> None:
     [
         ("METHOD = {'title': 'x'}", "ours_too lacks policy"),
         ("METHOD = {'title': 'x', 'policy': 'x', 'demonstrations': 'some'}", "demonstrations is 'some'"),
-        ("METHOD = 3", "not iterable"),
+        ("METHOD = 3", "named fields"),
         ("1 / 0", "division by zero"),
     ],
 )

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -119,38 +118,11 @@ def test_a_cell_that_fails_is_told_and_the_status_is_one(
     assert "failed       lerobot-train ended with status 7: steps/train-" in capsys.readouterr().out
 
 
-def test_commands_are_begun_on_the_cluster_and_collecting_is_told_of_it(
-    runner: FakeRunner, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Three nodes of four CPUs: two commands at once have four each, the most that a node has."""
-    there = FakeRunner(Path("there").absolute())
-    asked = []
-
-    @contextlib.contextmanager
-    def connected(address: str, folder: Path, *, insecure: bool, gpu: bool) -> Iterator[Any]:
-        asked.append((address, folder.relative_to(Path.cwd()).as_posix(), insecure, gpu))
-        there.cores, there.smallest = 12, 4  # type: ignore[attr-defined]
-        yield there
-
+def test_a_cluster_collects(runner: FakeRunner, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command, "require_usable", lambda address, insecure: None)  # Ray is an extra
-    monkeypatch.setattr("lerobot_adamanip.benchmark.cluster_command.cluster_commands", connected)
-    assert main(["benchmark", *SMALL, "--cluster", "local", "--workers", "0", "--jobs", "2"]) == 0
-    assert asked == [("local", "outputs/benchmark/smoke", False, False)]
-    assert runner.called == []
-    for called in there.called:
-        assert ("--cluster=local" in called) == (called[0] == "adamanip")
-    assert there.called[0][-2:] == ["--workers=0", "--cluster=local"]
-    assert set(there.threads) == {4}
-
-
-def test_a_list_asks_no_cluster(
-    runner: FakeRunner, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(command, "require_usable", lambda address, insecure: None)
-    monkeypatch.setattr(
-        "lerobot_adamanip.benchmark.cluster_command.cluster_commands", lambda *_, **__: pytest.fail("asked")
-    )
-    assert states(printed(capsys, "--list", "--cluster", "local"))["dp3"] == "missing"
+    assert main(["benchmark", *SMALL, "--cluster", "local", "--workers", "0"]) == 0
+    for called in runner.called:
+        assert (called[-2:] == ["--workers=0", "--cluster=local"]) == (called[0] == "adamanip")
 
 
 def test_ctrl_c_says_how_to_go_on(
@@ -189,6 +161,7 @@ def test_a_declaration_of_ones_own(runner: FakeRunner, tmp_path: Path, capsys: p
         (["--splits", "external"], "Unknown split of objects"),
         (["--seeds", "one"], "Not a seed"),
         (["--seeds", "7"], "has no such cells"),
+        (["--splits", "novel"], "splits seen, unseen"),
         (["--scale", "huge"], "Unknown scale"),
         (["--config", "absent.toml"], "Not a declaration of a benchmark"),
         (["--jobs", "0", "--methods", "dp3"], "Not a number of jobs"),
