@@ -15,7 +15,7 @@ from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import read_declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
+from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.results_page import csv_rows, readme_block, results_page, with_block
@@ -45,8 +45,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
-    means = map(means_line, reports)
-    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, means))
+    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present))
     pages = (benchmark_page(report, level=2) for report in reports)
     parts = (results_page(results, present), *pages)
     numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))

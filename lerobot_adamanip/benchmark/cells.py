@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -82,24 +82,23 @@ def select_cells(
     ):
         for name in names:
             require_choice(what, name, known)
-    cells = all_cells(declaration, scale)
-    wanted = (methods, categories, splits, seeds)
+    wanted = {"method": methods, "category": categories, "objects": splits, "seed": seeds}
     chosen = [
         cell
-        for cell in cells
-        if all(
-            value in names
-            for value, names in zip((cell.method, cell.category, cell.objects, cell.seed), wanted, strict=True)
-            if names
-        )
+        for cell in all_cells(declaration, scale)
+        if all(getattr(cell, field) in values for field, values in wanted.items() if values)
     ]
     if not chosen:
-        scale_has = declaration.scale(scale)
+        there = declaration.scale(scale)
+        possible = {"categories": there.categories, "splits": there.splits, "seeds": there.seeds}
         raise ConfigurationError(
             f"The scale {scale!r} has no such cells.",
-            got="; ".join(", ".join(map(str, names)) for names in wanted if names),
-            allowed=f"categories {', '.join(scale_has.categories)}; splits {', '.join(scale_has.splits)}; "
-            f"seeds {', '.join(map(str, scale_has.seeds))}",
+            got=_listed(wanted),
+            allowed=_listed(possible),
             hint="adamanip benchmark --list; or a declaration of your own, --config FILE",
         )
     return chosen
+
+
+def _listed(names: Mapping[str, Iterable[object]]) -> str:
+    return "; ".join(f"{what} {', '.join(map(str, each))}" for what, each in names.items() if each)

@@ -44,24 +44,6 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
     return "\n".join(parts)
 
 
-def means_line(report: BenchmarkReport) -> str:
-    """Returns the means over the categories in one line, best first.
-
-    Empty unless all cells are there and of the present code, and where the paper's numbers do not stand beside them.
-    """
-    if not report.beside_paper or not report.results or report.missing or any(map(_mark, report.entries.values())):
-        return ""
-    found = [(_name(row), [report.mean(row.name, objects) for objects in report.splits]) for row in report.rows]
-    means = [(name, [mean for mean in each if mean is not None]) for name, each in found if None not in each]
-    best = sorted(means, key=lambda item: -item[1][0])
-    told = [f"{name} {', '.join(f'{100 * mean:.1f}' for mean in each)}" for name, each in best]
-    return (
-        f"All methods of the paper's table (`adamanip benchmark --scale {report.scale}`; mean success in % over "
-        f"{len(report.categories)} categories, {' and '.join(report.splits)} objects, {report.scenes} scenes): "
-        f"{'; '.join(told)}."
-    )
-
-
 def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
     """Yields title and body of what there is to say."""
     if not report.results:

@@ -58,8 +58,3 @@ class BenchmarkOptions:
 
     json: bool = False
     """Print one JSON object. Progress goes to stderr."""
-
-    @property
-    def chosen_scale(self) -> str:
-        """The scale, by name."""
-        return self.scale or DEFAULT_SCALE

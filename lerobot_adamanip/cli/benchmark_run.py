@@ -8,9 +8,8 @@ import shlex
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
@@ -18,7 +17,7 @@ from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, rea
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import NUMBERS, Code
 from lerobot_adamanip.benchmark.policies import find_policies
-from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
+from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
@@ -41,43 +40,37 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 def run_benchmark(options: BenchmarkOptions) -> int:
     """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
     declaration = with_packages(read_declaration(options.config or PAPER_TABLE))
-    cells = select_cells(declaration, options.chosen_scale, **_selection(options))
-    _require_choice(options, len(cells))
-    if options.list_cells and options.report:
-        raise ConfigurationError("Two things at once.", got="--list and --report", allowed="one of them", hint="--list")
-    if options.cluster is not None:
-        require_usable(options.cluster, insecure=options.insecure_cluster)
-    if options.jobs < 1:
-        raise ConfigurationError("Not a number of jobs.", got=options.jobs, allowed="1 or more", hint="--jobs 2")
+    scale, selection = options.scale or DEFAULT_SCALE, _selection(options)
+    cells = select_cells(declaration, scale, **selection)
+    runs_nothing = options.list_cells or options.report
+    _check(options, len(cells), is_chosen=runs_nothing or any((options.scale, options.config, *selection.values())))
     with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
-        made = _benchmark(options, declaration)
+        made = _benchmark(options, declaration, scale)
         try:
-            states = [made.state(cell) for cell in cells] if _runs_nothing(options) else run_cells(made, cells)
+            states = [made.state(cell) for cell in cells] if runs_nothing else _run_cells(made, cells)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. What is done is kept. To go on:\n  {command}")
             return EXIT_INTERRUPTED
-        written = {} if options.list_cells else write_report(make_benchmark_report(made), made.folder.root / "report")
-    _print(options, states, written)
+        written = {} if options.list_cells else _write_report(made)
+    _print(options, scale, states, written)
     return 1 if any(each.state == FAILED for each in states) else 0
 
 
-def _require_choice(options: BenchmarkOptions, cells: int) -> None:
-    """Raises `ConfigurationError` if everything would be run, and nobody has asked for that."""
-    chosen = (
-        options.scale or options.config or any((options.methods, options.categories, options.splits, options.seeds))
-    )
-    if not chosen and not _runs_nothing(options):
+def _check(options: BenchmarkOptions, cells: int, *, is_chosen: bool) -> None:
+    if not is_chosen:
         raise ConfigurationError(
             f"Nothing was chosen, and scale {DEFAULT_SCALE} has {cells} cells: about a day of two cores.",
             got="neither --scale nor --methods, --categories, --splits, --seeds",
             allowed="one of them",
             hint=f"--methods dp3_adaptive --categories safe; all of it: --scale {DEFAULT_SCALE}",
         )
-
-
-def _runs_nothing(options: BenchmarkOptions) -> bool:
-    return options.list_cells or options.report
+    if options.list_cells and options.report:
+        raise ConfigurationError("Two things at once.", got="--list and --report", allowed="one of them", hint="--list")
+    if options.cluster is not None:
+        require_usable(options.cluster, insecure=options.insecure_cluster)
+    if options.jobs < 1:
+        raise ConfigurationError("Not a number of jobs.", got=options.jobs, allowed="1 or more", hint="--jobs 2")
 
 
 def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
@@ -88,14 +81,14 @@ def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
     return {**names, "seeds": tuple(map(int, seeds))}
 
 
-def _benchmark(options: BenchmarkOptions, declaration: Declaration) -> BenchmarkRun:
+def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) -> BenchmarkRun:
     from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 
     policies = find_policies(declaration.methods)
     return BenchmarkRun(
         declaration=declaration,
-        scale=options.chosen_scale,
-        folder=BenchmarkFolder((options.out / options.chosen_scale).absolute()),
+        scale=scale,
+        folder=BenchmarkFolder((options.out / scale).absolute()),
         code=Code(
             demonstrations=combined({**code_fingerprint(), "recording": recording_hash()}),
             episodes=environment_fingerprint(),
@@ -116,9 +109,9 @@ def _collect_options(options: BenchmarkOptions) -> tuple[str, ...]:
     return (f"--workers={options.workers}", *cluster, *(("--insecure-cluster",) if options.insecure_cluster else ()))
 
 
-def _print(options: BenchmarkOptions, states: Sequence[CellState], written: dict[str, str]) -> None:
+def _print(options: BenchmarkOptions, scale: str, states: Sequence[CellState], written: dict[str, str]) -> None:
     if options.json:
-        print(json.dumps({"scale": options.chosen_scale, "cells": [_state_json(each) for each in states], **written}))
+        print(json.dumps({"scale": scale, "cells": [_state_json(each) for each in states], **written}))
         return
     width = max(len(each.cell.name) for each in states)
     for each in states:
@@ -130,43 +123,33 @@ def _print(options: BenchmarkOptions, states: Sequence[CellState], written: dict
         print(f"{what}: {path}")
 
 
-def run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
-    """Runs what is missing of the cells; tells progress on stderr."""
+def _run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
+    """Runs what is missing of the cells, with progress on stderr; SIGTERM ends the commands that run, too."""
     states = []
-    with _terminable(), show_progress({"cells": "cells"}) as progress:
-        progress("cells", 0, len(cells))
-        for number, state in enumerate(made.run(cells), start=1):
-            states.append(state)
-            progress("cells", number, len(cells))
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
+    try:
+        with show_progress({"cells": "cells"}) as progress:
+            progress("cells", 0, len(cells))
+            for number, state in enumerate(made.run(cells), start=1):
+                states.append(state)
+                progress("cells", number, len(cells))
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return states
 
 
-@contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """Lets SIGTERM end this process in order, so that the command it waits for ends, too."""
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def make_benchmark_report(made: BenchmarkRun) -> BenchmarkReport:
-    """Returns the report of all results in a benchmark's folder."""
-    results = read_cells(made.folder.cells)
+def _write_report(made: BenchmarkRun) -> dict[str, str]:
+    """Writes the report of all results in the folder as Markdown, CSV, JSON and pictures; returns their paths."""
     stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
-    return make_report(
-        results,
+    report = make_report(
+        read_cells(made.folder.cells),
         made.declaration,
         made.scale,
         {made.code.episodes},
         unavailable=made.unavailable,
         stale=stale,
     )
-
-
-def write_report(report: BenchmarkReport, folder: Path) -> dict[str, str]:
-    """Writes a report as Markdown, CSV, JSON and pictures; returns what it has written."""
+    folder = made.folder.root / "report"
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
         "table": ("md", benchmark_page(report)),

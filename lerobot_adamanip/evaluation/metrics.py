@@ -12,7 +12,6 @@ from typing import Annotated, Any, get_type_hints
 
 from lerobot_adamanip.evaluation.groups import hidden_boundaries, hidden_names
 from lerobot_adamanip.evaluation.metric_values import COUNT, Mean, add, decode, encode, mean_length, show
-from lerobot_adamanip.evaluation.old_results import modernised
 from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS, Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.text_format import interval_text
@@ -168,11 +167,9 @@ class Metrics:
 
     @classmethod
     def from_json(cls, name: str, content: object) -> Metrics:
-        """Returns the metrics in decoded JSON, of old files too; raises ValueError that names what is wrong."""
-        try:
-            found = _METRICS(name, {**dict.fromkeys(METRICS.keys() - {"success"}), **modernised(content)})
-        except (AttributeError, KeyError, TypeError) as error:
-            raise ValueError(f"{name}: {error}") from error
+        """Returns the metrics in decoded JSON; raises ValueError that names what is wrong."""
+        known = {**dict.fromkeys(METRICS.keys() - {"success"}), **content} if isinstance(content, Mapping) else content
+        found = _METRICS(name, known)
         episodes, successes = found.pop("episodes"), found.pop("successes")
         made = cls(success=rate(successes, episodes), **found)
         if made.key_frames is not None and sum(made.key_frames.values()) != successes:

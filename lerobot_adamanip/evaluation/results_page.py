@@ -60,11 +60,11 @@ def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, obje
             yield {"result": name, "fingerprint": result.fingerprint, **labels}, row.metrics
 
 
-def readme_block(results: Mapping[str, ResultFile], present: Container[str], more: Iterable[str] = ()) -> str:
+def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
     """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
 
     What policies were chosen by is no number to show there: validation scenes stand on the page alone. So do experts,
-    once a policy was measured. A single number needs no table. ``more`` are further lines to show, unless empty.
+    once a policy was measured. A single number needs no table.
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
@@ -74,7 +74,6 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], mor
         single = len(result.rows) == 1
         told = f" {result.rows[0].metrics.show('success')}" if single else f"\n\n{success_table(result)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
-    parts += [f"{line}\n" for line in more if line]
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
     return "\n".join([*parts, END])
 

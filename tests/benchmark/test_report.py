@@ -17,7 +17,7 @@ from PIL import Image
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page, means_line
+from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.evaluation.metrics import pool
 from lerobot_adamanip.evaluation.provenance import machine_text
@@ -92,21 +92,6 @@ def test_the_table_stands_beside_the_papers(cells: Path) -> None:
     assert [row[-1] for name, row in means_of(page).items() if name in ("Ours", "Untrained")] == ["16.5 %", "78.2 %"]
 
 
-def test_the_means_in_one_line_are_of_a_whole_table_alone(cells: Path) -> None:
-    report = report_of(cells)
-    line = means_line(report)
-    titles = {"untrained": "Untrained", "ours_on_static": "Ours on static", "ours": "Ours"}
-    for name, title in titles.items():
-        means = [100 * (report.mean(name, objects) or 0.0) for objects in report.splits]
-        assert f" {title} {means[0]:.1f}, {means[1]:.1f}" in line
-    places = sorted(titles, key=lambda name: line.index(f" {titles[name]} "))
-    means = [report.mean(name, "seen") or 0.0 for name in places]
-    assert means == sorted(means, reverse=True), "best first"
-    assert means_line(make_report(read_cells(cells), wide(), SCALE, set())) == "", "of other code"
-    next(iter(sorted(cells.glob("ours-*.json")))).unlink()
-    assert means_line(report_of(cells)) == ""
-
-
 def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
     scale = {**content()["scales"][SCALE], "note": "One object, learnt by heart.", "beside_paper": False}
     report = make_report(read_cells(cells), declared(scales={SCALE: scale}, trials=TRIALS), SCALE, {CODE.episodes})
@@ -114,7 +99,6 @@ def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
     assert "One object, learnt by heart. " in page
     assert rows_of(page, "Success by category")["category", "method"] == ["seen objects", "unseen objects"]
     assert not any(entry["paper"] for entry in report.to_json()["entries"])
-    assert means_line(report) == ""
 
 
 def test_differences_are_those_of_the_rates(cells: Path) -> None:

@@ -187,23 +187,6 @@ def test_metrics_come_back_from_json_and_parts_add_up(records: list[EpisodeRecor
     assert Metrics.from_json("metrics", earlier).show("untried") == "-", "results from before a metric was there"
 
 
-def test_metrics_of_version_0_2_are_read() -> None:
-    told = {"success": "2/3: 67 % [20.8, 93.9]", "wasted_tries": "0.50", "repeated": "1/4", "key_frames": "10.5"}
-    both = {"episodes": 3, "successes": 2}
-    row = {**both, "key_frames": 10.5, "failed_tries": 1.0, "wasted_tries": 0.5, "repeated": [1, 4]}
-    row |= {"hidden": {"locked": [1, 2]}, "failures": {"ajar": 1}, "in_vain": {"key held": 2}}
-    cell = {**both, "interval": [0.2, 0.9], "key_frames": {"9": 1, "12": 1}, "hidden": {}}
-    cell |= {"tries": {"made": 1.0, "best": 0.5, "wasted": 0.5}}
-    cell |= {"recovery": {"repeated": [1, 4], "untried": {"1": [3, 4]}}}
-    for content in (row, cell):
-        found = Metrics.from_json("metrics", content)
-        assert {name: found.show(name) for name in told} == told
-        assert found.show("failed_tries") == "1.00"
-    assert Metrics.from_json("metrics", row).show("failed_at") == "key held 1.00"
-    assert Metrics.from_json("metrics", row).show("failures") == "ajar 1"
-    assert Metrics.from_json("metrics", cell).show("failures") == "-", "not counted"
-
-
 @pytest.mark.parametrize(
     "changes",
     [
