@@ -11,7 +11,6 @@ if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware import ON_CREATION
     from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
     from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
-    from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
     from lerobot_adamanip.hardware.teleoperators.config_devices import (
         AdamanipGamepadConfig,
         AdamanipKeyboardConfig,
@@ -60,7 +59,6 @@ __all__ = [
     "AdamanipGamepadConfig",
     "AdamanipKeyboardConfig",
     "AdamanipRealsenseConfig",
-    "AdamanipReplayConfig",
     "AdamanipScriptedConfig",
     "AdamanipSpacemouseConfig",
     "AdamanipTwinConfig",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -62,9 +62,6 @@ class Calibrate:
     marker: float = 0.030
     """Side of a marker, likewise [m]."""
 
-    legacy_pattern: bool = False
-    """The board has the pattern of OpenCV before 4.6, as sold boards of an even number of rows may have."""
-
     json: bool = False
     """Print one JSON object instead of words."""
 
@@ -86,8 +83,6 @@ class Calibrate:
         if self.record is not None:
             self._record(self.folder, self.record)
         folder = ViewFolder.open(self.folder)
-        if self.legacy_pattern:
-            folder = replace(folder, board=replace(folder.board, legacy=True))
         views = folder.views(self._tell)
         solved = solve(views, folder.color, folder.mounting)
         facts = _facts(solved)
@@ -112,7 +107,7 @@ class Calibrate:
     def _board(self) -> Board:
         from lerobot_adamanip.hardware.calibration.board import Board
 
-        return Board(self.columns, self.rows, self.square, self.marker, self.legacy_pattern)
+        return Board(self.columns, self.rows, self.square, self.marker)
 
     def _record(self, folder: Path, described: Path) -> None:
         from lerobot_adamanip.hardware.calibration.hand_eye import Mounting

@@ -79,12 +79,9 @@ class Keyframes:
         from lerobot_adamanip.recordings.convert import ConvertOptions
         from lerobot_adamanip.recordings.keyframe_choice import KeyFrameOptions
         from lerobot_adamanip.recordings.rows import RowOptions
-        from lerobot_adamanip.recordings.sparsify import SparsifyOptions
 
         return ConvertOptions(
-            key_frames=KeyFrameOptions(
-                SparsifyOptions(self.stopped, self.same_place, self.given_up), reached_position=self.reached
-            ),
+            key_frames=KeyFrameOptions(self.stopped, self.same_place, self.given_up, reached_position=self.reached),
             rows=RowOptions(
                 self.num_points,
                 IMAGE_SIZE if self.images else None,

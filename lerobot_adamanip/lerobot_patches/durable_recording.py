@@ -94,8 +94,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
     def _save_episode_metadata(self, episode: dict[str, Any]) -> None:
         scratch, self.root = self.root, self._place
         try:
-            _keep_calibrations(self.root)
-            _keep_safety(self.root)
+            _keep_robot(self.root)
             super()._save_episode_metadata(episode)
             self._close_writer()
             self._sync_latest()
@@ -200,17 +199,15 @@ def repair_recording(root: Path) -> None:
         _log.warning("%s: %s", root.name, line)
 
 
-def _keep_calibrations(root: Path) -> None:
-    """Writes where the connected robot's cameras stand beside its first episode: the pictures alone do not tell."""
+def _keep_robot(root: Path) -> None:
+    """Writes what the connected robot knows, and rows do not tell, beside its first episode: where its cameras are, and
+    the limits of its safety filter.
+    """
     session = ROBOTS.find()
-    if session is None or (root / CALIBRATIONS).exists():
+    if session is None:
         return
-    for key, calibration in session.calibrations.items():
-        save_calibration(root / CALIBRATIONS, key, calibration)
-
-
-def _keep_safety(root: Path) -> None:
-    """Writes the limits of the connected robot's safety filter: a roll-out does not tell which target was accepted."""
-    session = ROBOTS.find()
-    if session is not None and isinstance(session.safety, SafetyLimits) and not (root / SAFETY).exists():
+    if not (root / CALIBRATIONS).exists():
+        for key, calibration in session.calibrations.items():
+            save_calibration(root / CALIBRATIONS, key, calibration)
+    if isinstance(session.safety, SafetyLimits) and not (root / SAFETY).exists():
         files.write_atomically(root / SAFETY, session.safety.to_json().encode())

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import lerobot_adamanip
 from lerobot_adamanip.collection.assemble import append_shards
@@ -27,12 +26,7 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import FRONT_CAMERA
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode, KeyFrameOptions, choose_key_frames
 from lerobot_adamanip.recordings.recording import INTERVENTION, DenseRecording
-from lerobot_adamanip.recordings.rows import (
-    Camera,
-    RowOptions,
-    camera_record,
-    demonstration_columns,
-)
+from lerobot_adamanip.recordings.rows import RowOptions, camera_record, demonstration_columns
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
@@ -181,83 +175,61 @@ class _Conversion:
         for recording in recordings:
             calibration = recording.calibration(self.options.calibration)
             for number in range(len(recording)):
-                for part, (begin, episode) in enumerate(_parts(recording.episode(number))):
-                    path = self.work / "episodes" / f"{done:06d}-{part:03d}.safetensors"
-                    converted = self._converted(_Place(recording, number, begin, calibration), episode)
+                for begin, part in _parts(recording.episode(number)):
+                    converted = self._converted(recording, number, begin, part, calibration)
                     if converted is not None:
+                        path = self.work / "episodes" / f"{done:06d}-{begin:06d}.safetensors"
                         write_shard(path, converted)
                         yield path
                 done += 1
                 self.progress("convert", done, total)
 
-    def _converted(self, place: _Place, episode: DenseEpisode) -> RecordedEpisode | None:
+    def _converted(
+        self, recording: DenseRecording, number: int, begin: int, episode: DenseEpisode, calibration: CameraCalibration
+    ) -> RecordedEpisode | None:
+        """Returns the demonstration of a part that begins at a tick; None for one without motion that is left out."""
+        name, options = f"{recording.root.name}:{number}", self.options
         try:
-            chosen = choose_key_frames(episode, place.recording.fps, self.options.key_frames)
+            chosen = choose_key_frames(episode, recording.fps, options.key_frames)
         except DatasetError as error:
-            if not self.options.skip_still:
-                what = f"{place.name} cannot be converted."
+            if not options.skip_still:
+                what = f"{name} cannot be converted."
                 raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
-            self.skipped.append(place.name)
+            self.skipped.append(name)
             return None
-        camera = Camera(place.pictures, place.calibration)
-        if self.options.successful and not place.recording.tells_success:
+        if options.successful and not recording.tells_success:
             episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
-        columns = demonstration_columns(episode, chosen, camera, self.options.rows)
+        columns = demonstration_columns(
+            episode, chosen, lambda tick: recording.pictures(number, begin + tick), calibration, options.rows
+        )
         self.ticks += len(episode)
         self.key_frames += len(chosen.rows) - 1
+        recorded = {
+            "recording": recording.root.name,
+            "episode": number,
+            "robot_type": recording.info.get("robot_type"),
+            "fps": recording.fps,
+            "corrections": INTERVENTION in recording.info["features"],
+            "plugin": lerobot_adamanip.__version__,
+            "ticks": (begin + chosen.rows).tolist(),
+        }
         record = {
             "task": episode.task,
             "success": bool(columns[schema.SUCCESS].any()),
             "key_frames": len(chosen.rows) - 1,
-            "camera": camera_record(place.calibration, self.options.rows.image_size),
-            "recorded": {**place.origin(), "ticks": (place.begin + chosen.rows).tolist()},
+            "camera": camera_record(calibration, options.rows.image_size),
+            "recorded": recorded,
         }
         return RecordedEpisode(columns, record)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """An episode, or a part of it that begins at a tick."""
-
-    recording: DenseRecording
-    number: int
-    begin: int
-    calibration: CameraCalibration
-
-    @property
-    def name(self) -> str:
-        return f"{self.recording.root.name}:{self.number}"
-
-    def pictures(self, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
-        return self.recording.pictures(self.number, self.begin + tick)
-
-    def origin(self) -> dict[str, Any]:
-        """Returns the origin of an episode, for its column ``recorded``."""
-        return {
-            "recording": self.recording.root.name,
-            "episode": self.number,
-            "robot_type": self.recording.info.get("robot_type"),
-            "fps": self.recording.fps,
-            "corrections": INTERVENTION in self.recording.info["features"],
-            "plugin": lerobot_adamanip.__version__,
-        }
-
-
 def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
-    """Returns the demonstrated parts of an episode: all of it, or each take-over from a policy."""
+    """Returns the demonstrated parts of an episode by their first tick: all of it, or each take-over from a policy."""
     if episode.corrected is None:
         return [(0, episode)]
-    edges = np.flatnonzero(np.diff(np.r_[False, episode.corrected, False]))
-    parts = []
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if end - begin >= _LEAST_TICKS:
-            span = slice(begin, end)
-            arrays = {
-                name: getattr(episode, name)[span]
-                for name in ("state", "effort", "sent", "stamp", "outcome", "success", "asked", "corrected")
-            }
-            parts.append((begin, replace(episode, **arrays)))
-    return parts
+    edges = np.flatnonzero(np.diff(np.r_[False, episode.corrected, False])).tolist()
+    spans = zip(edges[::2], edges[1::2], strict=True)
+    return [(begin, episode.take(slice(begin, end))) for begin, end in spans if end - begin >= _LEAST_TICKS]
 
 
 def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,10 @@ class DenseEpisode:
     def __len__(self) -> int:
         return len(self.state)
 
+    def take(self, ticks: slice | NDArray[np.int64]) -> DenseEpisode:
+        """Returns the episode of some of the ticks."""
+        return replace(self, **{name: each[ticks] for name, each in vars(self).items() if isinstance(each, np.ndarray)})
+
     @property
     def pose(self) -> NDArray[np.float64]:
         """(T, 10) measured: position [m], rotation 6D, gripper opening."""
@@ -58,16 +62,14 @@ class DenseEpisode:
 
 
 @dataclass(frozen=True)
-class KeyFrameOptions:
-    """Thresholds.
+class KeyFrameOptions(SparsifyOptions):
+    """Thresholds, with those of standing still and giving up.
 
     Attributes:
-        sparsify: of standing still and giving up.
         reached_position: a target this close was reached [m].
         reached_rotation: likewise [rad].
     """
 
-    sparsify: SparsifyOptions = field(default_factory=SparsifyOptions)
     reached_position: float = DEFAULT_MOTION.reached_position
     reached_rotation: float = DEFAULT_MOTION.reached_rotation
 
@@ -184,15 +186,15 @@ def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArra
         while moments[tick] - moments[before + 1] > _SHORTEST and before + 1 < tick:
             before += 1
         elapsed = max(_SHORTEST, float(moments[tick] - moments[before]))
-        stands[tick] = distance(sent[before], sent[tick]) <= options.sparsify.stopped * elapsed
+        stands[tick] = distance(sent[before], sent[tick]) <= options.stopped * elapsed
     return stands
 
 
 def _key_rows(episode: DenseEpisode, grips: NDArray[np.bool_], fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
     trajectory, ticks = trajectory_of(episode, grips, fps)
-    kept = sparsify(trajectory, options.sparsify)
+    kept = sparsify(trajectory, options)
     # An arm that waits before it begins has two key frames in one place: the first sample, and the end of the wait.
-    waits = len(kept) > 1 and stays(trajectory.pose[kept[0] : kept[1] + 1], options.sparsify.same_place)
+    waits = len(kept) > 1 and stays(trajectory.pose[kept[0] : kept[1] + 1], options.same_place)
     return ticks[kept[1:] if waits else kept]
 
 
@@ -209,10 +211,9 @@ def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last
     while the arm is in its last place, with the fingers sent to where they are then.
     """
     begin, here = last, episode.pose[last]
-    while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.sparsify.same_place:
+    while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.same_place:
         begin -= 1
-    found = [tick for tick in range(begin, last + 1) if usable[tick]]
-    return found[0] if found else last
+    return next((tick for tick in range(begin, last + 1) if usable[tick]), last)
 
 
 def _outcome(episode: DenseEpisode, tick: int, target: NDArray[np.float32], options: KeyFrameOptions) -> int:

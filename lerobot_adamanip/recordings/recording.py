@@ -74,10 +74,7 @@ class DenseRecording:
         depth = f"{_IMAGES}{camera}{DEPTH_SUFFIX}"
         if depth not in info["features"]:
             pictures = [key for key in info["features"] if key.startswith(_IMAGES)]
-            hint = "--camera with a camera that told depth"
-            if not pictures:
-                hint = "adamanip collect without --dense, or lerobot-record with a camera that tells depth"
-            raise _unusable(folder, f"pictures {pictures}", depth, hint)
+            raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a camera that tells depth")
         return cls(folder, info, camera)
 
     @property
@@ -129,7 +126,7 @@ class DenseRecording:
         names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
 
         def told(wanted: Sequence[str], otherwise: float) -> NDArray[np.float32]:
-            if not set(wanted) <= set(names):
+            if not self._tells(wanted):
                 return np.full((len(states), len(wanted)), otherwise, np.float32)
             return states[:, [names.index(name) for name in wanted]]
 
@@ -164,9 +161,8 @@ class DenseRecording:
         try:
             limits = limits_from_json(path.read_bytes())
         except (OSError, ValueError, ConfigurationError) as error:
-            raise _unusable(
-                self.root, f"{SAFETY}: {error}", "the file that the recorder wrote", f"rm {path}"
-            ) from error
+            got = f"{SAFETY}: {error}"
+            raise _unusable(self.root, got, "the file that the recorder wrote", f"rm {path}") from error
         sent = [first]
         for target in asked[:-1]:
             let_through = accepted(target, limits)
@@ -186,11 +182,10 @@ class DenseRecording:
         begin = int(self.dataset.meta.episodes[number]["dataset_from_index"])
         item = self.dataset[begin + tick]
         depth = np.asarray(item[f"{_IMAGES}{self.camera}{DEPTH_SUFFIX}"]).squeeze()
-        key = f"{_IMAGES}{self.camera}"
-        if key not in item:
-            return None, depth.round().astype(np.uint16)
-        colour = np.asarray(item[key]).transpose(1, 2, 0)
-        return np.rint(colour * 255.0).astype(np.uint8), depth.round().astype(np.uint16)
+        colour = item.get(f"{_IMAGES}{self.camera}")
+        if colour is not None:
+            colour = np.rint(np.asarray(colour).transpose(1, 2, 0) * 255.0).astype(np.uint8)
+        return colour, depth.round().astype(np.uint16)
 
 
 def _targets(sent: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -21,16 +21,6 @@ from lerobot_adamanip.util.errors import DatasetError
 
 Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
 """Tick -> colour (H, W, 3), if there is any, and depth (H, W) [mm]."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """Pictures of an episode, and the calibration that turns their depth into points."""
-
-    pictures: Pictures
-    calibration: CameraCalibration
-
-
 _OPEN_FINGER = 0.04
 """Way of each finger of an open hand [m]."""
 
@@ -51,7 +41,11 @@ class RowOptions:
 
 
 def demonstration_columns(
-    episode: DenseEpisode, chosen: ChosenKeyFrames, camera: Camera, options: RowOptions
+    episode: DenseEpisode,
+    chosen: ChosenKeyFrames,
+    pictures: Pictures,
+    calibration: CameraCalibration,
+    options: RowOptions,
 ) -> dict[str, NDArray[Any]]:
     """Returns one (K, ...) array per column of the contract, for the K key frames of an episode.
 
@@ -75,7 +69,7 @@ def demonstration_columns(
     }
     state = episode.state[rows]
     return {
-        **_seen(episode, rows, camera, options),
+        **_seen(episode.pose[rows], rows, pictures, calibration, options),
         schema.STATE: state,
         schema.EFFORT: episode.effort[rows],
         schema.ACTION: _asked(episode, chosen),
@@ -95,19 +89,24 @@ def _asked(episode: DenseEpisode, chosen: ChosenKeyFrames) -> NDArray[np.float32
 
 
 def _seen(
-    episode: DenseEpisode, rows: NDArray[np.int64], camera: Camera, options: RowOptions
+    poses: NDArray[np.float64],
+    rows: NDArray[np.int64],
+    pictures: Pictures,
+    calibration: CameraCalibration,
+    options: RowOptions,
 ) -> dict[str, NDArray[Any]]:
     clouds, images = [], []
-    for row in rows.tolist():
-        colour, depth = camera.pictures(row)
-        tcp_in_base = pose_from_vector(episode.pose[row])[0]
-        clouds.append(depth_cloud(depth, camera.calibration, options.num_points, options.workspace, tcp_in_base))
-        if options.image_size is not None:
-            if colour is None:
-                raise DatasetError(
-                    "The recording has no pictures.", got="depth alone", allowed="colour too", hint="--no-images"
-                )
-            images.append(square_image(colour, options.image_size))
+    for pose, row in zip(poses, rows.tolist(), strict=True):
+        colour, depth = pictures(row)
+        tcp_in_base = pose_from_vector(pose)[0]
+        clouds.append(depth_cloud(depth, calibration, options.num_points, options.workspace, tcp_in_base))
+        if options.image_size is None:
+            continue
+        if colour is None:
+            raise DatasetError(
+                "The recording has no pictures.", got="depth alone", allowed="colour too", hint="--no-images"
+            )
+        images.append(square_image(colour, options.image_size))
     found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds).reshape(len(clouds), -1)}
     return found | ({schema.FRONT_IMAGE: np.stack(images)} if images else {})
 
@@ -131,16 +130,17 @@ def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str,
     """
     imager = calibration.color or calibration.depth
     side = min(imager.width, imager.height)
-    left, top = (imager.width - side) // 2, (imager.height - side) // 2
-    matrix = imager.matrix - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
-    scale = (size or side) / side
-    matrix = np.diag([scale, scale, 1.0]) @ matrix
-    depth_pose = calibration.depth_in_base if calibration.depth_in_base is not None else calibration.depth_in_tcp
+    matrix = imager.matrix.copy()
+    matrix[:2, 2] -= ((imager.width - side) // 2, (imager.height - side) // 2)
+    wanted = size or side
+    matrix = np.diag([wanted / side, wanted / side, 1.0]) @ matrix
+    is_fixed = calibration.depth_in_base is not None
+    depth_pose = calibration.depth_in_base if is_fixed else calibration.depth_in_tcp
     pose = np.eye(4) if depth_pose is None else depth_pose
     if calibration.color is not None and calibration.depth_in_color is not None:
         pose = pose @ np.linalg.inv(calibration.depth_in_color)
-    told = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": size or side, "height": size or side}
-    return told if calibration.depth_in_base is not None else {**told, "frame": "tcp"}
+    told = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": wanted, "height": wanted}
+    return told if is_fixed else {**told, "frame": "tcp"}
 
 
 def _joints(state: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,16 +31,6 @@ class DenseTrajectory:
     pose: NDArray[np.float64]
     speed: NDArray[np.float64]
     command: NDArray[np.float64] | None = None
-
-    @classmethod
-    def from_samples(
-        cls, pose: NDArray[np.float64], rate: float, command: NDArray[np.float64] | None = None
-    ) -> DenseTrajectory:
-        """Builds a trajectory from (T, 10) poses sampled at ``rate`` [Hz]; a sample's speed is towards the next one."""
-        pose = np.asarray(pose, dtype=np.float64)
-        way = [distance(a, b) for a, b in itertools.pairwise(pose)]
-        speed = np.array([*way, 0.0] if len(pose) else [], dtype=np.float64) * rate
-        return cls(pose, speed, None if command is None else np.asarray(command, dtype=np.float64))
 
     def take(self, indices: NDArray[np.int64]) -> DenseTrajectory:
         """Returns the trajectory of some of the samples."""
@@ -81,7 +70,7 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
     - A goal that is replaced ends a stay.
     """
     chosen = options or SparsifyOptions()
-    indices: NDArray[np.int64] = np.arange(len(trajectory.pose), dtype=np.int64)
+    indices = np.arange(len(trajectory.pose))
     while True:
         kept = _pass(trajectory.take(indices), chosen)
         if len(kept) == len(indices):
@@ -92,14 +81,12 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
 def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.int64]:
     count = len(trajectory.pose)
     if count == 0:
-        return np.zeros(0, dtype=np.int64)
+        return np.arange(0)
     is_open = trajectory.pose[:, schema.GRIPPER_DIM] > 0.5  # half way: a closed gripper may hold something wide
     stay_end = _stay_ends(trajectory, is_open, options)
-    kept = {0, count - 1}
-    kept.update(int(end) for end in stay_end if end >= 0)
-    for t in range(1, count):
-        if is_open[t] != is_open[t - 1]:
-            kept.add(int(stay_end[t]) if stay_end[t] >= 0 else t)
+    kept = {0, count - 1, *stay_end[stay_end >= 0].tolist()}
+    # A change of the gripper within a stay is kept by the stay's end.
+    kept.update(t for t in range(1, count) if is_open[t] != is_open[t - 1] and stay_end[t] < 0)
     if trajectory.command is not None:
         given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
         kept.difference_update(_late_ends(trajectory, given_up, stay_end, is_open, options))
@@ -120,7 +107,7 @@ def _late_ends(
     for t in given_up:
         # Every sample in between: of samples kept before, the next but one may be where an arm has come back to.
         left = t + 1
-        while left <= last and is_open[left] == is_open[t] and distance(pose[t], pose[left]) <= options.same_place:
+        while left <= last and _one_place(pose, is_open, t, left, options):
             left += 1
         late.update(end for end in stay_end[t : t + 1 + _SPRINGS].tolist() if 0 <= end < left)
     return late - {last}
@@ -167,22 +154,20 @@ def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options:
         if speed > options.stopped:
             start = None
             continue
-        joins = (
-            start is not None
-            and is_open[t] == is_open[start]
-            and distance(trajectory.pose[start], trajectory.pose[t]) <= options.same_place
-        )
-        if not joins:
+        if start is None or not _one_place(trajectory.pose, is_open, start, t, options):
             start = t
         ends[start : t + 1] = t
     return ends
 
 
+def _one_place(
+    pose: NDArray[np.float64], is_open: NDArray[np.bool_], one: int, other: int, options: SparsifyOptions
+) -> bool:
+    return bool(is_open[one] == is_open[other]) and distance(pose[one], pose[other]) <= options.same_place
+
+
 def _replaced(
-    pose: NDArray[np.float64],
-    command: NDArray[np.float64],
-    stay_end: NDArray[np.int64],
-    options: SparsifyOptions,
+    pose: NDArray[np.float64], command: NDArray[np.float64], stay_end: NDArray[np.int64], options: SparsifyOptions
 ) -> list[int]:
     """Returns the last sample before each change of goal that ends a stay, or comes while the old goal is far away.
 

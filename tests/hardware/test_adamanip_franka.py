@@ -26,6 +26,7 @@ from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
+from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 
 BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
 
@@ -231,10 +232,8 @@ def test_a_file_of_cameras_does_not_pass_for_calibrations_of_motors(
     assert robot.is_calibrated  # no camera with depth
 
 
-def test_a_camera_that_is_not_there_leaves_nothing_running(make: Callable[..., FakeFranka], tmp_path: Path) -> None:
-    from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
-
-    camera: CameraConfig = AdamanipReplayConfig(path=tmp_path / "nothing", fps=30, width=8, height=8)
+def test_a_camera_that_is_not_there_leaves_nothing_running(make: Callable[..., FakeFranka]) -> None:
+    camera: CameraConfig = AdamanipTwinConfig(fps=30, width=8, height=8)  # of no twin
     robot = make(cameras={"front": camera})
     with pytest.raises(AdaManipError):
         robot.connect()

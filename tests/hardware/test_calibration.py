@@ -154,37 +154,19 @@ def test_the_printed_board_is_the_one_that_is_looked_for(tmp_path: Path) -> None
     assert len(Board(square=0.03, marker=0.022).detect(small)[0]) == 24
 
 
-EVEN = Board(columns=7, rows=6)
-
-
-@pytest.mark.parametrize("legacy", [False, True])
-def test_a_board_of_even_rows_is_seen_in_its_own_pattern_and_the_other_is_named(legacy: bool) -> None:
-    drawn, other = replace(EVEN, legacy=legacy), replace(EVEN, legacy=not legacy)
-    picture = drawn.image(3000)
-    assert len(drawn.detect(picture)[0]) == 30
-    assert len(other.detect(picture)[0]) == 0
-    assert ("leave out" in other.why_unseen(picture)) is not legacy
-    assert "--legacy-pattern" in other.why_unseen(picture)
-    assert drawn.why_unseen(np.zeros_like(picture)) == "the board is not seen"
-
-
-def test_a_folder_of_an_older_board_is_told_how_to_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    size = Intrinsics(np.array([[500.0, 0, 480], [0, 500.0, 420], [0, 0, 1]]), np.zeros(5), 960, 840)
-    picture = np.repeat(replace(EVEN, legacy=True).image(3000)[..., None], 3, axis=2)
-    assert picture.shape == (840, 960, 3)
-    ViewFolder(tmp_path, "0123", Mounting.FIXED, EVEN, size).added(picture, np.eye(4))
-    assert main(["calibrate", str(tmp_path), "--json"]) == 2
-    error = capsys.readouterr().err
-    assert "No picture shows the board" in error
-    assert "--legacy-pattern" in error
-    assert main(["calibrate", str(tmp_path), "--legacy-pattern"]) == 2  # one picture is too few, but it is seen
-    assert "No picture" not in capsys.readouterr().err
+def test_pictures_without_the_board_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blank = np.zeros((480, 640, 3), np.uint8)
+    ViewFolder(tmp_path, "0123", Mounting.FIXED, BOARD, INTRINSICS).added(blank, np.eye(4))
+    assert main(["calibrate", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert "view_000.png: the board is not seen" in said.out
+    assert "No picture shows the board" in said.err
 
 
 def test_older_folders_are_read_and_a_missing_picture_is_named(tmp_path: Path) -> None:
     folder = write_views(tmp_path, truth(0, 2))
     told = json.loads((tmp_path / "views.json").read_text())
-    del told["board"]["legacy"]  # as older folders lack it
+    told["board"]["legacy"] = False  # as older folders have it
     (tmp_path / "views.json").write_text(json.dumps(told))
     assert ViewFolder.open(tmp_path).board == BOARD
     (tmp_path / "view_001.png").unlink()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import time
+from collections.abc import Iterator
 from enum import Enum
 from types import SimpleNamespace
 from typing import Any
@@ -118,11 +119,13 @@ def device(monkeypatch: pytest.MonkeyPatch) -> FakeDevice:
 
 
 @pytest.fixture
-def camera(device: FakeDevice) -> AdamanipRealsense:
+def camera(device: FakeDevice) -> Iterator[AdamanipRealsense]:
     made = make_cameras_from_configs({"front": AdamanipRealsenseConfig(serial_number_or_name="123")})["front"]
     assert isinstance(made, AdamanipRealsense)
     made.connect(warmup=False)
-    return made
+    yield made
+    if made.is_connected:
+        made.disconnect()
 
 
 @pytest.mark.parametrize(("scale", "millimetres"), [(0.0001, 457), (0.001, 4567), (0.1, 0)])
@@ -141,7 +144,6 @@ def test_depth_is_in_millimetres_whatever_the_camera_counts_in(
     assert depth.dtype == np.uint16
     assert (depth == millimetres).all()
     assert camera.read_latest_depth(max_age_ms=60_000).shape == (H, W, 1)
-    camera.disconnect()
 
 
 def test_the_stamp_is_the_exposure_not_the_arrival(camera: AdamanipRealsense, device: FakeDevice) -> None:
@@ -154,7 +156,6 @@ def test_the_stamp_is_the_exposure_not_the_arrival(camera: AdamanipRealsense, de
         device.push(1000, age=age)
         frame = camera.frame_after(time.perf_counter() - 0.001, 5.0)
         assert frame.stamp == frame.arrival
-    camera.disconnect()
 
 
 def test_half_a_pair_and_a_repeated_exposure_are_dropped(camera: AdamanipRealsense, device: FakeDevice) -> None:
@@ -174,7 +175,6 @@ def test_half_a_pair_and_a_repeated_exposure_are_dropped(camera: AdamanipRealsen
     with pytest.raises(RobotError, match="Camera 123: It is frozen"):
         camera.frame_after(frame.stamp, 0.5)
     assert camera.dropped == 3
-    camera.disconnect()
 
 
 def test_a_camera_that_is_pulled_out_is_named(camera: AdamanipRealsense, device: FakeDevice) -> None:

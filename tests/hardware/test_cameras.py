@@ -1,31 +1,34 @@
 from __future__ import annotations
 
-import json
 import threading
 import time
-from pathlib import Path
+from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from camera_helpers import HEIGHT, WIDTH, numbered_frame, write_numbered
 from hypothesis import given
 from hypothesis import strategies as st
-from lerobot.cameras.utils import make_cameras_from_configs
 
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.adamanip_realsense import DeviceClock
-from lerobot_adamanip.hardware.cameras.adamanip_replay import AdamanipReplay
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, LatestFrame, ThreadedCamera
-from lerobot_adamanip.hardware.cameras.config_adamanip_replay import AdamanipReplayConfig
-from lerobot_adamanip.hardware.cameras.recording import FILE, Recording
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError, RobotError
+from lerobot_adamanip.util.errors import RobotError
+
+HEIGHT, WIDTH = 24, 32
+
+
+def numbered_frame(number: int, stamp: float, height: int = HEIGHT, width: int = WIDTH) -> Frame:
+    """A frame of which every pixel of colour and depth says its number."""
+    color = np.full((height, width, 3), number % 256, np.uint8)
+    return Frame(stamp, stamp, color, np.full((height, width), 500 + number, np.uint16), number)
 
 
 class ScriptedCamera(ThreadedCamera):
     """Delivers a frame whenever a test says so."""
 
     def __init__(self) -> None:
-        super().__init__(AdamanipReplayConfig(path=Path("none")), "bench")
+        super().__init__(SimpleNamespace(fps=30, width=WIDTH, height=HEIGHT, use_rgb=True, use_depth=True), "bench")
         self.due = threading.Semaphore(0)
         self.trouble: Exception | None = None
         self.number, self.closed = 0, 0
@@ -46,10 +49,11 @@ class ScriptedCamera(ThreadedCamera):
 
 
 @pytest.fixture
-def camera() -> ScriptedCamera:
+def camera() -> Iterator[ScriptedCamera]:
     camera = ScriptedCamera()
     camera.connect(warmup=False)
-    return camera
+    yield camera
+    camera.disconnect()
 
 
 def test_a_frame_after_a_moment_was_exposed_after_it(camera: ScriptedCamera) -> None:
@@ -60,7 +64,6 @@ def test_a_frame_after_a_moment_was_exposed_after_it(camera: ScriptedCamera) -> 
     second = camera.frame_after(rest, 2.0)
     assert (first.number, second.number) == (1, 2)
     assert first.stamp < rest < second.stamp
-    camera.disconnect()
 
 
 def test_a_frozen_camera_is_named_and_its_last_frame_never_given(camera: ScriptedCamera) -> None:
@@ -83,7 +86,6 @@ def test_a_frozen_camera_is_named_and_its_last_frame_never_given(camera: Scripte
     camera.frames.put(Frame(late.stamp, now, late.color, late.depth, 7))
     with pytest.raises(RobotError, match="frozen"):
         camera.latest_frame()
-    camera.disconnect()
 
 
 def test_a_camera_that_fails_says_why_at_once(camera: ScriptedCamera) -> None:
@@ -102,7 +104,6 @@ def test_a_camera_that_fails_says_why_at_once(camera: ScriptedCamera) -> None:
     camera.connect(warmup=False)
     camera.due.release()
     assert camera.frame_after(0.0, 2.0).number == 1
-    camera.disconnect()
 
 
 def test_connecting_waits_for_the_first_frame_and_closes_where_none_comes() -> None:
@@ -119,6 +120,13 @@ def test_connecting_waits_for_the_first_frame_and_closes_where_none_comes() -> N
         camera.connect()
     camera.disconnect()
     camera.disconnect()
+
+
+def test_a_frame_without_depth_says_so(camera: ScriptedCamera) -> None:
+    frame = numbered_frame(1, time.perf_counter())
+    camera.frames.put(Frame(frame.stamp, frame.stamp, frame.color, None, 1))
+    with pytest.raises(RobotError, match="takes no depth"):
+        camera.async_read_depth()
 
 
 def test_color_and_depth_that_are_read_together_are_of_one_frame() -> None:
@@ -156,81 +164,3 @@ def test_device_stamps_are_never_early_nor_later_than_the_arrival(
         true += step
         stamp = clock.stamp(true - offset, true + 0.01 + delay)
         assert true + 0.01 - 1e-9 <= stamp <= true + 0.01 + delay + 1e-9
-
-
-# A recording, and the camera that plays it ----------------------------------------------------------------------------
-
-
-def test_a_recording_is_read_as_it_was_written(tmp_path: Path) -> None:
-    recording = write_numbered(tmp_path / "r", 4, fps=10)
-    assert recording.stamps == pytest.approx([0, 0.1, 0.2, 0.3])
-    assert (recording.camera, recording.fps, recording.width, recording.height) == ("numbered", 10, WIDTH, HEIGHT)
-    assert recording.duration == pytest.approx(0.4)
-    for number in range(4):
-        color, depth = recording.pictures(number)
-        frame = numbered_frame(number, 0.0)
-        assert np.array_equal(color, frame.color)
-        assert np.array_equal(depth, frame.depth)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"stamps": [0.0, 0.1, 0.1]},
-        {"stamps": []},
-        {"fps": 0},
-        {"unknown": 1},
-        {"intrinsics": {"matrix": [[1, 0, 0], [0, -1, 0], [0, 0, 1]], "distortion": [], "width": 2, "height": 2}},
-        {"intrinsics": {"matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "distortion": [0.1], "width": 2, "height": 2}},
-    ],
-)
-def test_a_recording_that_is_none_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
-    write_numbered(tmp_path, 3)
-    told = json.loads((tmp_path / FILE).read_text())
-    (tmp_path / FILE).write_text(json.dumps({**told, **change}))
-    with pytest.raises(DatasetError, match="No recording"):
-        Recording.open(tmp_path)
-
-
-def test_a_missing_picture_is_named(tmp_path: Path) -> None:
-    recording = write_numbered(tmp_path, 3)
-    (tmp_path / "depth_000001.png").unlink()
-    with pytest.raises(DatasetError, match=r"depth_000001\.png"):
-        recording.pictures(1)
-    assert recording.pictures(1, depth=False)[0] is not None
-
-
-def test_lerobot_makes_the_replay_camera_and_it_keeps_the_rate(tmp_path: Path) -> None:
-    write_numbered(tmp_path, 10, fps=50)
-    made = make_cameras_from_configs({"front": AdamanipReplayConfig(path=tmp_path)})["front"]
-    assert isinstance(made, AdamanipReplay)
-    made.connect()
-    assert (made.fps, made.width, made.height) == (50, WIDTH, HEIGHT)
-    assert made.depth_intrinsics().matrix[0, 0] == 30
-    start = made.frame_after(time.perf_counter(), 5.0)
-    stamp, frames = start.stamp, [start]
-    for _ in range(15):
-        frames.append(made.frame_after(stamp, 5.0))
-        stamp = frames[-1].stamp
-    made.disconnect()
-    for frame in frames:
-        assert frame.stamp <= frame.arrival
-        assert frame.depth is not None
-        assert frame.depth[0, 0] == 500 + frame.number % 10  # plays round and round, whatever was dropped
-        assert frame.stamp - start.stamp == pytest.approx((frame.number - start.number) / 50, abs=1e-6)
-    assert [f.number for f in frames] == sorted({f.number for f in frames})
-
-
-def test_another_rate_or_what_was_not_recorded_is_refused(tmp_path: Path) -> None:
-    write_numbered(tmp_path, 3, fps=30)
-    with pytest.raises(ConfigurationError, match="another rate"):
-        AdamanipReplay(AdamanipReplayConfig(path=tmp_path, fps=15)).connect()
-    told = json.loads((tmp_path / FILE).read_text())
-    (tmp_path / FILE).write_text(json.dumps({**told, "depth": False}))
-    with pytest.raises(DatasetError, match="no depth"):
-        AdamanipReplay(AdamanipReplayConfig(path=tmp_path)).connect()
-    camera = AdamanipReplay(AdamanipReplayConfig(path=tmp_path, use_depth=False))
-    camera.connect()
-    with pytest.raises(RobotError, match="takes no depth"):
-        camera.read_depth()
-    camera.disconnect()

@@ -61,16 +61,13 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _lerobot_as_it_was() -> Iterator[None]:
-    yield
+def _lerobot_as_it_is() -> Iterator[None]:
+    """Before and after, whatever the other tests run with."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(NO_PATCHES, raising=False)
+        yield
     if "__getitems__" in vars(LeRobotDataset):
         del LeRobotDataset.__getitems__
-
-
-@pytest.fixture(autouse=True)
-def _patched(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the other tests run with."""
-    monkeypatch.delenv(NO_PATCHES, raising=False)
 
 
 def _opened(root: Path, **options: Any) -> LeRobotDataset:
@@ -145,17 +142,6 @@ def test_the_mark_brings_the_patch_into_a_new_process(root: Path) -> None:
     del LeRobotDataset.__getitems__
     received = pickle.loads(sent)
     assert CAMERA not in received.__getitems__([0])[0]
-
-
-def test_batches_of_spawned_workers_are_the_same(root: Path) -> None:
-    dataset = _opened(root)
-    batched_reading.read_in_batches(dataset.meta)
-    here, there = (
-        list(torch.utils.data.DataLoader(dataset, batch_size=4, num_workers=workers, **context))
-        for workers, context in ((0, {}), (1, {"multiprocessing_context": "spawn"}))
-    )
-    for one, other in zip(here, there, strict=True):
-        _assert_same(one, other)
 
 
 def test_a_lerobot_that_reads_batches_itself_stays_as_it_is(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

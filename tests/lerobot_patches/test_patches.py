@@ -139,41 +139,21 @@ def test_one_variable_turns_all_off_with_one_line(
     assert stock() != before
 
 
-def other_metadata(patch: pytest.MonkeyPatch) -> None:
-    patch.delattr(LeRobotDatasetMetadata, "_close_writer")
-    patch.setattr(LeRobotDatasetMetadata, "close", lambda self: None, raising=False)
+UNFIT = [
+    ("durable_recording", (LeRobotDatasetMetadata, "_close_writer", None)),
+    ("durable_recording", (DatasetWriter, "close_writer", lambda self: None)),  # files stay open
+    ("ordered_depth", (StreamingVideoEncoder, "__init__", lambda self, depth_encoder: None)),
+    ("episode_signals", (lerobot_record, "record_loop", lambda session: None)),
+    ("episode_signals", (lerobot_record, "record", lambda cfg: None)),  # has no loop
+]
+"""Patch, and an attribute of LeRobot that another version has otherwise."""
 
 
-def open_files(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(DatasetWriter, "close_writer", lambda self: None)
-
-
-def other_encoder(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(StreamingVideoEncoder, "__init__", lambda self, depth_encoder: None)
-
-
-def other_loop(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(lerobot_record, "record_loop", lambda session: None)
-
-
-def no_loop(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(lerobot_record, "record", lambda cfg: None)
-
-
-@pytest.mark.parametrize(
-    ("change", "off"),
-    [
-        (other_metadata, "durable_recording"),
-        (open_files, "durable_recording"),
-        (other_encoder, "ordered_depth"),
-        (other_loop, "episode_signals"),
-        (no_loop, "episode_signals"),
-    ],
-)
+@pytest.mark.parametrize(("off", "attribute"), UNFIT)
 def test_a_patch_that_does_not_fit_is_off_alone_with_one_line(
-    change: Any, off: str, monkeypatch: pytest.MonkeyPatch, said: list[str]
+    off: str, attribute: tuple[Any, str, Any], monkeypatch: pytest.MonkeyPatch, said: list[str]
 ) -> None:
-    change(monkeypatch)
+    monkeypatch.setattr(*attribute)
     before = stock()
     lerobot_patches.apply()
     lerobot_patches.apply()
@@ -188,7 +168,7 @@ def test_a_patch_that_does_not_fit_is_off_alone_with_one_line(
 def test_depth_is_in_order_though_recordings_are_not_durable(
     monkeypatch: pytest.MonkeyPatch, said: list[str], tmp_path: Path
 ) -> None:
-    open_files(monkeypatch)
+    monkeypatch.setattr(DatasetWriter, "close_writer", lambda self: None)
     lerobot_patches.apply()
     monkeypatch.undo()
     dataset = record(tmp_path / "recording", 1)

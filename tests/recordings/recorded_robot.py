@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,44 +30,36 @@ def goal_at(tick: int) -> np.ndarray[Any, np.dtype[np.float32]]:
     return pose_vector(transform((0.5, 0.1 * np.sin(0.1 * tick), 0.7), turned), 1.0)
 
 
+class Device:
+    """What LeRobot asks of robots and teleoperators alike."""
+
+    action_features = dict.fromkeys(POSE_NAMES, float)
+    is_calibrated, is_connected, tick = True, False, 0
+
+    def connect(self, calibrate: bool = True) -> None:
+        self.is_connected = True
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+    def calibrate(self) -> None: ...
+
+    def configure(self) -> None: ...
+
+
 @RobotConfig.register_subclass("recorded_robot")
 @dataclass
 class RecordedRobotConfig(RobotConfig):
     pass
 
 
-class RecordedRobot(Robot):  # type: ignore[misc]
-    config_class = RecordedRobotConfig
-    name = "recorded_robot"
-
-    def __init__(self, config: RecordedRobotConfig) -> None:
-        super().__init__(config)
-        self.cameras: dict[str, Any] = {"front": None}
-        self.tick, self.sent, self.connected = 0, goal_at(0), False
-
-    @cached_property
-    def observation_features(self) -> dict[str, Any]:
-        pictures = {"front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1)}
-        return {**dict.fromkeys(SCALAR_NAMES, float), **pictures}
-
-    @cached_property
-    def action_features(self) -> dict[str, Any]:
-        return dict.fromkeys(POSE_NAMES, float)
-
-    @property
-    def is_connected(self) -> bool:
-        return self.connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        return True
-
-    def connect(self, calibrate: bool = True) -> None:
-        self.connected = True
-
-    def calibrate(self) -> None: ...
-
-    def configure(self) -> None: ...
+class RecordedRobot(Device, Robot):  # type: ignore[misc]
+    config_class, name = RecordedRobotConfig, "recorded_robot"
+    observation_features = dict.fromkeys(SCALAR_NAMES, float) | {
+        "front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1),
+    }  # fmt: skip
+    cameras = dict.fromkeys(["front"])
+    sent = goal_at(0)
 
     def get_observation(self) -> dict[str, Any]:
         values = np.zeros(len(SCALAR_NAMES))
@@ -85,9 +76,6 @@ class RecordedRobot(Robot):  # type: ignore[misc]
         self.sent = np.array([action[name] for name in POSE_NAMES], np.float32)
         return action
 
-    def disconnect(self) -> None:
-        self.connected = False
-
 
 @TeleoperatorConfig.register_subclass("recorded_teleop")
 @dataclass
@@ -95,45 +83,15 @@ class RecordedTeleopConfig(TeleoperatorConfig):
     pass
 
 
-class RecordedTeleop(Teleoperator):  # type: ignore[misc]
-    config_class = RecordedTeleopConfig
-    name = "recorded_teleop"
-
-    def __init__(self, config: RecordedTeleopConfig) -> None:
-        super().__init__(config)
-        self.tick, self.connected = 0, False
-
-    @property
-    def action_features(self) -> dict[str, Any]:
-        return dict.fromkeys(POSE_NAMES, float)
-
-    @property
-    def feedback_features(self) -> dict[str, Any]:
-        return {}
-
-    @property
-    def is_connected(self) -> bool:
-        return self.connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        return True
-
-    def connect(self, calibrate: bool = True) -> None:
-        self.connected = True
-
-    def calibrate(self) -> None: ...
-
-    def configure(self) -> None: ...
+class RecordedTeleop(Device, Teleoperator):  # type: ignore[misc]
+    config_class, name = RecordedTeleopConfig, "recorded_teleop"
+    feedback_features = dict.fromkeys((), float)
 
     def get_action(self) -> dict[str, Any]:
         self.tick += 1
         return dict(zip(POSE_NAMES, goal_at(self.tick).tolist(), strict=True))
 
     def send_feedback(self, feedback: dict[str, Any]) -> None: ...
-
-    def disconnect(self) -> None:
-        self.connected = False
 
 
 def _tell(saved: Path) -> None:

@@ -21,11 +21,11 @@ from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import accepted
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_json
-from lerobot_adamanip.lerobot_patches.durable_recording import _keep_safety
+from lerobot_adamanip.lerobot_patches.durable_recording import _keep_robot
 from lerobot_adamanip.recordings.convert import ConvertOptions, convert
 from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames
 from lerobot_adamanip.recordings.recording import DenseRecording
-from lerobot_adamanip.recordings.rows import Camera, RowOptions, demonstration_columns
+from lerobot_adamanip.recordings.rows import RowOptions, demonstration_columns
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 POINTS = 64
@@ -136,7 +136,7 @@ def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_p
     highest = float(max(stop.goal[2] for stop in STOPS))
     limits = SafetyLimits((-2.0, -2.0, -2.0), (2.0, 2.0, highest - 0.05))
     ROBOTS.open("arm").safety = limits
-    _keep_safety(root)  # as the recorder does
+    _keep_robot(root)  # as the recorder does
     ROBOTS.close("arm")
     assert limits_from_json((root / SAFETY).read_bytes()) == limits
     assert check(root).findings == []
@@ -158,8 +158,8 @@ def test_what_a_corrector_asked_for_stands_beside_what_was_accepted() -> None:
     asked[:, 9] *= 0.9  # a trigger that is not pulled all the way
     corrected = replace(episode, corrected=np.ones(len(episode), bool), asked=asked)
     chosen = choose_key_frames(corrected, FPS)
-    camera = Camera(lambda tick: (None, depth_at(tick)[..., 0]), calibration())
-    columns = demonstration_columns(corrected, chosen, camera, RowOptions(POINTS, None))
+    pictures = lambda tick: (None, depth_at(tick)[..., 0])  # noqa: E731
+    columns = demonstration_columns(corrected, chosen, pictures, calibration(), RowOptions(POINTS, None))
     goals = np.stack([stop.goal for stop in STOPS[1:]])
     np.testing.assert_array_equal(columns[schema.EXECUTED][:-1], goals)
     lifted = goals + np.eye(10, dtype=np.float32)[2] * np.float32(0.01)

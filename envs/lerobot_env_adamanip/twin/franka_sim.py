@@ -34,7 +34,11 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def __init__(self, config: AdamanipFrankaSimConfig) -> None:
         super().__init__(config)
-        self._seed, self._moved = config.seed, False
+        self._stands_at(config.seed)
+
+    def _stands_at(self, seed: int) -> None:
+        """Notes that the untouched scene of a seed is there."""
+        self._seed, self._moved = seed, False
         self._key_frames, self._over = 0, False
 
     # Life ------------------------------------------------------------------------------------------------------------
@@ -60,8 +64,7 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
         super()._open_session(limits, details)
-        self._seed, self._moved = self.config.seed, False
-        self._key_frames, self._over = 0, False
+        self._stands_at(self.config.seed)
         self._calibrated(details)
         assert self._client is not None
         for camera in self.cameras.values():
@@ -135,8 +138,7 @@ class AdamanipFrankaSim(AdamanipFranka):
         details.update(told)
         self._calibrated(told)
         self._motion.anchor()
-        self._seed, self._moved = seed, False
-        self._key_frames, self._over = 0, False
+        self._stands_at(seed)
 
     def begin_episode(self, index: int) -> None:
         """Resets to the scene of episode ``index``, unless it stands there untouched."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,14 +25,6 @@ STRAINED = 2.0
 """Torque that some joint of a blocked arm exceeds [N m]; an arm at the end of its reach exerts none."""
 PATIENCE = 8.0
 """Delay after which a motion times out [s]."""
-
-
-class Stage(enum.Enum):
-    """Parts of a key frame."""
-
-    MOVE = enum.auto()
-    GRIP = enum.auto()
-    PAUSE = enum.auto()
 
 
 @dataclass
@@ -63,9 +54,9 @@ class PlayedMotion:
     def __post_init__(self) -> None:
         way, turn = pose_error(self.start, self.goal)
         self._duration = 1.875 * max(way / self.speed, turn / self.angular_speed)
-        # As `KeyframeDriver`: a hand that is sent away closes or opens on its way; one that stays does nothing else.
-        self._elapsed, self._stage, self._stage_left = 0.0, Stage.MOVE, 0.0
-        self._seen: list[tuple[float, ArmReading]] = []
+        self._elapsed, self._seen = 0.0, list[tuple[float, ArmReading]]()
+        self._arrived: Outcome | None = None
+        self._grips, self._left = False, 0.0
         self.outcome: Outcome | None = None
 
     def step(self, reading: ArmReading, sent: Target, dt: float) -> Target:
@@ -73,16 +64,17 @@ class PlayedMotion:
         self._elapsed += dt
         self._seen = [each for each in self._seen if self._elapsed - each[0] <= STILL_TIME + 1e-9]
         self._seen.append((self._elapsed, reading))
-        if self._stage is Stage.MOVE:
-            self._judge_move(reading, sent)
-        elif self._stage is Stage.GRIP:
-            self._stage_left -= dt
-            if self._stage_left <= 0 and self._rests():
-                self._enter(Stage.PAUSE, self.pause)
+        if self._arrived is None:
+            self._arrived = self._judge_move(reading, sent)
+            # As `KeyframeDriver`: a hand that is sent away closes or opens on its way, one that stays does that alone.
+            self._grips = self._arrived is Outcome.REACHED and abs(self.gripper - self.held) > 0.1
+            self._left = STILL_TIME if self._grips else self.pause
         else:
-            self._stage_left -= dt
-            if self._stage_left <= 0:
-                self.outcome = self._ended
+            self._left -= dt
+            if self._left <= 0 and not self._grips:
+                self.outcome = self._arrived
+            elif self._left <= 0 and self._rests():
+                self._grips, self._left = False, self.pause
         return self._wanted(sent)
 
     def feedback(self, reading: ArmReading) -> Feedback:
@@ -90,35 +82,26 @@ class PlayedMotion:
         return Feedback(reading.tcp_in_base, reading.gripper, self.outcome)
 
     def _wanted(self, sent: Target) -> Target:
-        gripper = self.gripper
-        if self._stage is Stage.MOVE:
+        if self._arrived is None:
             share = 1.0 if self._duration <= 0 else min(1.0, self._elapsed / self._duration)
             smooth = share**3 * (10 - 15 * share + 6 * share**2)
-            return pose_vector(straight_path(self.start, self.goal, np.array([smooth]))[0], gripper)
+            return pose_vector(straight_path(self.start, self.goal, np.array([smooth]))[0], self.gripper)
         held = sent.copy()
-        held[9] = gripper
+        held[9] = self.gripper
         return held
 
-    def _judge_move(self, reading: ArmReading, sent: Target) -> None:
+    def _judge_move(self, reading: ArmReading, sent: Target) -> Outcome | None:
+        """Returns how the motion has ended; None while it goes on."""
         limits = DEFAULT_MOTION
         far, turned = pose_error(reading.tcp_in_base, self.goal)
         near = far < limits.reached_position and turned < limits.reached_rotation
-        late = self._elapsed > self._duration + PATIENCE
         if near and self._elapsed >= self._duration and self._rests():
-            self._end(Outcome.REACHED)
-        elif late:
-            self._end(Outcome.TIMEOUT)
-        elif self._elapsed > STILL_TIME and self._rests() and self._lags(reading, sent):
-            strained = float(np.abs(reading.effort).max()) > STRAINED
-            self._end(Outcome.STALLED if strained else Outcome.UNREACHABLE)
-
-    def _end(self, outcome: Outcome) -> None:
-        self._ended = outcome
-        moves = abs(self.gripper - self.held) > 0.1 and outcome is Outcome.REACHED
-        self._enter(Stage.GRIP if moves else Stage.PAUSE, STILL_TIME if moves else self.pause)
-
-    def _enter(self, stage: Stage, seconds: float) -> None:
-        self._stage, self._stage_left = stage, seconds
+            return Outcome.REACHED
+        if self._elapsed > self._duration + PATIENCE:
+            return Outcome.TIMEOUT
+        if self._elapsed > STILL_TIME and self._rests() and self._lags(reading, sent):
+            return Outcome.STALLED if float(np.abs(reading.effort).max()) > STRAINED else Outcome.UNREACHABLE
+        return None
 
     def _rests(self) -> bool:
         (first, before), (last, now) = self._seen[0], self._seen[-1]

@@ -5,9 +5,6 @@ from __future__ import annotations
 import threading
 import time
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
@@ -37,7 +34,7 @@ class AdamanipTwin(ThreadedCamera):
     def __init__(self, config: AdamanipTwinConfig) -> None:
         super().__init__(config, "twin")
         self._client: ArmClient | None = None
-        self._size, self._lockstep = 0, False
+        self._lockstep = False
         self._wanted = self._due = 0.0
         self._seen_at: float | None = None
 
@@ -50,15 +47,20 @@ class AdamanipTwin(ThreadedCamera):
                 allowed=f"{size} x {size}, or none",
                 hint="--robot.image_size=256",
             )
-        self._client, self._size, self._lockstep = client, size, lockstep
+        self._client, self._lockstep = client, lockstep
         self.width = self.height = size
         self.fps = self.config.fps or CAMERA_HZ
 
-    def wake(self) -> None:
-        """Notes that a frame is wanted."""
+    def wake(self, *, new: bool = False) -> None:
+        """Notes that a frame is wanted; in lockstep takes it, if there is none of this step or a new one is wanted."""
         self._wanted = time.perf_counter()
         if self._lockstep and self.is_connected:
-            self._refresh(force=False)
+            assert self._client is not None
+            reading = self._client.status().reading
+            now = None if reading is None else reading.robot_time
+            if new or self._seen_at is None or now != self._seen_at:
+                self.frames.put(self._look())
+                self._seen_at = now
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
         """As of every camera; in lockstep, the frame of this step."""
@@ -66,25 +68,7 @@ class AdamanipTwin(ThreadedCamera):
 
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
         """As of every camera; in lockstep it is taken now."""
-        if self._lockstep and self.is_connected:
-            self._refresh(force=True)
-            stamp = float("-inf")
-        return super().frame_after(stamp, timeout)
-
-    def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
-        """As of every camera; in lockstep it is taken now."""
-        if self._lockstep and self.is_connected:
-            self._refresh(force=True)
-        return super().async_read(timeout_ms)
-
-    def _refresh(self, *, force: bool) -> None:
-        """Takes a picture of this step, unless there is one."""
-        assert self._client is not None
-        reading = self._client.status().reading
-        now = None if reading is None else reading.robot_time
-        if force or self._seen_at is None or now != self._seen_at:
-            self.frames.put(self._look())
-            self._seen_at = now
+        return super().frame_after(float("-inf") if self._lockstep and self.is_connected else stamp, timeout)
 
     def _open(self) -> None:
         if self._client is None or not self._client.is_connected:
@@ -98,17 +82,15 @@ class AdamanipTwin(ThreadedCamera):
         self._wanted = self._due = time.perf_counter()
 
     def _take(self, stop: threading.Event) -> Frame | None:
-        if self._lockstep:
-            stop.wait(WANTED_FOR)
-            return None
         now = time.perf_counter()
-        if now - self._wanted > WANTED_FOR or now < self._due:
-            stop.wait(0.005 if now < self._due else 0.02)
+        if self._lockstep or now - self._wanted > WANTED_FOR or now < self._due:
+            stop.wait(WANTED_FOR if self._lockstep else 0.005 if now < self._due else 0.02)
             return None
         self._due = max(self._due + 1.0 / (self.fps or CAMERA_HZ), now)
         return self._look()
 
     def _look(self) -> Frame:
+        """Takes a picture; its stamp in lockstep is that of the last reading, which it shows."""
         assert self._client is not None
         self._client.request("look", time_limit=LOOK_TIME)
         found = self._client.frame(FRONT_FRAMES)
@@ -116,13 +98,10 @@ class AdamanipTwin(ThreadedCamera):
             raise RobotError("The twin has taken no picture.")
         frame: Frame = found[1]
         arrival = time.perf_counter()
+        reading = self._client.status().reading if self._lockstep else None
+        stamp = frame.stamp if reading is None else reading.stamp
         color, depth = frame.color if self.use_rgb else None, frame.depth if self.use_depth else None
-        return Frame(self._stamp(frame.stamp), arrival, color, depth, frame.number)
-
-    def _stamp(self, taken: float) -> float:
-        """Returns the time of a picture; in lockstep that of the last reading, which it shows."""
-        reading = self._client.status().reading if self._lockstep and self._client is not None else None
-        return taken if reading is None else reading.stamp
+        return Frame(stamp, arrival, color, depth, frame.number)
 
     def _close(self) -> None:
         self._seen_at = None

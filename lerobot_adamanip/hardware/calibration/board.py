@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,14 +24,12 @@ class Board:
         columns, rows: squares along x and y.
         square: side of a square [m].
         marker: side of a marker [m], less than a square's.
-        legacy: the pattern of OpenCV before 4.6, whose first square is white where the number of rows is even.
     """
 
     columns: int = 7
     rows: int = 5
     square: float = 0.040
     marker: float = 0.030
-    legacy: bool = False
 
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 14 and 3 <= self.rows <= 14 and 0.2 * self.square < self.marker < self.square < 1):
@@ -68,17 +66,6 @@ class Board:
         points = np.asarray(drawn.getChessboardCorners(), np.float64)[np.ravel(ids)]
         return points, np.asarray(corners, np.float64).reshape(-1, 2)
 
-    def why_unseen(self, gray: NDArray[np.uint8]) -> str:
-        """Returns why `detect` finds nothing in a picture: the pattern may be the other one."""
-        if self.rows % 2 == 0 and len(replace(self, legacy=not self.legacy).detect(gray)[0]):
-            return f"it has OpenCV's {'present' if self.legacy else 'older'} pattern: {pattern_hint(not self.legacy)}"
-        return "the board is not seen"
-
-
-def pattern_hint(legacy: bool) -> str:
-    """Returns the option of `adamanip calibrate` for a board of this pattern."""
-    return "--legacy-pattern" if legacy else "leave out --legacy-pattern"
-
 
 def _spacing(corners: NDArray[np.float64]) -> float:
     """Median distance from each corner (K, 2) to the nearest other [px]."""
@@ -94,5 +81,4 @@ def _aruco(board: Board) -> tuple[Any, Any]:
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
     made = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
-    made.setLegacyPattern(board.legacy)
     return made, cv2.aruco.CharucoDetector(made)

@@ -14,12 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.rotations import (
-    angle_between,
-    matrix_from_rotation_vector,
-    rotation_vector_from_matrix,
-    transform,
-)
+from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotation_vector, transform
 from lerobot_adamanip.hardware.camera_frames import Intrinsics
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -137,7 +132,7 @@ class _Problem:
 
     def errors(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> Array:
         """Returns the errors (K, 2) [px] of all corners, or of those ``kept``."""
-        chosen = slice(None) if kept is None else kept
+        chosen = ... if kept is None else kept
         board_in_camera = np.linalg.inv(camera) @ self.moved @ board
         points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
         return np.asarray(_project(points[:, :3], self.intrinsics) - self.pixels[chosen])
@@ -172,8 +167,8 @@ def _project(points_in_camera: Array, intrinsics: Intrinsics) -> Array:
 
 def _moved(views: Sequence[View], mounting: Mounting) -> Array:
     """(V, 4, 4), see the equation above."""
-    poses = np.stack([view.tcp_in_base for view in views]) if views else np.zeros((0, 4, 4))
-    return poses if mounting is Mounting.FIXED or not len(poses) else np.asarray(np.linalg.inv(poses), np.float64)
+    poses = np.reshape([view.tcp_in_base for view in views], (-1, 4, 4))
+    return poses if mounting is Mounting.FIXED else np.linalg.inv(poses)
 
 
 def _small(step: Array) -> Array:
@@ -237,9 +232,10 @@ def _require_variety(views: Sequence[View], moved: Array) -> None:
 
 def _rotation_spread(poses: Array) -> Array:
     """Returns the range of the turns of poses (V, 4, 4) about their principal axes, the largest first (3,) [rad]."""
-    left, _, right = np.linalg.svd(poses[:, :3, :3].mean(axis=0))
-    middle = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    turns = np.stack([rotation_vector_from_matrix(middle.T @ pose[:3, :3]) for pose in poses])
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_matrix(poses[:, :3, :3])
+    turns = (rotations.mean().inv() * rotations).as_rotvec()
     axes = np.linalg.svd(turns - turns.mean(axis=0))[2]
     return np.sort(np.ptp(turns @ axes.T, axis=0))[::-1]
 

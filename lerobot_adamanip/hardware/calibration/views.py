@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.calibration.board import DICTIONARY, Board, pattern_hint
+from lerobot_adamanip.hardware.calibration.board import DICTIONARY, Board
 from lerobot_adamanip.hardware.calibration.file import check_intrinsics, check_name, check_pose, to_json
 from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, View
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
@@ -30,7 +30,6 @@ _CHECK = json_fields.table(
                 "rows": json_fields.integer(3, 14),
                 "square": _SIDE,
                 "marker": _SIDE,
-                "legacy": json_fields.flag,
             }
         ),
         "color": check_intrinsics,
@@ -70,7 +69,7 @@ class ViewFolder:
         try:
             read = json_fields.read(folder / FILE)
             if isinstance(read, dict) and isinstance(read.get("board"), dict):
-                read["board"].setdefault("legacy", False)  # folders of before 0.3
+                read["board"].pop("legacy", None)  # folders of version 0.3
             told = _CHECK(FILE, read)
             if (told["depth"] is None) != (told["depth_in_color"] is None):
                 raise ValueError("depth and depth_in_color go together")
@@ -105,7 +104,7 @@ class ViewFolder:
         """
         import cv2
 
-        found, reasons = [], []
+        found: list[View] = []
         for index, pose in enumerate(self.tcp_in_base):
             path = self._picture(index)
             gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -116,27 +115,19 @@ class ViewFolder:
                     allowed=f"a picture of {self.color.width} x {self.color.height}",
                     hint="take them again",
                 )
-            picture = np.asarray(gray, np.uint8)
-            points, pixels = self.board.detect(picture)
+            points, pixels = self.board.detect(np.asarray(gray, np.uint8))
             if len(points):
                 found.append(View(path.name, pose, points, pixels))
             else:
-                reasons.append(self.board.why_unseen(picture))
-                tell(f"{path.name}: {reasons[-1]}")
-        if not found and reasons:
-            self._refuse_unseen(reasons)
+                tell(f"{path.name}: the board is not seen")
+        if not found and self.tcp_in_base:
+            raise ConfigurationError(
+                "No picture shows the board.",
+                got=f"{len(self.tcp_in_base)} pictures without it",
+                allowed=f"{self.board.columns} x {self.board.rows} squares, {DICTIONARY}, pattern of OpenCV since 4.6",
+                hint="is it the board of --board-image, whole in the picture, and sharp?",
+            )
         return found
-
-    def _refuse_unseen(self, reasons: list[str]) -> None:
-        other = pattern_hint(not self.board.legacy)
-        raise ConfigurationError(
-            "No picture shows the board.",
-            got=max(reasons, key=lambda reason: other in reason),
-            allowed=f"{self.board.columns} x {self.board.rows} squares, markers of {DICTIONARY}",
-            hint=f"{other}: OpenCV's older boards of an even number of rows are others"
-            if self.board.rows % 2 == 0
-            else "is it the board of --board-image, whole in the picture, and sharp?",
-        )
 
     def calibration(self, solved: HandEye) -> CameraCalibration:
         """Returns the calibration of the imager of depth, given the pose of the imager of the pictures."""

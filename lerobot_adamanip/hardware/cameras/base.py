@@ -13,7 +13,7 @@ from lerobot.cameras.camera import Camera
 from lerobot.cameras.configs import CameraConfig
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_AGE = 0.5
@@ -31,33 +31,25 @@ class LatestFrame:
 
     def clear(self) -> None:
         """Removes frame and failure."""
-        with self._changed:
-            self._frame: Frame | None = None
-            self._failure: Exception | None = None
-            self._taken = -1
-            self._changed.notify_all()
+        self._taken = -1
+        self._set(None, None)
 
     def put(self, frame: Frame) -> None:
         """Replaces the frame."""
-        with self._changed:
-            self._frame = frame
-            self._changed.notify_all()
+        self._set(frame, self.failure)
 
     def fail(self, error: Exception) -> None:
         """Ends the frames: waiting and later calls return None."""
-        with self._changed:
-            self._failure = error
-            self._changed.notify_all()
+        self._set(self._frame, error)
 
-    @property
-    def failure(self) -> Exception | None:
-        """Reason why no frame will come; None while one may."""
-        return self._failure
+    def _set(self, frame: Frame | None, failure: Exception | None) -> None:
+        with self._changed:
+            self._frame, self.failure = frame, failure
+            self._changed.notify_all()
 
     def latest(self) -> Frame | None:
         """Returns the last frame, however old; None before the first."""
-        with self._changed:
-            return self._frame
+        return self._frame
 
     def after(self, stamp: float, timeout: float) -> Frame | None:
         """Returns a frame exposed after ``stamp`` [s]; None if none comes within ``timeout`` [s]."""
@@ -74,7 +66,7 @@ class LatestFrame:
             return self._frame is not None and wanted(self._frame)
 
         with self._changed:
-            self._changed.wait_for(lambda: self._failure is not None or ready(), timeout)
+            self._changed.wait_for(lambda: self.failure is not None or ready(), timeout)
             return self._frame if ready() else None
 
 
@@ -94,20 +86,8 @@ class FrameReader:
     use_rgb: bool
     use_depth: bool
 
-    def wake(self) -> None:
-        """Called before each reading, for a camera that takes frames on demand."""
-
-    def depth_intrinsics(self) -> Intrinsics:
-        """Returns the projection of the imager of depth; raises `RobotError` where it is not known."""
-        raise self._error("No intrinsics of its depth.", "a camera without its own", "a calibration file")
-
-    def color_intrinsics(self) -> Intrinsics:
-        """Returns the projection of the colour imager; raises `RobotError` where it is not known."""
-        raise self._error("No intrinsics of its colour.", "a camera without its own", "a calibration file")
-
-    def depth_in_color(self) -> NDArray[np.float64] | None:
-        """Returns the (4, 4) pose [m] of the depth imager in the colour imager's frame; None where it is not known."""
-        return None
+    def wake(self, *, new: bool = False) -> None:
+        """Called before each reading, for a camera that takes frames on demand; ``new``: one that was not read yet."""
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
         """Returns the last frame at once.
@@ -131,35 +111,37 @@ class FrameReader:
         Raises:
             RobotError: none came within ``timeout`` [s], or the camera has failed.
         """
-        self.wake()
+        self.wake(new=True)
         return self._given(self.frames.after(stamp, timeout), timeout)
 
+    # LeRobot's ways to read: colour (H, W, 3), depth (H, W, 1) [mm]; all raise `RobotError`.
+
     def read(self) -> NDArray[np.uint8]:
-        """Returns the colour (H, W, 3) of a frame exposed from now on; raises `RobotError`."""
+        """Returns the colour of a frame exposed from now on."""
         return self._color(self.frame_after(time.perf_counter(), timeout=2 * MAX_AGE))
 
-    def read_latest(self, max_age_ms: float = 1e3 * MAX_AGE) -> NDArray[np.uint8]:
-        """Returns the colour (H, W, 3) of `latest_frame`."""
-        return self._color(self.latest_frame(max_age_ms / 1e3))
-
-    def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
-        """Returns the colour (H, W, 3) of a frame that was not read this way before; raises `RobotError`."""
-        return self._color(self._next_frame(timeout_ms / 1e3))
-
     def read_depth(self, timeout_ms: float = 2e3 * MAX_AGE) -> NDArray[np.uint16]:
-        """Returns the depth (H, W, 1) [mm] of a frame exposed from now on; raises `RobotError`."""
+        """Returns the depth of a frame exposed from now on."""
         return self._depth(self.frame_after(time.perf_counter(), timeout_ms / 1e3))
 
+    def read_latest(self, max_age_ms: float = 1e3 * MAX_AGE) -> NDArray[np.uint8]:
+        """Returns the colour of `latest_frame`."""
+        return self._color(self.latest_frame(max_age_ms / 1e3))
+
     def read_latest_depth(self, max_age_ms: float = 1e3 * MAX_AGE) -> NDArray[np.uint16]:
-        """Returns the depth (H, W, 1) [mm] of `latest_frame`."""
+        """Returns the depth of `latest_frame`."""
         return self._depth(self.latest_frame(max_age_ms / 1e3))
 
+    def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
+        """Returns the colour of a frame that was not read this way before."""
+        return self._color(self._next_frame(timeout_ms / 1e3))
+
     def async_read_depth(self, timeout_ms: float = 200) -> NDArray[np.uint16]:
-        """Returns the depth (H, W, 1) [mm] of a frame that was not read this way before; raises `RobotError`."""
+        """Returns the depth of a frame that was not read this way before."""
         return self._depth(self._next_frame(timeout_ms / 1e3))
 
     def _next_frame(self, timeout: float) -> Frame:
-        self.wake()
+        self.wake(new=True)
         return self._given(self.frames.next(timeout), timeout)
 
     def _given(self, frame: Frame | None, timeout: float) -> Frame:

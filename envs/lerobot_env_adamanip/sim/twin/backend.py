@@ -73,21 +73,23 @@ class SapienBackend:
 
     def _tick(self) -> None:
         scene = self._scene
-        before = scene.ticks
+        before, done = scene.ticks, False
         if self._motion is not None:
             if self._motion.step():
                 self._motion, self._outcome = None, scene.feedback.outcome
-                self._succeed(scene.episode_success)
+                done = scene.episode_success
         else:
             scene.driver.stream_tick()
-            self._succeed(scene.task_simulation.succeeded())
+            done = scene.task_simulation.succeeded()
+        if done and not self._success:
+            self._publish_success(True)
         # A motion ends in the slice after its last tick: time stands still for it, and the arm's clock must not.
         self._time += max(1, scene.ticks - before) * TICK
 
     def read(self) -> ArmReading:
         """Returns the state at the end of the latest tick; the stamp is this machine's time."""
         scene = self._scene
-        felt, joints = scene.felt(), scene.task_simulation.arm_state()
+        felt, joints = scene.driver.measured(), scene.task_simulation.arm_state()
         moves = self._motion is not None or bool(np.abs(joints.qvel).max() > MOVING)
         return ArmReading(
             stamp=time.perf_counter() if self._options.lockstep else min(self._ticked, time.perf_counter()),
@@ -144,9 +146,8 @@ class SapienBackend:
         self._abort()
         self._scene.reset(seed=seed)
         self._eye, self._outcome, self._streaming = None, None, False
-        self._success = False
-        self._publish_success()
         self._seed = seed
+        self._publish_success(False)
         if self._frames:  # pictures were wanted, and will be again
             self._camera().get_ready()
         self._ticked = time.perf_counter()
@@ -192,12 +193,8 @@ class SapienBackend:
             "seconds": round(scene.ticks * TICK, 6),
         }
 
-    def _succeed(self, done: bool) -> None:
-        if done and not self._success:
-            self._success = True
-            self._publish_success()
-
-    def _publish_success(self) -> None:
+    def _publish_success(self, done: bool) -> None:
+        self._success = done
         if SUCCESS_BOX in self._boxes:
             self._boxes[SUCCESS_BOX].write(self._success)
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.tasks import AdaManipTask
@@ -67,7 +66,3 @@ class TwinScene(KeyframeEnv):
             limits=sim.definition.motion,
         )
         return drawn
-
-    def felt(self) -> Feedback:
-        """Returns the arm's pose and gripper as measured now; no outcome."""
-        return self.driver.measured()
