@@ -15,6 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot.configs.video import DepthEncoderConfig
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.video_utils import StreamingVideoEncoder
 from recorded_robot import SAVED
 
 from lerobot_adamanip import lerobot_patches
@@ -22,6 +25,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.reading import read_info
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
+from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -108,11 +112,13 @@ class Recording:
         os.close(self._terminal)
 
 
+def opened(root: Path) -> LeRobotDataset:
+    return LeRobotDataset("local/killed", root=root, video_backend="pyav")
+
+
 def require_readable(root: Path, saved: list[tuple[int, int]]) -> int:
     """Every saved episode is there with its rows and frames; returns how many episodes there are."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    dataset = LeRobotDataset("local/killed", root=root, video_backend="pyav")
+    dataset = opened(root)
     lengths = [dataset.meta.episodes[number]["length"] for number in range(dataset.num_episodes)]
     for number, rows in saved:
         assert lengths[number] == rows
@@ -146,20 +152,13 @@ def killed_again_and_again(folder: Path, kills: int, *, streaming: bool, seed: i
         # An episode may be counted when its process is killed before it says so.
         assert len(saved) <= episodes <= len(saved) + 1
         if episodes > len(saved):
-            length = episode_length(root, episodes - 1)
             with recording.saved.open("a") as file:
-                file.write(f"{episodes - 1} {length}\n")
+                file.write(f"{episodes - 1} {opened(root).meta.episodes[episodes - 1]['length']}\n")
     with Recording(folder, resume=True, streaming=streaming, episodes=1) as last:
         before = len(last.lines())
         last.end()
     assert [number for number, _ in last.lines()] == list(range(before + 1))
     return require_readable(root, last.lines())
-
-
-def episode_length(root: Path, number: int) -> int:
-    from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
-
-    return int(LeRobotDatasetMetadata("local/killed", root=root).episodes[number]["length"])
 
 
 def test_a_killed_recording_is_readable_and_goes_on(tmp_path: Path) -> None:
@@ -179,8 +178,6 @@ def test_ten_kills(tmp_path: Path, streaming: bool) -> None:
 
 
 def test_of_other_robots_lerobot_keeps_the_writing(tmp_path: Path) -> None:
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
     features = {"observation.state": {"dtype": "float32", "shape": (2,), "names": ["a", "b"]}}
     dataset = LeRobotDataset.create("local/other", 30, features, root=tmp_path / "other")
     for _ in range(2):
@@ -193,11 +190,6 @@ def test_of_other_robots_lerobot_keeps_the_writing(tmp_path: Path) -> None:
 
 def test_depth_of_an_episode_that_ends_at_once_can_be_written(tmp_path: Path) -> None:
     """With LeRobot's own settings one video in four of one or two frames cannot be."""
-    from lerobot.configs.video import DepthEncoderConfig
-    from lerobot.datasets.video_utils import StreamingVideoEncoder
-
-    from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
-
     encoder = StreamingVideoEncoder(30, depth_encoder=in_order(DepthEncoderConfig()), encoder_threads=1)
     for number in range(30):
         encoder.start_episode(["depth"], tmp_path, ["depth"])
@@ -207,10 +199,6 @@ def test_depth_of_an_episode_that_ends_at_once_can_be_written(tmp_path: Path) ->
 
 
 def test_settings_of_ones_own_are_kept() -> None:
-    from lerobot.configs.video import DepthEncoderConfig
-
-    from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
-
     assert in_order(DepthEncoderConfig()).extra_options == {"x265-params": "lossless=1:bframes=0"}
     for own in ({"x265-params": "lossless=1:bframes=2"}, {"x265-params": "bframes=0"}):
         assert in_order(DepthEncoderConfig(extra_options=own)).extra_options == own
@@ -220,8 +208,6 @@ def test_settings_of_ones_own_are_kept() -> None:
 def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
     root = tmp_path / "dense"
     features = {
         schema.STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},

@@ -7,7 +7,6 @@ arrival, and reads colour and depth by two calls.
 from __future__ import annotations
 
 import time
-from collections import deque
 from threading import Event
 from typing import Any
 
@@ -23,25 +22,9 @@ from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 WAIT_MS = 200
 MAX_LATENCY = 1.0
-"""A frame that claims to be older at arrival [s] comes from a clock that was set, and is stamped by its arrival."""
+"""A frame that claims to be older at arrival [s] is stamped by its arrival: a clock was set, or is the device's own."""
 PINHOLES = ("none", "brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
 """Models whose five coefficients are OpenCV's, the latter two up to second order."""
-
-
-class DeviceClock:
-    """Maps a device's clock to `time.perf_counter()` by the quickest arrivals: a stamp is late by the least delay.
-
-    Args:
-        window: arrivals that count. Clocks drift by some 50 millionths, which is 0.5 ms in 300 frames at 30 Hz.
-    """
-
-    def __init__(self, window: int = 300) -> None:
-        self._offsets: deque[float] = deque(maxlen=window)
-
-    def stamp(self, device: float, arrival: float) -> float:
-        """Returns the time of exposure [s], given the device's [s] and the arrival [s]."""
-        self._offsets.append(arrival - device)
-        return device + min(self._offsets)
 
 
 class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
@@ -50,7 +33,6 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
     def __init__(self, config: AdamanipRealsenseConfig) -> None:
         self.name = config.serial_number_or_name
         self.frames = LatestFrame()
-        self._clock = DeviceClock()
         self._last_number: int | None = None
         self._scale = 1.0
         self.dropped = 0
@@ -101,7 +83,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         if self.use_depth:
             assert self.rs_profile is not None
             self._scale = 1e3 * self.rs_profile.get_device().first_depth_sensor().get_depth_scale()
-        self._clock, self._last_number, self.dropped = DeviceClock(), None, 0
+        self._last_number, self.dropped = None, 0
         super()._start_read_thread()
 
     def _stop_read_thread(self) -> None:
@@ -154,9 +136,6 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         return np.where(depth <= np.iinfo(np.uint16).max, depth, 0).astype(np.uint16)
 
     def _stamp(self, frame: Any, arrival: float) -> float:
-        """Returns when a frame was exposed, by its own clock."""
-        told = frame.get_timestamp() / 1e3
-        if frame.get_frame_timestamp_domain() == stock.rs.timestamp_domain.hardware_clock:
-            return self._clock.stamp(told, arrival)
-        latency = time.time() - (time.perf_counter() - arrival) - told  # the others are the host's calendar clock
+        """Returns when a frame was exposed, by the host's calendar clock, to which the SDK maps the device's."""
+        latency = time.time() - (time.perf_counter() - arrival) - frame.get_timestamp() / 1e3
         return arrival - latency if 0 <= latency <= MAX_LATENCY else arrival
