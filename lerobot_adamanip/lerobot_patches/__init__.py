@@ -8,8 +8,6 @@ itself off with one line in the log where LeRobot is different. The variable `NO
 
 from __future__ import annotations
 
-import importlib
-
 from lerobot_adamanip.lerobot_patches import support
 from lerobot_adamanip.lerobot_patches.support import NO_PATCHES, UnsupportedError, warn_once
 
@@ -44,7 +42,7 @@ def apply() -> None:
             continue
         before = support.count()
         try:
-            importlib.import_module(f"{__name__}.{name}").apply()
+            _apply(name)
             _on.add(name)
         except (UnsupportedError, ImportError) as error:
             support.restore(before)
@@ -55,3 +53,13 @@ def restore() -> None:
     """Takes all patches back: for comparison with LeRobot as it is."""
     support.restore()
     _on.clear()
+
+
+def _apply(name: str) -> None:
+    if name == "durable_recording":
+        from lerobot_adamanip.lerobot_patches.durable_recording import apply as patch
+    elif name == "ordered_depth":
+        from lerobot_adamanip.lerobot_patches.ordered_depth import apply as patch
+    else:
+        from lerobot_adamanip.lerobot_patches.episode_signals import apply as patch
+    patch()
