@@ -55,9 +55,8 @@ class RecordedRobotConfig(RobotConfig):
 
 class RecordedRobot(Device, Robot):  # type: ignore[misc]
     config_class, name = RecordedRobotConfig, "recorded_robot"
-    observation_features = dict.fromkeys(SCALAR_NAMES, float) | {
-        "front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1),
-    }  # fmt: skip
+    observation_features = dict.fromkeys(SCALAR_NAMES, float)
+    observation_features |= {"front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1)}
     cameras = dict.fromkeys(["front"])
     sent = goal_at(0)
 
