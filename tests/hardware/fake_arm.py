@@ -13,12 +13,7 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.contract.rotations import (
-    matrix_from_rotation_vector,
-    pose_from_vector,
-    rotation_vector_from_matrix,
-    transform,
-)
+from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
 from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
@@ -27,7 +22,7 @@ from lerobot_adamanip.util.errors import RobotError
 
 START_ROTATION = np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)))
 REST_QPOS = (0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.8)
-LEAN_STIFFNESS, FINGER_SPEED, NEAR = 1000.0, 4.0, 1e-6
+LEAN_STIFFNESS, NEAR = 1000.0, 1e-6
 STALL_LAG, TIME_LIMIT = 0.03, 30.0
 
 
@@ -94,9 +89,7 @@ class FakeBackend:
         self._desired = _towards(self._desired, self._goal, self._options.speed * self.period)
         before, self._tcp = self._tcp, self._desired.copy()
         self._tcp[0, 3] = min(self._tcp[0, 3], self._options.wall)
-        step = float(np.clip(self._gripper_goal - self._gripper, -1.0, 1.0)) * FINGER_SPEED * self.period
-        rest = self._gripper_goal - self._gripper
-        self._gripper += step if abs(step) < abs(rest) and abs(rest) > 0.01 else rest
+        self._gripper = self._gripper_goal
         self._moving = bool(np.abs(self._tcp - before).max() > NEAR)
 
     def _end_keyframe(self) -> None:
@@ -105,7 +98,7 @@ class FakeBackend:
         lag = float(np.linalg.norm(self._desired[:3, 3] - self._tcp[:3, 3]))
         if lag > STALL_LAG:
             self._finish(Outcome.STALLED)
-        elif np.abs(self._tcp - self._goal).max() < NEAR and self._gripper == self._gripper_goal:
+        elif np.abs(self._tcp - self._goal).max() < NEAR:
             self._finish(Outcome.REACHED)
         elif self._time >= self._keyframe_ends:
             self._finish(Outcome.TIMEOUT)
@@ -180,14 +173,10 @@ class FakeBackend:
 
 
 def _towards(start: Array, goal: Array, step: float) -> Array:
-    """The pose on the way to ``goal`` after ``step`` [m], or five times as many radians."""
-    turn = rotation_vector_from_matrix(start[:3, :3].T @ goal[:3, :3])
-    way = max(float(np.linalg.norm(goal[:3, 3] - start[:3, 3])), float(np.linalg.norm(turn)) / 5)
-    if way <= step:
-        return goal.copy()
-    share = step / way
-    position = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
-    return transform(position, start[:3, :3] @ matrix_from_rotation_vector(share * turn))
+    """The pose ``step`` [m] on the way to ``goal``, turned already."""
+    pose, way = goal.copy(), goal[:3, 3] - start[:3, 3]
+    pose[:3, 3] = start[:3, 3] + way * min(1.0, step / max(float(np.linalg.norm(way)), NEAR))
+    return pose
 
 
 def serve_fake(options: FakeOptions, _: Mapping[str, Mailbox]) -> Served:

@@ -81,7 +81,6 @@ class ArmStatus:
         holding: the arm was stopped: targets of a stream did not come, or `stop` was asked for.
         fault: why no target is accepted until `recover`; None if all is well.
         lost: the fault is a lost connection: connect again.
-        faults: how many there were since the process began.
     """
 
     beat: float
@@ -91,7 +90,6 @@ class ArmStatus:
     holding: bool = False
     fault: str | None = None
     lost: bool = False
-    faults: int = 0
 
 
 @message

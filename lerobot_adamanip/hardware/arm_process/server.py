@@ -60,7 +60,7 @@ class ArmServer:
         self._handlers |= {"step": self._step, "stop": self._hold, "recover": self._recover, "shutdown": self._end}
         self._parent, self._ended = os.getppid(), False
         self._reading: ArmReading | None = None
-        self._accepted = self._faults = 0
+        self._accepted = 0
         self._target: ArmTarget | None = None
         self._arrival = self._advanced = time.perf_counter()
         self._holding = self._lost = False
@@ -161,9 +161,8 @@ class ArmServer:
 
     def _publish(self) -> None:
         sent = None if self._target is None else self._target.pose
-        now = time.perf_counter()
-        state = (self._accepted, sent, self._holding, self._fault, self._lost, self._faults)
-        self._status.write(ArmStatus(now, self._reading, *state))
+        state = (self._accepted, sent, self._holding, self._fault, self._lost)
+        self._status.write(ArmStatus(time.perf_counter(), self._reading, *state))
 
     # Faults ----------------------------------------------------------------------------------------------------------
 
@@ -181,7 +180,6 @@ class ArmServer:
         self._lost = self._lost or lost
         if self._fault is None:
             self._fault = what[:MAX_TEXT]
-            self._faults += 1
             self._publish()
             with contextlib.suppress(RobotError):
                 self._backend.stop()
