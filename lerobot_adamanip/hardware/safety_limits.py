@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 
 from lerobot_adamanip.contract.rotations import Array, angle_between, straight_path, transform
+from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -29,6 +30,7 @@ TURN_STEP_RAD = 0.05
 """Largest turn between two samples of a path; a corner bulges 0.05 mm between them, which is allowed for."""
 
 
+@message
 @dataclass(frozen=True)
 class SafetyLimits:
     """Limits of targets.

@@ -20,8 +20,9 @@ from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mai
 from lerobot_adamanip.hardware.arm_process.messages import Reply, Request, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process.server import ArmServer
 from lerobot_adamanip.hardware.arm_process.watch import malformed
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 
-OPTIONS = ServerOptions(box_lower=(0.2, -0.4, 0.0), box_upper=(0.8, 0.4, 0.7), jump=0.08, angular_jump=0.3)
+OPTIONS = ServerOptions(limits=SafetyLimits((0.2, -0.4, 0.0), (0.8, 0.4, 0.7), lead=0.04, angular_lead=0.15))
 HERE = transform((0.5, 0.0, 0.4), START_ROTATION)
 
 

@@ -20,6 +20,7 @@ from lerobot_adamanip.hardware.arm_process.encoding import _registered, decode, 
 from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, Reply, Request, ServerOptions, Start
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.camera_frames import Frame
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.objects.base import Motion, PartAnnotation
 from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.twin.process import TwinOptions
@@ -47,7 +48,11 @@ MESSAGES = [
     TARGET,
     ArmStatus(1e-9, READING, 3, TARGET.pose, fault='ein "Reflex" \u2192 \0'),
     ArmStatus(0.0, dataclasses.replace(READING, qvel=np.array([np.nan, np.inf, -0.0]), outcome=None)),
-    Start(FrankyOptions(address="172.16.0.2", model="fr3"), ServerOptions(box_lower=(0.1, 0, 0)), {"command": 9}),
+    Start(
+        FrankyOptions(address="172.16.0.2", model="fr3"),
+        ServerOptions(limits=SafetyLimits((0.1, 0, 0), (10 / 3, 2, 2.5))),
+        {"command": 9},
+    ),
     Start(TwinOptions(SCENES, seed=7), ServerOptions(lockstep_fps=30.0), {}),
     Request(2**31, "inject", {"flags": ["a"], "wait": 0.1, "deep": {"none": None}}),
     Reply(4, None, {"annotations": {"knob": PART}, "rolls": (1, (2.5, ())), "number": np.float32(0.1)}),

@@ -29,8 +29,6 @@ from lerobot_adamanip.hardware.safety_limits import Corner, SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
-MAX_LEADS = 2.0
-"""Multiple of the filter's lead that the arm's process allows: its reading is a newer one."""
 
 
 class SlowLoopFilter(logging.Filter):
@@ -163,16 +161,8 @@ class AdamanipFranka(Robot):
 
     def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:
         """Returns the watchdogs of the arm's process."""
-        config, limits = self.config, self._safety_limits()
-        return ServerOptions(
-            config.state_age,
-            config.command_age,
-            lockstep_fps,
-            limits.box_lower,
-            limits.box_upper,
-            jump=MAX_LEADS * limits.lead,
-            angular_jump=MAX_LEADS * limits.angular_lead,
-        )
+        config = self.config
+        return ServerOptions(config.state_age, config.command_age, lockstep_fps, self._safety_limits())
 
     def disconnect(self) -> None:
         """Stops the arm and ends its process, then the cameras: within 2 s for the arm. Idempotent."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.hardware.arm import ArmBackend, ArmReading
 from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.safety_limits import Corner
+from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError
 
 COMMAND, STATUS = "command", "status"
@@ -33,18 +33,13 @@ class ServerOptions:
         command_age: a stream without a new target for longer is stopped [s]. The next target moves it on.
         lockstep_fps: None: real time. A number: only targets advance the backend, each by 1/fps seconds, a
             key frame to its end. For twins.
-        box_lower, box_upper: a target whose tool or hand is outside is a fault [m, base frame]; None checks nothing.
-        jump, angular_jump: a streamed target farther from the measured pose is a fault [m, rad]; None checks nothing.
-            Wider than the filter's lead, which was counted from an older reading.
+        limits: of the recorder's filter, see `watch.malformed`; None checks nothing.
     """
 
     state_age: float = 0.2
     command_age: float = 0.5
     lockstep_fps: float | None = None
-    box_lower: Corner | None = None
-    box_upper: Corner | None = None
-    jump: float | None = None
-    angular_jump: float | None = None
+    limits: SafetyLimits | None = None
 
     def __post_init__(self) -> None:
         for name in ("state_age", "command_age"):

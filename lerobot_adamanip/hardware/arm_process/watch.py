@@ -9,10 +9,11 @@ from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, ROTATION_D
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array, Execution
 from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.motion_outcome import pose_error
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 
 ROTATION_ERROR = 1e-3
 """Rows of a target's rotation are orthonormal within this: the safety filter makes them so."""
+MAX_LEADS = 2.0
+"""Multiple of the filter's lead that is allowed: this process's reading is a newer one."""
 BOX_ROUNDING = 1e-6
 """[m]: float32 against the box's doubles."""
 STOPPED_MODES = {
@@ -34,13 +35,13 @@ def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> 
     if np.abs(rows @ rows.T - np.eye(2)).max() > ROTATION_ERROR:
         return f"A target whose rotation is none reached the arm's process: {rows.ravel().tolist()}"
     goal, _ = pose_from_vector(pose)
-    if options.box_lower is not None and options.box_upper is not None:
-        limits = SafetyLimits(options.box_lower, options.box_upper)
-        if not limits.contains(goal, BOX_ROUNDING):
-            return f"A target with the hand outside the box reached the arm's process: {pose[:GRIPPER_DIM].tolist()}"
+    if options.limits is None:
+        return None
+    if not options.limits.contains(goal, BOX_ROUNDING):
+        return f"A target with the hand outside the box reached the arm's process: {pose[:GRIPPER_DIM].tolist()}"
     if target.execution is Execution.STREAM:
         ahead, turned = pose_error(tcp_in_base, goal)
-        if ahead > (options.jump or np.inf) or turned > (options.angular_jump or np.inf):
+        if ahead > MAX_LEADS * options.limits.lead or turned > MAX_LEADS * options.limits.angular_lead:
             return (
                 f"A target that jumps reached the arm's process: {ahead:.3f} m, {turned:.3f} rad from where the arm is"
             )
