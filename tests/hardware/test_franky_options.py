@@ -16,6 +16,7 @@ from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
     check_joints,
     check_tool_frame,
+    connect_robot,
     flags_of,
     reading_of,
     set_limits,
@@ -146,3 +147,10 @@ def test_the_real_librarys_flags_are_found_by_name() -> None:
     names = [name for name in dir(franky.Errors()) if not name.startswith("_")]
     assert {"joint_reflex", "cartesian_reflex", "communication_constraints_violation"} <= set(names)
     assert flags_of(franky.Errors()) == ()
+
+
+def test_an_arm_that_is_not_there_is_one_clear_error_with_a_hint() -> None:
+    import franky
+
+    with pytest.raises(RobotError, match=r"(?s)No connection to the arm at 127\.0\.0\.1.*try:.*address right"):
+        connect_robot(franky, FrankyOptions(address="127.0.0.1", model="fr3", realtime=False))

@@ -16,6 +16,13 @@ from lerobot_adamanip.hardware.motion_outcome import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 INSTALL = "pip install 'lerobot_env_adamanip[franka]'; older arms need a wheel built for their firmware: docs/robot.md"
+HINTS = {
+    "NetworkException": "is the address right, the arm unlocked, FCI activated in Desk, no other program connected?",
+    "RealtimeException": "a real-time kernel (docs/robot.md); realtime=false for a simulated arm only",
+    "IncompatibleVersionException": INSTALL,
+}
+DOCTOR = "adamanip doctor"
+"""What to try after an exception of franky, by its name, and after any other."""
 MODES = {
     "Idle": ArmMode.IDLE, "Move": ArmMode.MOVING, "Guiding": ArmMode.GUIDING, "Reflex": ArmMode.REFLEX,
     "UserStopped": ArmMode.USER_STOPPED, "AutomaticErrorRecovery": ArmMode.RECOVERING, "Other": ArmMode.OTHER,
@@ -51,15 +58,10 @@ def connect_robot(franky: Any, options: FrankyOptions) -> Any:
             controller_mode=franky.ControllerMode.CartesianImpedance,
             realtime_config=realtime,
         )
-    except franky.NetworkException:
-        hint = "is the address right, the arm unlocked, FCI activated in Desk, no other program connected?"
-    except franky.RealtimeException as error_:
-        error, hint = error_, "a real-time kernel (docs/robot.md); realtime=false for a simulated arm only"
-    except franky.IncompatibleVersionException as error_:
-        error, hint = error_, INSTALL
-    except Exception as error_:
-        error, hint = error_, "adamanip doctor"
-    raise RobotError(f"No connection to the arm at {options.address}: {error}", allowed="a reachable arm", hint=hint)
+    except Exception as error:
+        hint = next((hint for name, hint in HINTS.items() if isinstance(error, getattr(franky, name))), DOCTOR)
+        told = f"No connection to the arm at {options.address}: {error}"
+        raise RobotError(told, got=type(error).__name__, allowed="a reachable arm", hint=hint) from None
 
 
 def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
