@@ -44,13 +44,10 @@ def test_a_motion_that_ended_at_its_goal_is_reached_as_soon_as_it_rests() -> Non
 
 
 def test_an_arm_that_follows_late_gets_half_a_second() -> None:
-    looking = watch()
-    assert looking.look(behind(0.011), GOAL, running=False, speed=0.0, now=1.0) is None
-    assert looking.look(behind(0.011), GOAL, running=False, speed=0.0, now=1.49) is None
-    assert looking.look(behind(0.011), GOAL, running=False, speed=0.0, now=1.51) is Outcome.REACHED
-    looking = watch()
-    looking.look(behind(0.02), GOAL, running=False, speed=0.0, now=1.0)
-    assert looking.look(behind(0.02), GOAL, running=False, speed=0.0, now=1.51) is Outcome.STALLED
+    for lag, outcome in ((0.011, Outcome.REACHED), (0.02, Outcome.STALLED)):
+        looking = watch()
+        told = [looking.look(behind(lag), GOAL, running=False, speed=0.0, now=now) for now in (1.0, 1.49, 1.51)]
+        assert told == [None, None, outcome]
 
 
 def test_a_motion_that_begins_late_is_not_taken_for_one_that_ended() -> None:

@@ -102,18 +102,12 @@ def test_an_arm_that_was_pushed_away_drags_its_target_along(anchored: SafetyFilt
     ],
 )
 def test_a_malformed_target_keeps_the_last_and_ten_are_an_error(anchored: SafetyFilter, wrong: np.ndarray) -> None:
-    last = anchored.stream(ahead(0.003), START, DT)
-    for _ in range(MAX_REFUSED - 1):
-        assert (anchored.stream(wrong, START, DT) == last).all()
+    for _ in range(2):  # a good target forgives the malformed ones before it
+        last = anchored.stream(ahead(0.003), START, DT)
+        for _ in range(MAX_REFUSED - 1):
+            assert (anchored.stream(wrong, START, DT) == last).all()
     with pytest.raises(RobotError, match="10 malformed targets in a row"):
         anchored.stream(wrong, START, DT)
-
-
-def test_a_good_target_forgives_the_malformed_ones_before_it(anchored: SafetyFilter) -> None:
-    for _ in range(3):
-        for _ in range(MAX_REFUSED - 1):
-            anchored.keyframe(np.full(10, np.nan), START)
-        anchored.keyframe(ahead(0.1), START)
 
 
 def test_a_key_frame_goes_as_far_as_the_box(anchored: SafetyFilter) -> None:

@@ -288,20 +288,20 @@ def mouse(monkeypatch: pytest.MonkeyPatch) -> Any:
     state = types.SimpleNamespace(**axes, buttons=[0, 0])
 
     def read() -> Any:
-        if mouse.queue:
-            vars(state).update(mouse.queue.pop(0))
+        if device.queue:
+            vars(state).update(device.queue.pop(0))
             state.t += 1.0
         return state
 
     def close() -> None:
-        mouse.closed = True
+        device.closed = True
 
-    mouse = types.SimpleNamespace(queue=[], closed=False, read=read, close=close)
+    device: Any = types.SimpleNamespace(queue=[], closed=False, read=read, close=close)
     module: Any = types.ModuleType("pyspacemouse")
     module.AxisConvention = types.SimpleNamespace(ROS="ros")
-    module.open = lambda device_index, axis_convention: mouse if axis_convention == "ros" else None
+    module.open = lambda device_index, axis_convention: device if axis_convention == "ros" else None
     monkeypatch.setitem(sys.modules, "pyspacemouse", module)
-    return mouse
+    return device
 
 
 @pytest.fixture
