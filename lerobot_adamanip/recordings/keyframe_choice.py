@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,9 @@ class DenseEpisode:
 
     def take(self, ticks: slice | NDArray[np.int64]) -> DenseEpisode:
         """Returns the episode of some of the ticks."""
-        return replace(self, **{name: each[ticks] for name, each in vars(self).items() if isinstance(each, np.ndarray)})
+        arrays = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+        taken: dict[str, Any] = {name: values[ticks] for name, values in arrays.items()}
+        return replace(self, **taken)
 
     @property
     def pose(self) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
     - A goal that is replaced ends a stay.
     """
     chosen = options or SparsifyOptions()
-    indices = np.arange(len(trajectory.pose))
+    indices: NDArray[np.int64] = np.arange(len(trajectory.pose))
     while True:
         kept = _pass(trajectory.take(indices), chosen)
         if len(kept) == len(indices):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -53,9 +53,9 @@ class RecordedRobotConfig(RobotConfig):
     pass
 
 
-class RecordedRobot(Device, Robot):  # type: ignore[misc]
+class RecordedRobot(Device, Robot):
     config_class, name = RecordedRobotConfig, "recorded_robot"
-    observation_features = dict.fromkeys(SCALAR_NAMES, float)
+    observation_features: ClassVar[dict[str, Any]] = dict.fromkeys(SCALAR_NAMES, float)
     observation_features |= {"front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1)}
     cameras = dict.fromkeys(["front"])
     sent = goal_at(0)
@@ -82,9 +82,9 @@ class RecordedTeleopConfig(TeleoperatorConfig):
     pass
 
 
-class RecordedTeleop(Device, Teleoperator):  # type: ignore[misc]
+class RecordedTeleop(Device, Teleoperator):
     config_class, name = RecordedTeleopConfig, "recorded_teleop"
-    feedback_features = dict.fromkeys((), float)
+    feedback_features: ClassVar[dict[str, Any]] = {}
 
     def get_action(self) -> dict[str, Any]:
         self.tick += 1
