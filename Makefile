@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup pictures test quick lerobot nightly check format docs release bench demo clean
+.PHONY: help setup pictures test quick quick-tests lerobot nightly check format docs release bench demo clean
 export NO_SYSTEM
 
 BIN := .venv/bin
@@ -41,7 +41,10 @@ test: pictures  ## all tests but the nightly ones: under ten minutes on two core
 
 # Laws that need no process, no simulator and no dataset.
 QUICK := tests/test_architecture.py tests/test_fingerprint.py tests/test_language.py tests/contract tests/evaluation tests/experts tests/mechanisms
-quick: check  ## format, lint, types, layers, and laws that need no process: under 90 seconds
+quick: .venv/.installed  ## format, lint, types, layers, and laws that need no process: under 90 seconds
+	$(MAKE) --no-print-directory -j2 check quick-tests
+
+quick-tests: .venv/.installed
 	$(PYTEST) -m "not nightly and not sim" $(wildcard $(QUICK))
 
 LEROBOT ?= main

@@ -14,7 +14,6 @@ with. For example: ``python scripts/check_clouds.py --category all --seeds 20 --
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 import warnings
@@ -23,7 +22,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from check_common import Progress, categories_of, count, header, in_batches, parser, run_parallel
+from check_common import count, header, parser, run_seeds
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrames
@@ -129,7 +128,7 @@ def views(task: Any, seed: int, every: int) -> Iterator[Counts]:
             return
 
 
-def check(category: str, seeds: list[int], every: int) -> list[tuple[str, Counts]]:
+def check(category: str, seeds: list[int], every: int) -> list[Counts]:
     """Compares a category on seeds; scenes that cannot be placed count nothing."""
     from lerobot_env_adamanip.simulator import make_task
 
@@ -137,11 +136,10 @@ def check(category: str, seeds: list[int], every: int) -> list[tuple[str, Counts
     task, found = make_task(category, cloud_source="render"), []
     try:
         for seed in seeds:
-            total = Counts()
-            with contextlib.suppress(UnreachableError):
-                for counts in views(task, seed, every):
-                    total += counts
-            found.append((category, total))
+            try:
+                found.append(sum(views(task, seed, every), Counts()))
+            except UnreachableError:
+                found.append(Counts())
     finally:
         task.close()
     return found
@@ -152,14 +150,9 @@ def main() -> int:
     made = parser(__doc__, seeds=20, first_seed=300)
     made.add_argument("--every", type=count, default=4, help="key frames from one view to the next (%(default)s)")
     options = made.parse_args()
-    names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
-    batches = [(name, part, options.every) for name in names for part in in_batches(seeds)]
-    found = dict.fromkeys(names, Counts())
-    for part in run_parallel(check, batches, options.workers, Progress(0, len(names) * options.seeds)):
-        for name, counts in part:
-            found[name] += counts
-    rows = {name: {**asdict(counts), "passed": counts.passed} for name, counts in found.items()}
-    passed = all(counts.passed for counts in found.values())
+    totals = {name: sum(found, Counts()) for name, found in run_seeds(check, options, options.every).items()}
+    rows = {name: {**asdict(counts), "passed": counts.passed} for name, counts in totals.items()}
+    passed = all(counts.passed for counts in totals.values())
     lines = (f"{name}: {', '.join(f'{key} {value}' for key, value in row.items())}" for name, row in rows.items())
     content = {**header(), "categories": rows, "passed": passed}
     sys.stdout.write((json.dumps(content) if options.json else "\n".join(lines)) + "\n")

@@ -20,8 +20,8 @@ from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.fingerprint import present_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]
-EVERY = 15.0
-"""Seconds between lines of progress."""
+INTERVAL_S = 15.0
+"""Between lines of progress."""
 BATCH = 20
 """Scenes that share one start of the simulator."""
 
@@ -96,6 +96,18 @@ def categories_of(options: argparse.Namespace) -> tuple[str, ...]:
     return tuple(CATEGORIES) if options.category == ALL else (options.category,)
 
 
+def run_seeds[Result](
+    check: Callable[..., list[Result]], options: argparse.Namespace, *more: Any
+) -> dict[str, list[Result]]:
+    """Runs ``check(category, seeds, *more)`` for the options of `parser`; returns category -> results."""
+    names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
+    batches = [(name, part, *more) for name in names for part in in_batches(seeds)]
+    found: dict[str, list[Result]] = {name: [] for name in names}
+    for (name, *_), results in run_parallel(check, batches, options.workers, Progress(len(names) * options.seeds)):
+        found[name] += results
+    return found
+
+
 def in_batches[Item](items: Sequence[Item]) -> list[list[Item]]:
     """Returns items in parts that share one start of the simulator."""
     return [list(items[start : start + BATCH]) for start in range(0, len(items), BATCH)]
@@ -103,33 +115,32 @@ def in_batches[Item](items: Sequence[Item]) -> list[list[Item]]:
 
 def run_parallel[Result](
     work: Callable[..., list[Result]], batches: Iterable[tuple[Any, ...]], workers: int, progress: Progress
-) -> Iterator[list[Result]]:
-    """Yields what ``work(*batch)`` returns for each batch, in processes of one thread each."""
+) -> Iterator[tuple[tuple[Any, ...], list[Result]]]:
+    """Yields each batch and ``work(*batch)``, computed in processes of one thread each."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
-            for job in as_completed([pool.submit(work, *batch) for batch in batches]):
-                found = job.result()
-                progress.tell(len(found))
-                yield found
+            jobs = {pool.submit(work, *batch): batch for batch in batches}
+            for job in as_completed(jobs):
+                progress.advance(len(job.result()))
+                yield jobs[job], job.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
 class Progress:
-    """A line now and then on standard error, with or without a terminal: episodes ``done`` of ``total``."""
+    """Writes a line now and then to standard error: finished episodes of ``total``."""
 
-    def __init__(self, done: int, total: int) -> None:
-        self.done, self.total, self.start, self._said = done, total, time.monotonic(), -EVERY
-        self._first = done
+    def __init__(self, total: int) -> None:
+        self.done, self.total, self.start, self._written_s = 0, total, time.monotonic(), -INTERVAL_S
 
-    def tell(self, finished: int) -> None:
+    def advance(self, finished: int) -> None:
         """Counts so many more episodes."""
         self.done += finished
         elapsed = time.monotonic() - self.start
-        if elapsed - self._said >= EVERY or self.done == self.total:
-            self._said = elapsed
-            left = elapsed / (self.done - self._first) * (self.total - self.done)
+        if elapsed - self._written_s >= INTERVAL_S or self.done == self.total:
+            self._written_s = elapsed
+            left = elapsed / self.done * (self.total - self.done)
             sys.stderr.write(f"{self.done}/{self.total} episodes, {elapsed:.0f} s, about {left:.0f} s left\n")
             sys.stderr.flush()

@@ -132,10 +132,10 @@ def main() -> int:
     options = parser.parse_args()
     warnings.filterwarnings("ignore")
     categories = tuple(CATEGORIES) if options.category == "all" else (options.category,)
-    progress, found = Progress(0, options.scenes), []
+    progress, found = Progress(options.scenes), []
     for task in scenes(categories, options.scenes, options.source):
         found.append(compare(task, options.num_points))
-        progress.tell(1)
+        progress.advance(1)
     told = summary(found)
     sys.stdout.write(json.dumps({**header(), "source": options.source, **told}) + "\n")
     return 0 if told["passed"] else 1

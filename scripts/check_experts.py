@@ -155,15 +155,21 @@ def _selected(names: Sequence[str], options: argparse.Namespace) -> Iterator[tup
         )
 
 
+def grouped(episodes: list[Episode], *names: str) -> dict[tuple[str, ...], list[Episode]]:
+    """Returns episodes by the values of fields."""
+    groups: dict[tuple[str, ...], list[Episode]] = {}
+    for episode in episodes:
+        groups.setdefault(tuple(getattr(episode, name) for name in names), []).append(episode)
+    return groups
+
+
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
     """A row for each cell, and one of all splits and presets for each category and expert (``all``)."""
-    rows: dict[tuple[str, str, str, str], list[Episode]] = {}
-    for e in episodes:
-        for preset, split in ((e.preset, e.split), ("all", "all")):
-            rows.setdefault((e.category, e.kind, preset, split), []).append(e)
+    cells = grouped(episodes, "category", "kind", "preset", "split")
+    cells |= {(*key, "all", "all"): chosen for key, chosen in grouped(episodes, "category", "kind").items()}
     return [
         {"category": key[0], "expert": key[1], "preset": key[2], "split": key[3], **_counts(chosen)}
-        for key, chosen in sorted(rows.items(), key=lambda item: (tuple(CATEGORIES).index(item[0][0]), item[0][1:]))
+        for key, chosen in sorted(cells.items(), key=lambda item: (tuple(CATEGORIES).index(item[0][0]), item[0][1:]))
     ]
 
 
@@ -206,11 +212,8 @@ def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
 
 def result_rows(episodes: list[Episode]) -> list[ResultRow]:
     """Returns a row of a result file for each cell."""
-    cells: dict[tuple[str, str, str, str], list[Episode]] = {}
-    for e in episodes:
-        cells.setdefault((e.kind, e.preset, e.category, e.split), []).append(e)
     rows = []
-    for (kind, preset, category, split), chosen in cells.items():
+    for (kind, preset, category, split), chosen in grouped(episodes, "kind", "preset", "category", "split").items():
         hidden: dict[str, list[bool]] = {}
         for e in chosen:
             discrete = {name: value for name, value in (e.hidden or {}).items() if not isinstance(value, float)}
@@ -224,21 +227,6 @@ def result_rows(episodes: list[Episode]) -> list[ResultRow]:
         objects = split if split in SPLITS else object_split(chosen[0].object_id) or "external"
         rows.append(ResultRow(kind, preset, category, objects, metrics))
     return rows
-
-
-def write_results(path: Path, finished: list[Episode], said: dict[str, Any], seconds: float | None) -> None:
-    """Writes a result file for `scripts/make_results.py`."""
-    result = make_result(
-        result_rows(finished),
-        kind="expert",
-        title=f"scripted experts, preset {', '.join(dict.fromkeys(episode.preset for episode in finished))}",
-        command=said["command"],
-        fingerprint=said["fingerprint"],
-        seeds=[episode.seed for episode in finished],
-        scenes=None,
-        seconds=seconds,
-    )
-    write_result(path, result)
 
 
 def command_line() -> argparse.ArgumentParser:
@@ -261,12 +249,10 @@ def command_line() -> argparse.ArgumentParser:
 
 def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
     """Runs episodes in processes; those of one preset and category share a simulator."""
-    groups: dict[tuple[str, str], list[Episode]] = {}
-    for episode in episodes:
-        groups.setdefault((episode.preset, episode.category), []).append(episode)
-    batches = [(part,) for group in groups.values() for part in in_batches(group)]
-    found = run_parallel(run_batch, batches, workers, Progress(0, len(episodes)))
-    return [episode for part in found for episode in part]
+    groups = grouped(episodes, "preset", "category").values()
+    batches = [(part,) for group in groups for part in in_batches(group)]
+    found = run_parallel(run_batch, batches, workers, Progress(len(episodes)))
+    return [episode for _, part in found for episode in part]
 
 
 def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
@@ -280,7 +266,18 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     if options.result is not None:
-        write_results(options.result, finished, said, time.monotonic() - begin)
+        presets = ", ".join(dict.fromkeys(episode.preset for episode in finished))
+        result = make_result(
+            result_rows(finished),
+            kind="expert",
+            title=f"scripted experts, preset {presets}",
+            command=said["command"],
+            fingerprint=said["fingerprint"],
+            seeds=[episode.seed for episode in finished],
+            scenes=None,
+            seconds=time.monotonic() - begin,
+        )
+        write_result(options.result, result)
     rows, failures = summarise(finished), [episode for episode in finished if not episode.success]
     low = below(rows, options.threshold, options.mean)
     seeds = [min(e.seed for e in finished), max(e.seed for e in finished)]

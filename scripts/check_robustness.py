@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from check_common import Progress, categories_of, header, in_batches, parser, run_parallel
+from check_common import header, parser, run_seeds
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix, rotation_about
@@ -103,10 +103,12 @@ def check(category: str, seeds: list[int]) -> list[dict[str, Any]]:
     env, found = make_task(category), []
     try:
         for seed in seeds:
+            result: dict[str, Any] = {"category": category, "seed": seed, "placed": True, "wrong": []}
             try:
-                found.append({"category": category, "seed": seed, "placed": True, "wrong": through(env, seed)})
+                result["wrong"] = through(env, seed)
             except UnreachableError:
-                found.append({"category": category, "seed": seed, "placed": False, "wrong": []})
+                result["placed"] = False
+            found.append(result)
     finally:
         env.close()
     return found
@@ -115,18 +117,14 @@ def check(category: str, seeds: list[int]) -> list[dict[str, Any]]:
 def main() -> int:
     """Parses, runs, prints. Returns 0 if nothing went wrong."""
     options = parser(__doc__, seeds=100, first_seed=7_000_000).parse_args()
-    names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
-    batches = [(name, part) for name in names for part in in_batches(seeds)]
-    progress = Progress(0, len(names) * options.seeds)
-    found = [each for part in run_parallel(check, batches, options.workers, progress) for each in part]
-    lines = []
-    for name in names:
-        mine = [each for each in found if each["category"] == name]
-        wrong = [text for each in mine for text in each["wrong"]]
-        unplaced = sum(not each["placed"] for each in mine)
-        lines += [f"{name:16} {len(mine):5} seeds, {unplaced} not placed, {len(wrong)} wrong", *wrong]
-    sys.stdout.write((json.dumps({**header(), "results": found}) if options.json else "\n".join(lines)) + "\n")
-    return 1 if any(each["wrong"] for each in found) else 0
+    found, lines = run_seeds(check, options), []
+    for name, results in found.items():
+        wrong = [text for each in results for text in each["wrong"]]
+        unplaced = sum(not each["placed"] for each in results)
+        lines += [f"{name:16} {len(results):5} seeds, {unplaced} not placed, {len(wrong)} wrong", *wrong]
+    results = [each for part in found.values() for each in part]
+    sys.stdout.write((json.dumps({**header(), "results": results}) if options.json else "\n".join(lines)) + "\n")
+    return 1 if any(each["wrong"] for each in results) else 0
 
 
 if __name__ == "__main__":

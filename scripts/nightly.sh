@@ -39,7 +39,7 @@ part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not ni
 # Fails below 97 % of a category or 99 % of all, for either expert under any preset.
 part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel \
     --episodes "$episodes" --first-seed "$first_seed" --workers "$workers"
-part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --frames 60 --workers "$workers"
+part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --workers "$workers"
 part "robustness" "$python" scripts/check_robustness.py --category all --seeds 10 --workers "$workers"
 rm -rf "$out/no_vulkan"
 part "no Vulkan device" env VK_ICD_FILENAMES=/nonexistent.json VK_DRIVER_FILES=/nonexistent.json \

@@ -55,7 +55,7 @@ def run(checkout: Path, script: str, **variables: str) -> list[str]:
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_what_is_installed_system_wide_is_said_before(script: str, checkout: Path) -> None:
+def test_what_is_installed_system_wide_is_said_before_and_left_where_asked(script: str, checkout: Path) -> None:
     said = run(checkout, script)
     announced = [number for number, line in enumerate(said) if line.startswith("== installing system-wide")]
     called = [number for number, line in enumerate(said) if line.startswith("CALLED")]
@@ -63,10 +63,6 @@ def test_what_is_installed_system_wide_is_said_before(script: str, checkout: Pat
     assert called, said
     assert announced[0] < called[0]
     assert "NO_SYSTEM=1" in said[announced[0]]
-
-
-@pytest.mark.parametrize("script", SCRIPTS)
-def test_no_system_installs_nothing_and_says_what_to_install(script: str, checkout: Path) -> None:
     said = run(checkout, script, NO_SYSTEM="1")
     assert not [line for line in said if line.startswith("CALLED")], said
     assert "apt-get" in "\n".join(said)

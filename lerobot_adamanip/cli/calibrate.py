@@ -1,4 +1,4 @@
-"""`adamanip calibrate`: finds where a camera is."""
+"""`adamanip calibrate`: calibrate a camera's pose."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from lerobot_adamanip.hardware.calibration.hand_eye import HandEye
 
 DOTS_PER_METRE = 300 / 0.0254
-ENOUGH = 20
+ENOUGH_PICTURES = 20
 
 
 @dataclass
 class Calibrate:
-    """Finds where a camera is, from pictures of a ChArUco board at poses of the arm, and writes its calibration.
+    """Calibrate a camera's pose from pictures of a ChArUco board at poses of the arm.
 
-    First print the board (--board-image). Then fix it to the hand, for a camera beside the robot, or to the table, for
-    one on the hand, and take 20 pictures (--record): tilt the hand to all sides, 20 degrees and more. Without --record,
-    the pictures of the folder are used as they are.
+    Print the board first (--board-image). Fix it to the hand, for a camera beside the robot, or to the table, for one
+    on the hand, and take 20 pictures (--record): tilt the hand to all sides, 20 degrees and more. Without --record,
+    the pictures of the folder are used.
     """
 
     folder: tyro.conf.Positional[Path | None] = None
     """Folder of the pictures and poses."""
 
     out: Path | None = None
-    """Calibration file to add the camera to. Other cameras in it are kept. Left out: the result is only printed."""
+    """Calibration file to add the camera to; other cameras in it are kept. By default the result is only printed."""
 
     key: str = "front"
     """The camera's name in the robot's configuration."""
@@ -45,28 +45,28 @@ class Calibrate:
     """Take pictures first, with the robot that this JSON file describes as --robot.* options would."""
 
     mounting: Literal["fixed", "wrist"] = "fixed"
-    """Where the camera is (with --record): beside the robot, or on its hand."""
+    """Mounting of the camera (with --record): beside the robot, or on its hand."""
 
     board_image: Path | None = None
     """Write the board as a picture to print at 300 dpi (.png), and stop."""
 
     columns: int = 7
-    """Squares of the board along its long side (with --record and --board-image)."""
+    """Squares along the board's long side (with --record and --board-image)."""
 
     rows: int = 5
-    """Along its short side."""
+    """Squares along its short side."""
 
     square: float = 0.040
     """Side of a square as measured on the print [m]."""
 
     marker: float = 0.030
-    """Side of a marker, likewise [m]."""
+    """Side of a marker as measured on the print [m]."""
 
     json: bool = False
-    """Print one JSON object instead of words."""
+    """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Prints, records, solves, writes; 0."""
+        """Prints, records, solves and writes; returns 0."""
         if self.board_image is not None:
             return self._print_board(self.board_image)
         if self.folder is None:
@@ -83,12 +83,11 @@ class Calibrate:
         if self.record is not None:
             self._record(self.folder, self.record)
         folder = ViewFolder.open(self.folder)
-        views = folder.views(self._tell)
-        solved = solve(views, folder.color, folder.mounting)
+        solved = solve(folder.views(self._say), folder.color, folder.mounting)
         facts = _facts(solved)
         if self.out is not None:
             save_calibration(self.out, self.key, folder.calibration(solved), facts)
-        print_result(self.json, self._values(solved, facts), self._text(solved))
+        self._print(solved, facts)
         return 0
 
     def _print_board(self, path: Path) -> int:
@@ -101,7 +100,7 @@ class Calibrate:
         board = self._board()
         Image.fromarray(board.image(DOTS_PER_METRE)).save(path, dpi=(300, 300))
         size = f"{1e3 * board.columns * board.square:.0f} x {1e3 * board.rows * board.square:.0f} mm"
-        self._tell(f"{path}: {size}. Print at 100 %, glue it to something flat, and measure a square.")
+        self._say(f"{path}: {size}. Print at 100 %, glue it to something flat, and measure a square.")
         return 0
 
     def _board(self) -> Board:
@@ -109,53 +108,45 @@ class Calibrate:
 
         return Board(self.columns, self.rows, self.square, self.marker)
 
-    def _record(self, folder: Path, described: Path) -> None:
+    def _record(self, folder: Path, robot_file: Path) -> None:
         from lerobot_adamanip.hardware.calibration.hand_eye import Mounting
         from lerobot_adamanip.hardware.calibration.live import begin, camera_of, robot_from_file, take_views
 
-        robot = robot_from_file(described)
+        robot = robot_from_file(robot_file)
         robot.connect(calibrate=False)
         try:
             camera = camera_of(robot, self.key)
             views = begin(folder, camera, Mounting(self.mounting), self._board())
-            self._tell(f"{len(views.tcp_in_base)} pictures so far; {ENOUGH} are enough")
-            take_views(robot, camera, views, _ask, self._tell)
+            self._say(f"{len(views.tcp_in_base)} pictures so far; {ENOUGH_PICTURES} are enough")
+            take_views(robot, camera, views, _wants_picture, self._say)
         finally:
             robot.disconnect()
 
-    def _tell(self, line: str) -> None:
+    def _say(self, line: str) -> None:
         if not self.json:
             print(line)
 
-    def _values(self, solved: HandEye, facts: dict[str, float | str]) -> dict[str, Any]:
-        views = [
-            {"name": each.name, "px": each.pixels, "mm": 1e3 * each.position, "deg": math.degrees(each.angle)}
-            for each in solved.residuals
-        ]
-        poses = {"camera": solved.camera.tolist(), "board": solved.board.tolist()}
-        return {"mounting": _frame(solved), **poses, **facts, "views": views, "out": self.out}
-
-    def _text(self, solved: HandEye) -> str:
+    def _print(self, solved: HandEye, facts: dict[str, float | str]) -> None:
+        frame = "tool" if solved.mounting == "wrist" else "base"
         x, y, z = solved.camera[:3, 3]
+        views, lines = [], []
+        for each in solved.residuals:
+            mm, deg = 1e3 * each.position, math.degrees(each.angle)
+            views.append({"name": each.name, "px": each.pixels, "mm": mm, "deg": deg})
+            lines.append(f"{each.name}  {each.pixels:6.2f} px  {mm:7.2f} mm  {deg:6.3f} deg")
         spread = f"{1e3 * solved.position_spread:.2f} mm, {math.degrees(solved.angle_spread):.3f} deg"
-        lines = [
-            f"{each.name}  {each.pixels:6.2f} px  {1e3 * each.position:7.2f} mm  {math.degrees(each.angle):6.3f} deg"
-            for each in solved.residuals
-        ]
         lines += [
-            f"rms {solved.rms:.2f} px over {len(solved.residuals)} pictures",
+            f"rms {solved.rms:.2f} px over {len(views)} pictures",
             f"one picture less moves the camera by at most {spread}",
-            f"camera at ({x:.4f}, {y:.4f}, {z:.4f}) m in the frame of the {_frame(solved)}",
+            f"camera at ({x:.4f}, {y:.4f}, {z:.4f}) m in the frame of the {frame}",
+            *([] if self.out is None else [f"written: {self.out}, camera {self.key}"]),
         ]
-        return "\n".join([*lines, *([] if self.out is None else [f"written: {self.out}, camera {self.key}"])])
+        values = {"mounting": frame, "camera": solved.camera.tolist(), "board": solved.board.tolist(), **facts}
+        print_result(self.json, {**values, "views": views, "out": self.out}, "\n".join(lines))
 
 
-def _frame(solved: HandEye) -> str:
-    return "tool" if solved.mounting == "wrist" else "base"
-
-
-def _ask() -> bool:
-    """Waits for the person; False ends the pictures."""
+def _wants_picture() -> bool:
+    """Waits for the user; returns False to end."""
     try:
         return input("Enter takes a picture, q and Enter ends: ").strip().lower() != "q"
     except EOFError:
@@ -163,7 +154,7 @@ def _ask() -> bool:
 
 
 def _facts(solved: HandEye) -> dict[str, float | str]:
-    """What is kept of how a camera was found."""
+    """Returns the facts that the calibration file keeps of a result."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "pictures": len(solved.residuals),

@@ -1,4 +1,4 @@
-"""Progress of long work on stderr: bars where a person watches, a line now and then in logs and CI."""
+"""Progress on stderr: bars on a terminal, lines in logs and CI."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from typing import TextIO
 
 MAX_INTERVAL_S, MAX_INTERVAL_SHARE = 15.0, 0.05
-"""A line is due after so much time, or after so much more of the work, whichever comes first."""
+"""A line is due after this time, or this share of the work, whichever comes first."""
 MIN_INTERVAL_S = 2.0
-"""Between two lines, apart from a stage's last."""
+"""Between two lines, except for a stage's last."""
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, how much of it is done, and how much there is."""
+"""Called with a stage's name, the number of finished items, and their total."""
 
 
 @dataclass
@@ -30,7 +30,7 @@ class ProgressLines:
     """Writes progress as lines of text.
 
     Attributes:
-        names: stage -> what a line calls it; a stage that is not in it is not written.
+        names: stage -> its name in a line; other stages are not written.
         stream: to write to.
         clock: returns the time [s].
     """
@@ -60,10 +60,10 @@ class ProgressLines:
 
 @contextlib.contextmanager
 def show_progress(names: Mapping[str, str], *, every_stage: bool = False) -> Iterator[Progress]:
-    """Shows progress on stderr while inside, and keeps what libraries print out of stdout, where the result goes.
+    """Shows progress on stderr, and redirects prints of libraries there: stdout is the result's.
 
     Args:
-        names: stage -> what it is called.
+        names: stage -> its name in a line.
         every_stage: show bars of other stages too, under their own names.
     """
     with contextlib.redirect_stdout(sys.stderr):
@@ -73,13 +73,8 @@ def show_progress(names: Mapping[str, str], *, every_stage: bool = False) -> Ite
         from rich import progress as bars
         from rich.console import Console
 
-        columns = (
-            bars.TextColumn("{task.description}"),
-            bars.BarColumn(),
-            bars.MofNCompleteColumn(),
-            bars.TimeElapsedColumn(),
-            bars.TimeRemainingColumn(),
-        )
+        times = (bars.TimeElapsedColumn(), bars.TimeRemainingColumn())
+        columns = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.MofNCompleteColumn(), *times)
         with bars.Progress(*columns, console=Console(stderr=True)) as shown:
             tasks: dict[str, bars.TaskID] = {}
 

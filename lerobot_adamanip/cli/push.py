@@ -1,4 +1,4 @@
-"""`adamanip push`: datasets, policies and the environments, to the Hugging Face Hub."""
+"""`adamanip push`: publish datasets, policies and the environments on the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ if TYPE_CHECKING:
 
 @dataclass
 class Push:
-    """Publishes a dataset, a policy or the environments, under a card made from what is in them.
+    """Publish a dataset, a policy or the environments, with a card made from their content.
 
-    Checks, creates the repository, uploads, moves the version's tag, reads back. Interrupted at any point, the same
-    command goes on; what has arrived is not sent again. What tells of this machine is left out or refused.
+    Checks the files, creates the repository, uploads, moves the version's tag, and compares the Hub's files. After an
+    interruption, the same command resumes; files that have arrived are not sent again. Names of this machine are left
+    out or refused.
     """
 
     kind: tyro.conf.Positional[Literal["dataset", "model", "environment"]]
-    """What to publish."""
+    """Kind of publication."""
 
     repo_id: str
     """Name on the Hub: USER/NAME."""
 
     folder: tyro.conf.Positional[Path | None] = None
-    """Of the dataset, or pretrained_model of a checkpoint."""
+    """Folder of the dataset, or pretrained_model of a checkpoint."""
 
     results: tuple[Path, ...] = ()
     """Evaluations for the card of a policy or of the environments: files of `adamanip report --out`, or episode logs
@@ -46,13 +47,13 @@ class Push:
     """Command that made the episode logs given as --results, as typed."""
 
     dataset: str | None = None
-    """Name on the Hub of what a policy was trained on. That of its training if left out."""
+    """Name on the Hub of a policy's training dataset; by default that of its training."""
 
     assets: Path | None = None
     """Folder of the external assets that a dataset was collected with, if any."""
 
     category: CategoryOrAll = ALL
-    """What the environments' env.py opens; all for the nine together."""
+    """Environment that env.py opens; all for the nine together."""
 
     release: str | None = None
     """Tag of this publication, for example release-1. A tag that looks like a version is refused."""
@@ -61,20 +62,20 @@ class Push:
     """Make the repository private."""
 
     dry_run: bool = False
-    """Check, and list what would be published; send nothing."""
+    """Check, and list the files; send nothing."""
 
     json: bool = False
     """Print one JSON object when done. Progress goes to stderr."""
 
     def run(self) -> int:
-        """Publishes and prints; 0 when what is on the Hub is what was sent."""
+        """Publishes and prints; returns 0 when the Hub holds the files."""
         sizes, result = self.publish()
         values = {"dry_run": True, "files": sizes} if result is None else asdict(result)
         print_result(self.json, values, self._text(sizes, result))
         return 0
 
     def publish(self) -> tuple[dict[str, int], PushResult | None]:
-        """Publishes; returns the files with their bytes, and the published commit, None for a dry run."""
+        """Publishes; returns the files' sizes [bytes], and the result, None for a dry run."""
         self._check()
         from lerobot_adamanip.hub.push import push
 
@@ -117,6 +118,6 @@ class Push:
             files = [f"{size:>12}  {name}" for name, size in sizes.items()]
             total = f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB"
             return "\n".join([*files, f"{total}, would go to {self.repo_id}. Nothing was sent."])
-        did = "published" if result.changed else "was there already"
+        state = "published" if result.changed else "was there already"
         tags = f", tagged {', '.join(result.tags)}" if result.tags else ""
-        return f"{result.url} {did}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."
+        return f"{result.url} {state}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."

@@ -1,4 +1,4 @@
-"""`adamanip report`: success with intervals, tries and plots of evaluations."""
+"""`adamanip report`: report success rates with intervals, tries and plots of evaluations."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ type Evaluations = dict[str, list[EpisodeRecord]]
 
 @dataclass
 class Report:
-    """Reports evaluations from their episode logs, which `lerobot-eval --env.episode_log=FILE` writes.
+    """Report evaluations from their episode logs, which `lerobot-eval --env.episode_log=FILE` writes.
 
-    A log that holds several evaluations gives a column to each. Within one, each episode (seed, object and hidden
-    state) is counted once; the last record wins. Everything is compared with the first column.
+    Each evaluation of a log gets a column. Each episode (seed, object and hidden state) counts once; the last record
+    wins. Everything is compared with the first column.
     """
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Episode logs."""
 
     label: tuple[str, ...] = ()
-    """Names of the logs, in the same order; file names by default."""
+    """Names of the logs, in their order; file names by default."""
 
     episodes: int | None = None
-    """Number of episodes to count, the first by seed, of each evaluation and category; all by default. Give what
-    `lerobot-eval` was given as --eval.n_episodes: it ignores the surplus of its last batch, which the log holds."""
+    """Episodes to count, the first by seed, of each evaluation and category; all by default. Use the value of
+    --eval.n_episodes: `lerobot-eval` ignores the surplus of its last batch, which the log holds."""
 
     pool: bool = False
-    """Count all evaluations of a log on one split of scenes as one."""
+    """Count all evaluations of a log on one split of scenes together."""
 
     out: tuple[Path, ...] = ()
     """Files to write: a picture (.png, .pdf or .svg) of success by group and over episodes; a result file (.json) of
     everything reported, for scripts/make_results.py and `adamanip push`, which needs --command."""
 
     command: str | None = None
-    """The command that measured it, as typed in the repository's root; written into the result file."""
+    """Command of the evaluation, as typed in the repository's root; written into the result file."""
 
     title: str = "success of policies"
-    """One line that says what was measured; written into the result file."""
+    """Title of the result file, one line."""
 
     json: bool = False
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Reads, prints, plots and writes; 0."""
+        """Reads, prints, plots and writes; returns 0."""
         labels = self._labels()
         self._check()
         from lerobot_adamanip.evaluation.log import read_log
@@ -114,7 +114,7 @@ class Report:
         return list(self.label)
 
     def _evaluations(self, logs: Evaluations) -> Iterator[tuple[str, list[EpisodeRecord]]]:
-        """Yields label and records of each evaluation; those of one log are numbered, or called by their labels."""
+        """Yields label and records of each evaluation; several in a log are numbered."""
         from lerobot_adamanip.evaluation.groups import first_episodes, split_evaluations
 
         for label, records in logs.items():

@@ -80,25 +80,22 @@ def test_half_precision_is_told_and_not_required(
     assert problem is None or problem in found.found
 
 
-def test_only_required_checks_decide(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    wish, need = Check("wish", False, "no", "get one", required=False), Check("need", False, "no [x]", "do this")
-    monkeypatch.setattr(checks, "CHECKS", (lambda: wish,))
-    assert Doctor().run() == 0
-    assert "get one" in capsys.readouterr().out
-    monkeypatch.setattr(checks, "CHECKS", (lambda: wish, lambda: need))
-    assert Doctor().run() == 1
-    printed = capsys.readouterr().out
-    assert "do this" in printed
-    assert "no [x]" in printed
-
-
-def test_a_check_that_breaks_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_required_checks_decide_and_one_that_breaks_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def check_broken() -> Iterator[Check]:
         yield Check("first", True, "fine")
         raise ValueError("odd machine")
 
-    monkeypatch.setattr(checks, "CHECKS", (check_broken,))
-    first, broken = checks.run_checks()
+    wish = Check("wish", False, "no [x]", "get one", required=False)
+    monkeypatch.setattr(checks, "CHECKS", (lambda: wish,))
+    assert Doctor().run() == 0
+    printed = capsys.readouterr().out
+    assert "get one" in printed
+    assert "no [x]" in printed
+    monkeypatch.setattr(checks, "CHECKS", (lambda: wish, check_broken))
+    assert Doctor().run() == 1
+    _, first, broken = checks.run_checks()
     assert first.ok
     assert (broken.name, broken.ok, broken.found) == ("broken", False, "ValueError: odd machine")
 
