@@ -4,7 +4,7 @@ Distances are to the nearest neighbour among all points, both ways: from the clo
 the simulator sees, and from the simulator's cloud to what the depth shows.
 
 Returns 1 if half of the points are farther than 1 mm, or one in a hundred farther than 5 mm, or if making a cloud takes
-more than 10 ms (median). With ``--source render`` the renderer takes the pictures, which needs a Vulkan device.
+more than 10 ms (median).
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ REPEATS = 5
 
 
 class Comparison(NamedTuple):
-    """One scene: distances to the nearest neighbour [mm], and the time of a cloud [ms].
+    """Comparison of one scene's clouds.
 
     Attributes:
-        seen: of each point of the cloud from depth to the simulator's.
-        kept: of each point of the simulator's cloud to those from depth.
-        milliseconds: of one cloud from depth.
+        seen: distance of each point of the cloud from depth to the simulator's [mm].
+        kept: distance of each point of the simulator's cloud to those from depth [mm].
+        milliseconds: time of one cloud from depth.
     """
 
     seen: NDArray[np.float64]
@@ -49,12 +49,11 @@ class Comparison(NamedTuple):
 
 
 def compare(task: Any, num_points: int, calibration: CameraCalibration | None = None) -> Comparison:
-    """Compares both clouds of the scene that a task shows at this moment."""
+    """Compares both clouds of a task's present scene."""
     from scipy.spatial import cKDTree
 
     views = task.views
-    dense = views.points()
-    depth = rendered_depth(task) if views.cloud_source == "render" else cast_depth(task)
+    dense, depth = views.points(), cast_depth(task)
     known = calibration or simulated_calibration(camera_of(task))
     start = time.perf_counter()  # processor time would count another thread, which spins after the simulator's rays
     for _ in range(REPEATS):
@@ -74,14 +73,8 @@ def camera_of(task: Any) -> dict[str, Any]:
     return camera_parameters(pinhole(views.camera(views.depth_size, "front")))
 
 
-def rendered_depth(task: Any) -> NDArray[np.uint16]:
-    """The renderer's depth of the scene that was just captured (H, W) [mm]."""
-    depth = task.views.depth_scene.texture("depth")[..., 0]
-    return np.where(depth > 0, depth, 0).astype(np.uint16)
-
-
 def cast_depth(task: Any) -> NDArray[np.uint16]:
-    """The same of rays: 0 where none met anything near the workspace."""
+    """Returns the depth that rays see (H, W) [mm]; 0 where none met anything near the workspace."""
     from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
 
     views = task.views
@@ -91,13 +84,13 @@ def cast_depth(task: Any) -> NDArray[np.uint16]:
     return depth.reshape(views.depth_size, views.depth_size)
 
 
-def scenes(categories: tuple[str, ...], wanted: int, source: str) -> Iterator[Any]:
-    """Puts up so many scenes, as many of each category as of the others; those that cannot be placed are left out."""
+def scenes(categories: tuple[str, ...], wanted: int) -> Iterator[Any]:
+    """Yields tasks with placed scenes, as many of each category."""
     from lerobot_env_adamanip.simulator import make_task
 
     for index, category in enumerate(categories):
         share = wanted // len(categories) + (index < wanted % len(categories))
-        task, seed = make_task(category, cloud_source=source), FIRST_SEED
+        task, seed = make_task(category), FIRST_SEED
         try:
             while share:
                 seed += 1
@@ -127,17 +120,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--category", choices=(*CATEGORIES, "all"), default="all")
     parser.add_argument("--scenes", type=count, default=50)
-    parser.add_argument("--source", choices=("raycast", "render"), default="raycast")
     parser.add_argument("--num-points", type=count, default=DEFAULT_NUM_POINTS)
     options = parser.parse_args()
     warnings.filterwarnings("ignore")
     categories = tuple(CATEGORIES) if options.category == "all" else (options.category,)
     progress, found = Progress(options.scenes), []
-    for task in scenes(categories, options.scenes, options.source):
+    for task in scenes(categories, options.scenes):
         found.append(compare(task, options.num_points))
         progress.advance(1)
     told = summary(found)
-    sys.stdout.write(json.dumps({**header(), "source": options.source, **told}) + "\n")
+    sys.stdout.write(json.dumps({**header(), **told}) + "\n")
     return 0 if told["passed"] else 1
 
 

@@ -133,7 +133,7 @@ def _facts(checkpoint: Checkpoint) -> str:
     rows += [(_ROWS[key][0], _ROWS[key][1].format(config[key])) for key in used]
     averaged = "" if checkpoint.updates is None else f"; averaged over {checkpoint.updates} updates"
     rows.append(("size", f"{checkpoint.parameters / 1e6:.1f} M parameters{averaged}"))
-    return "\n".join(f"| {name} | {said} |" for name, said in rows)
+    return "\n".join(f"| {name} | {text} |" for name, text in rows)
 
 
 def _feature(key: str, feature: Mapping[str, Any]) -> str:
@@ -143,13 +143,13 @@ def _feature(key: str, feature: Mapping[str, Any]) -> str:
 def _training(training: Mapping[str, Any], dataset: str | None) -> str:
     if not training:
         return "How it was trained is not recorded."
-    said = ", ".join(f"{name.replace('_', ' ')} {training[name]}" for name in _TRAINING if name in training)
+    options = ", ".join(f"{name.replace('_', ' ')} {training[name]}" for name in _TRAINING if name in training)
     source = f"`{dataset}`" if dataset else "a dataset that is not published"
-    return f"On {source}: {said}. `train_config.json` holds every option; where things lay is left out."
+    return f"On {source}: {options}. `train_config.json` holds every option; where things lay is left out."
 
 
 def train_command(training: Mapping[str, Any], kind: str, env_type: str, dataset: str | None) -> str:
-    """Returns a command that trains the same; what is not told are defaults and what `train_config.json` holds."""
+    """Returns a command that repeats the training; further options are defaults or in `train_config.json`."""
     options = {
         "policy.type": kind,
         "env.type": env_type,

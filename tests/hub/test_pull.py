@@ -53,16 +53,22 @@ def answers(done: Any) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def commits(staged: Staged, api: HfApi, trained: Path, tmp_path: Path) -> dict[str, str]:
-    """Publishes a dataset, a policy and the environments; gives words for commits and folders."""
-    for name in ("model", "env", "staged-clouds"):
+def environment_commit(api: HfApi, tmp_path: Path) -> str:
+    """Publishes the environments."""
+    (tmp_path / "env").mkdir()
+    return push(stage_environment(ENVIRONMENT, tmp_path / "env", {"simulator": "0" * 16}), api).commit
+
+
+@pytest.fixture
+def commits(environment_commit: str, staged: Staged, api: HfApi, trained: Path, tmp_path: Path) -> dict[str, str]:
+    """Publishes datasets and a policy too; gives words for commits and folders."""
+    for name in ("model", "staged-clouds"):
         (tmp_path / name).mkdir()
     push(stage_model(trained, POLICY, tmp_path / "model"), api)
-    environment = push(stage_environment(ENVIRONMENT, tmp_path / "env", {"simulator": "0" * 16}), api)
     clouds = collect_sound(tmp_path / "clouds", observe_images=False)
     push(stage_dataset(clouds, CLOUDS, tmp_path / "staged-clouds"), api)
     return {
-        "ENV_COMMIT": environment.commit, "COMMIT": push(staged, api).commit,
+        "ENV_COMMIT": environment_commit, "COMMIT": push(staged, api).commit,
         "CLOUDS_DIR": str(tmp_path / "pulled-clouds"), "DIR": str(tmp_path / "pulled"),
     }  # fmt: skip
 
@@ -120,21 +126,20 @@ def check_bytes(found: dict[str, Any], commit: str, staged: Staged) -> None:
     assert root.name == commit
 
 
-def test_code_of_the_hub_runs_with_consent_alone(commits: dict[str, str], run: Any, hub: LoopbackHub) -> None:
+@pytest.mark.usefixtures("environment_commit")
+def test_code_of_the_hub_runs_with_consent_alone(run: Any, hub: LoopbackHub) -> None:
     before = hub.count("/resolve/")
-    (came,) = answers(
-        run(str(HERE / "pull_program.py"), asked(commits, ("environment", {"name": ENVIRONMENT, "trust": False})))
-    )
+    call = ("environment", {"name": ENVIRONMENT, "trust": False})
+    (came,) = answers(run(str(HERE / "pull_program.py"), asked({}, call)))
     assert "Refusing to execute remote code" in came["error"]
     assert hub.count("/resolve/") == before
 
 
-def test_without_the_package_the_environment_says_what_to_install(
-    commits: dict[str, str], run: Any, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("environment_commit")
+def test_without_the_package_the_environment_says_what_to_install(run: Any, tmp_path: Path) -> None:
     hidden = tmp_path / "hidden"
     hidden.mkdir()
     (hidden / "lerobot_env_adamanip.py").write_text("raise ModuleNotFoundError('gone', name='lerobot_env_adamanip')")
     program = shutil.copy(HERE / "pull_program.py", hidden)  # a program's folder is looked into first
-    (came,) = answers(run(str(program), asked(commits, CALLS['make_env("USER/ENV", trust_remote_code=True)'])))
+    (came,) = answers(run(str(program), asked({}, CALLS['make_env("USER/ENV", trust_remote_code=True)'])))
     assert "pip install 'lerobot_env_adamanip[sim]==" in came["error"]
