@@ -180,23 +180,6 @@ def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_
     assert len(lines) == 6
 
 
-def test_trainings_that_differ_in_their_seed_alone_are_told_as_mean_and_spread() -> None:
-    counts = {"default": (90, 80), "seed1001": (96, 80), "seed1002": (99, 80)}
-    rows = [
-        row(name, "safe", objects, (count, 100), wasted=count / 100)
-        for name, both in counts.items()
-        for objects, count in zip(("seen", "unseen"), both, strict=True)
-    ]
-    rows.append(row("default", "lamp", "seen", (49, 50)))
-    page = results_page({"seeds.json": result(kind="seeds", rows=tuple(rows))}, {NOW})
-    lines = [line for line in page.splitlines() if line.startswith("|")]
-    assert lines[0] == "| category | trainings | seen objects | unseen objects | wasted tries |"
-    # Deviations of (90, 96, 99): 5, -1, -4 from 95; their squares' sum over n - 1 is 21.
-    assert lines[2].startswith("| safe | 3 | 95.0 % ± 4.6 (90, 96, 99) | 80.0 % ± 0.0 (80, 80, 80) | ")
-    assert lines[3] == "| lamp | 1 | 98.0 % (98) | - | - |"
-    assert readme_block({"seeds.json": result(kind="seeds", scenes="test")}, {NOW}) == readme_block({}, {NOW})
-
-
 def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
     one = result()
     write_result(tmp_path / "results" / "one.json", one)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
-from lerobot_adamanip.benchmark.paper_rates import reported, reported_mean
 from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -162,43 +160,6 @@ class BenchmarkReport:
             labels = dict(zip(("subject", "trials", "category", "objects"), place, strict=True))
             made = {"result": f"benchmark/{self.scale}", "fingerprint": fingerprints[place]}
             yield {**made, **labels, "trainings": len(entry.seeds)}, entry.numbers
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary."""
-        paper_names = {row.name: row.paper for row in self.rows}
-        return {
-            "scale": self.scale,
-            "scenes": self.scenes,
-            "note": self.note,
-            "reference": self.reference,
-            "methods": [
-                {**asdict(row), "means": self._means(row.name), "paper_mean": reported_mean(row.paper, self.categories)}
-                for row in self.rows
-            ],
-            "entries": [self._entry_json(place, entry, paper_names[place[0]]) for place, entry in self.entries.items()],
-            "missing": [{**asdict(cell), "reason": self.unavailable.get(cell.method, "")} for cell in self.missing],
-            "seconds": {kind: round(sum(each.seconds for each in costs), 1) for kind, costs in self.costs().items()},
-            "fingerprints": sorted({result.fingerprint for result in self.results}),
-            "commits": sorted({result.commit or "" for result in self.results} - {""}),
-        }
-
-    def _means(self, method: str) -> dict[str, float | None]:
-        return {objects: self.mean(method, objects) for objects in self.splits}
-
-    def _entry_json(self, place: Place, entry: Entry, paper: str) -> dict[str, Any]:
-        method, trials, category, objects = place
-        gap = self.to_reference(method, (category,), objects) if trials is None and method != self.reference else None
-        rest = {name: value for name, value in vars(entry).items() if name != "numbers"}
-        return {
-            "method": method,
-            "trials": trials,
-            "category": category,
-            "objects": objects,
-            **rest,
-            **entry.numbers.to_json(),
-            "difference": None if gap is None else asdict(gap),
-            "paper": reported(paper, category) if trials is None else None,
-        }
 
 
 def make_report(

@@ -139,7 +139,7 @@ def _run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
 
 
 def _write_report(made: BenchmarkRun) -> dict[str, str]:
-    """Writes the report of all results in the folder as Markdown, CSV, JSON and pictures; returns their paths."""
+    """Writes the report of all results in the folder as Markdown, CSV and pictures; returns their paths."""
     stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
     report = make_report(
         read_cells(made.folder.cells),
@@ -151,17 +151,11 @@ def _write_report(made: BenchmarkRun) -> dict[str, str]:
     )
     folder = made.folder.root / "report"
     folder.mkdir(parents=True, exist_ok=True)
-    texts = {
-        "table": ("md", benchmark_page(report)),
-        "metrics": ("csv", csv_table(report.csv_rows())),
-        "numbers": ("json", json.dumps(report.to_json(), indent=1) + "\n"),
-    }
-    written = {}
-    for what, (suffix, text) in texts.items():
-        path = folder / f"benchmark.{suffix}"
-        write_atomically(path, text.encode())
-        written[what] = str(path)
-    return written | {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
+    table, metrics = folder / "benchmark.md", folder / "benchmark.csv"
+    write_atomically(table, benchmark_page(report).encode())
+    write_atomically(metrics, csv_table(report.csv_rows()).encode())
+    pictures = {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
+    return {"table": str(table), "metrics": str(metrics), **pictures}
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -21,8 +21,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
 from lerobot_adamanip.util.json_fields import choice, integer, listing, number, optional, read, record, text
 
-KINDS = ("expert", "policy", "seeds")
-"""Experts; policies; trainings of one policy that differ in their seed alone."""
+KINDS = ("expert", "policy")
 MACHINE_PATH = r"(?<![\w.])/(?:home|root|work|tmp|Users|mnt|data)/|(?<![A-Za-z])[A-Za-z]:\\"
 """Pattern of how an absolute path of one machine begins."""
 PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")

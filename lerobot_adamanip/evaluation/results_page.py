@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS
@@ -21,8 +20,7 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 
 The *fingerprint* is a hash of the code that decides how an episode comes out (contract, mechanisms, objects, simulator;
 experts, where they acted). Only tables of the present fingerprint stand in the README. Brackets hold Wilson's 95 %
-intervals, ± the sample standard deviation of trainings that differ in their seed alone. Tables of tries count all
-splits of objects together.
+intervals. Tables of tries count all splits of objects together.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _TRIES = ("key_frames", "wasted_tries", "repeated", "failures")
@@ -46,8 +44,7 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
                 f"**Of another fingerprint**, `{result.fingerprint}` (version {result.version}): "
                 "not what the present code would give.\n"
             )
-        tables = (_seeds_table(result.rows),) if result.kind == "seeds" else (success_table(result), _tries(result))
-        parts += [f"{table}\n" for table in tables if table]
+        parts += [f"{table}\n" for table in (success_table(result), _tries(result)) if table]
         parts.append(f"{source_line(name, result)}\n")
     return "\n".join(parts)
 
@@ -141,29 +138,6 @@ def _mean_success(rows: Sequence[ResultRow], categories: Collection[str]) -> str
     """Returns the mean of the categories' shares; nothing where one of them was not measured."""
     shares = [row.metrics.success.rate or 0.0 for row in rows]
     return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == len(categories) else "-"
-
-
-def _seeds_table(rows: Sequence[ResultRow]) -> str:
-    """Returns mean, spread and each training's success; of wasted tries the same, of all splits of objects together."""
-    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
-    lines = []
-    for category, mine in _by_category(rows).items():
-        shares = [[100 * (row.metrics.success.rate or 0.0) for row in mine if row.objects == each] for each in splits]
-        trainings = _by_subject(mine)
-        pooled = [pool(row.metrics for row in each).wasted_tries for each in trainings.values()]
-        wasted = [round(each.value, 2) for each in pooled if each is not None and each.value is not None]
-        cells = [_spread(values, ".1f", " %") for values in shares]
-        lines.append([words(category), str(len(trainings)), *cells, _spread(wasted, ".2f", "")])
-    return markdown_table(["category", "trainings", *(f"{split} objects" for split in splits), "wasted tries"], lines)
-
-
-def _spread(values: Sequence[float], digits: str, unit: str) -> str:
-    """Returns ``97.7 % ± 1.2 (97, 97, 99)``: mean, sample standard deviation, each; without it where there is one."""
-    if not values:
-        return "-"
-    deviation = f" ± {statistics.stdev(values):{digits}}" if len(values) > 1 else ""
-    each = ", ".join(f"{value:.4g}" for value in values)
-    return f"{statistics.mean(values):{digits}}{unit}{deviation} ({each})"
 
 
 def source_line(name: str, result: ResultFile) -> str:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 from benchmark_helpers import SCALE, content, declared
 
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.paper_rates import SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -120,11 +119,6 @@ def test_what_is_left_out_has_the_defaults_of_adamanip_collect() -> None:
     made, collect = declared().demonstrations["adaptive"], Collect(Path("root"))
     for name in ("expert", "trials", "late_starts", "num_points", "poses", "mechanism_rules"):
         assert getattr(made, name) == getattr(collect, name)
-
-
-def test_the_declaration_is_part_of_the_package() -> None:
-    assert PAPER_TABLE.parent.name == "benchmark"
-    assert tomllib.loads(PAPER_TABLE.read_text(encoding="utf-8"))["reference"] == "dp3_adaptive"
 
 
 def test_the_page_tells_the_scales_and_methods_as_they_are() -> None:

@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import json
 import os
-import platform
 import random
 import re
 import signal
@@ -292,61 +291,28 @@ def test_a_log_of_other_code_or_too_few_episodes_is_no_result(tmp_path: Path) ->
     assert states[0].result.numbers.success.episodes == 4, "a method's own options win"
 
 
-def test_collecting_is_told_what_decides_nothing(tmp_path: Path) -> None:
-    runner = FakeRunner(tmp_path)
-    run_all(benchmark(tmp_path / "out", runner, collect_options=("--workers=3",)))
-    assert runner.called[2][-1] == "--workers=3"
-    other = FakeRunner(tmp_path)
-    run_all(benchmark(tmp_path / "other", other))
-    assert results(tmp_path / "out") == results(tmp_path / "other")
-
-
 # Programs ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("threads", "told"), [(0, "None"), (2, "2")])
-def test_a_program_is_run_in_the_folder_and_what_it_says_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int, told: str
+@pytest.mark.parametrize(
+    ("threads", "own", "told"),
+    [(0, None, "None glibc.malloc.hugetlb=1"), (2, None, "2 glibc.malloc.hugetlb=1"), (0, "mine", "None mine")],
+)
+def test_a_program_has_the_folder_and_the_environment_unless_the_user_says_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int, own: str | None, told: str
 ) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    log = tmp_path / "log"
-    code = "import os, sys; e = os.environ; print(os.getcwd(), e['HF_HUB_OFFLINE'], e.get('OMP_NUM_THREADS')); exit(3)"
-    with files.locked(tmp_path, "busy", "") as lock:
-        program = Path(sys.executable).name
-        process = begin_command([program, "-c", code], folder=tmp_path, log=log, lock=lock, threads=threads)
-        assert process.wait(30) == 3
-    assert log.read_text() == f"{tmp_path} 1 {told}\n"
-
-
-ALLOCATES = """
-import ctypes, resource
-libc = ctypes.CDLL(None)
-libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
-faults = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-before = faults()
-for _ in range(20):
-    block = libc.malloc(2**26)
-    ctypes.memset(block, 1, 2**26)
-    libc.free(block)
-print(faults() - before)
-"""
-"""Takes 64 MB twenty times, which are 16,384 pages (glibc keeps 32 MB by itself), and says how often it had to ask."""
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another libc keeps memory as it likes")
-@pytest.mark.parametrize(("own", "kept"), [(None, True), ("glibc.malloc.mmap_threshold=100000", False)])
-def test_a_program_keeps_the_memory_that_it_will_need_again_unless_the_user_says_otherwise(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None, kept: bool
-) -> None:
     monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
     if own is not None:
         monkeypatch.setenv("GLIBC_TUNABLES", own)
     log = tmp_path / "log"
+    names = ("HF_HUB_OFFLINE", "OMP_NUM_THREADS", "GLIBC_TUNABLES")
+    code = f"import os; print(os.getcwd(), *(os.environ.get(name) for name in {names})); exit(3)"
     with files.locked(tmp_path, "busy", "") as lock:
-        command = [Path(sys.executable).name, "-c", ALLOCATES]
-        assert begin_command(command, folder=tmp_path, log=log, lock=lock).wait(30) == 0
-    faults = int(log.read_text())
-    assert (faults < 2 * 16_384) == kept, faults
+        program = Path(sys.executable).name
+        process = begin_command([program, "-c", code], folder=tmp_path, log=log, lock=lock, threads=threads)
+        assert process.wait(30) == 3
+    assert log.read_text().startswith(f"{tmp_path} 1 {told}")
 
 
 def test_a_program_is_stopped_even_if_it_will_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
