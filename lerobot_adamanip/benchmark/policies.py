@@ -9,8 +9,7 @@ import contextlib
 import inspect
 import io
 import logging
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +19,8 @@ from lerobot_adamanip.util.fingerprint import DECIDES_NOTHING, code_hash
 from lerobot_adamanip.util.import_graph import ImportGraph, is_within, our_import_graph
 
 
-@dataclass(frozen=True)
-class Policies:
-    """What was found.
-
-    Attributes:
-        code: method -> hash of its policy's code.
-        unavailable: method -> why it cannot be run here.
-    """
-
-    code: Mapping[str, str] = field(default_factory=dict)
-    unavailable: Mapping[str, str] = field(default_factory=dict)
-
-
-def find_policies(methods: Mapping[str, Method]) -> Policies:
-    """Looks for the policy of each method, and whether its options can be."""
+def find_policies(methods: Mapping[str, Method]) -> tuple[dict[str, str], dict[str, str]]:
+    """Returns method -> hash of its policy's code, and method -> why it cannot be run here."""
     import lerobot.policies  # noqa: F401  (registers LeRobot's own)
     from lerobot.configs.policies import PreTrainedConfig
     from lerobot.utils.import_utils import register_third_party_plugins
@@ -50,7 +36,7 @@ def find_policies(methods: Mapping[str, Method]) -> Policies:
             unavailable[name] = reason
         else:
             code[name] = hashes[method.policy]
-    return Policies(code, unavailable)
+    return code, unavailable
 
 
 def policy_hash(configuration: type[Any]) -> str:
@@ -73,8 +59,10 @@ def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:
 
     said = io.StringIO()
     arguments = ["--device=cpu", *(f"--{option.removeprefix('--policy.')}" for option in options)]
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # configurations report the device that they are given
     try:
-        with _quiet(), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stderr(said):
             draccus.parse(config_class=kind, args=arguments)
     except SystemExit:  # how argparse refuses an option it does not know, after saying so
         return said.getvalue().strip().rpartition("error: ")[2]
@@ -82,15 +70,6 @@ def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:
         return " ".join(str(error).split())
     except draccus.utils.DraccusException as error:
         return " ".join(str(error.__cause__ or error).split())
-    return ""
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keeps configurations from telling of the device that they have been given."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
     finally:
         logging.disable(before)
+    return ""

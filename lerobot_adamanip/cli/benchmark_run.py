@@ -84,7 +84,7 @@ def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
 def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) -> BenchmarkRun:
     from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 
-    policies = find_policies(declaration.methods)
+    policies, unavailable = find_policies(declaration.methods)
     return BenchmarkRun(
         declaration=declaration,
         scale=scale,
@@ -92,12 +92,12 @@ def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) 
         code=Code(
             demonstrations=combined({**code_fingerprint(), "recording": recording_hash()}),
             episodes=environment_fingerprint(),
-            policies=policies.code,
+            policies=policies,
             numbers=code_hash(code_closure(*NUMBERS)),
         ),
         origin=present_origin(),
         machine=machine_class(),
-        unavailable=policies.unavailable,
+        unavailable=unavailable,
         collect_options=_collect_options(options),
         jobs=options.jobs,
         say=lambda text: print(text, flush=True),

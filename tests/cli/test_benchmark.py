@@ -15,7 +15,6 @@ from benchmark_helpers import FakeRunner
 from records import MADE
 
 from lerobot_adamanip.benchmark.declaration import Method, read_declaration
-from lerobot_adamanip.benchmark.policies import Policies
 from lerobot_adamanip.benchmark.run import BenchmarkRun
 from lerobot_adamanip.cli import benchmark_run as command
 from lerobot_adamanip.cli.main import main
@@ -25,9 +24,9 @@ SMALL = ["--scale", "smoke", "--methods", "sampling,dp3,dp3_adaptive", "--catego
 INTERRUPTED = 130
 
 
-def policies(methods: Mapping[str, Method]) -> Policies:
+def policies(methods: Mapping[str, Method]) -> tuple[dict[str, str], dict[str, str]]:
     print("a library talks")
-    return Policies(dict.fromkeys(methods, "a" * 16), UNAVAILABLE)
+    return dict.fromkeys(methods, "a" * 16), UNAVAILABLE
 
 
 @pytest.fixture
@@ -95,7 +94,7 @@ def test_a_report_marks_what_another_version_of_a_policy_did(
     runner: FakeRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["benchmark", *SMALL]) == 0
-    monkeypatch.setattr(command, "find_policies", lambda methods: Policies(dict.fromkeys(methods, "b" * 16)))
+    monkeypatch.setattr(command, "find_policies", lambda methods: (dict.fromkeys(methods, "b" * 16), {}))
     count = len(runner.called)
     assert states(printed_last(capsys, "--report"))["dp3"] == "stale"
     table = tmp_path / "outputs" / "benchmark" / "smoke" / "report" / "benchmark.md"
