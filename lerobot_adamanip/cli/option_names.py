@@ -16,7 +16,6 @@ FORMER: Mapping[str, Mapping[str, str]] = {
         "--pose-preset": "--poses",
     },
     "replay": {"--root": "DIR", "--video": "--out"},
-    "stats": {"--plot": "--out"},
     "view": {"--image": "--out", "--save": "--out"},
     "objects": {"--sheet": "--out"},
     "report": {"--plot": "--out", "--result": "--out"},

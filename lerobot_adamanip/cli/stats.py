@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.arguments import DatasetFolder, check_plot, print_result
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
 
 if TYPE_CHECKING:
@@ -24,22 +23,15 @@ class Stats:
     root: DatasetFolder
     """Folder of a LeRobotDataset."""
 
-    out: Path | None = None
-    """Write a picture (.png, .pdf or .svg): episodes by length, by failed tries, and by what they have in common."""
-
     json: bool = False
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Counts, prints and plots; 0."""
-        check_plot(self.out)
-        from lerobot_adamanip.datasets.stats import plot_stats, read_stats
+        """Counts and prints; 0."""
+        from lerobot_adamanip.datasets.stats import read_stats
 
         found = read_stats(self.root)
-        if self.out is not None:
-            plot_stats(found, self.out)
-        text = "\n".join([*_lines(found), *([] if self.out is None else [f"picture: {self.out}"])])
-        print_result(self.json, {**found.to_json(), "out": self.out}, text)
+        print_result(self.json, found.to_json(), "\n".join(_lines(found)))
         return 0
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lerobot_adamanip.datasets.encoding import PLACE, PreparedEpisode
+from lerobot_adamanip.datasets.encoding import PreparedEpisode
 
 _WRITER_PARTS = (
     "_current_file_start_frame", "_latest_episode", "_pq_writer", "_recorded_frames", "_root", "_save_episode_video",
@@ -60,10 +60,10 @@ def append_rows(
 
     Args:
         dataset: LeRobot's, being written.
-        table: the rows; the columns `PLACE` are replaced.
+        table: the rows; the columns `encoding.PLACE` are replaced.
         tasks: of the episode; new ones are added to the dataset.
         task_of_row: one of them for each row.
-        stats: column -> statistics; those of the columns `PLACE` are computed anew.
+        stats: column -> statistics; those of these columns are computed anew.
         videos: column -> content of a file with the episode's frames alone.
     """
     from lerobot.datasets.compute_stats import compute_episode_stats
@@ -78,26 +78,17 @@ def append_rows(
         "task_index": np.array([numbers[task] for task in task_of_row]),
     }
     every = {**stats, **compute_episode_stats(place, meta.features)}
-    ordered = {key: every[key] for key in _order(meta.features) if key in every}
-    metadata = _append_table(writer, meta, _placed(table, place))
+    ordered = {key: every[key] for key in meta.features if key in every}
+    for key, values in place.items():
+        at = table.schema.get_field_index(key)
+        table = table.set_column(at, table.schema.field(at), pa.array(values, type=table.schema.field(at).type))
+    metadata = _append_table(writer, meta, table)
     for key, content in videos.items():
         path = Path(tempfile.mkdtemp(dir=dataset.root)) / f"{key}_{number:03d}.mp4"
         path.write_bytes(content)
         metadata.update(writer._save_episode_video(key, number, temp_path=path))
     meta.save_episode(number, length, tasks, ordered, metadata)
     return length
-
-
-def _order(features: dict[str, Any]) -> list[str]:
-    return [key for key, feature in features.items() if feature["dtype"] not in ("string", "language")]
-
-
-def _placed(table: pa.Table, place: dict[str, Any]) -> pa.Table:
-    for key in PLACE:
-        at = table.schema.get_field_index(key)
-        field = table.schema.field(at)
-        table = table.set_column(at, field, pa.array(place[key], type=field.type))
-    return table
 
 
 def _append_table(writer: Any, meta: Any, table: pa.Table) -> dict[str, Any]:

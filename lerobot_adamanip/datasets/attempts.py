@@ -108,35 +108,30 @@ def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
 
 
 def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, int]]:
-    """Returns hidden value -> (kept, attempted); continuous values are split at their median."""
+    """Returns hidden value -> (kept, attempted)."""
     groups = grouped_by_hidden_value(attempts)
     return {label: (sum(attempt.kept for attempt in group), len(group)) for label, group in groups.items()}
 
 
 def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
-    """Returns hidden value -> attempts; an attempt is in the group of each of its hidden values."""
-    listed = list(attempts)
-    names = sorted({name for attempt in listed for name in attempt.hidden_state or {}})
+    """Returns hidden value -> attempts; an attempt is in the group of each of its hidden values.
+
+    Continuous values are split at their median.
+    """
+    listed = [(attempt.hidden_state or {}, attempt) for attempt in attempts]
     table: dict[str, list[AttemptRecord]] = {}
-    for name in names:
-        mine = [attempt for attempt in listed if name in (attempt.hidden_state or {})]
-        table |= _groups(name, mine)
-    if unplaced := [attempt for attempt in listed if attempt.hidden_state is None]:
+    for name in sorted({name for hidden, _ in listed for name in hidden}):
+        mine = [(hidden[name], attempt) for hidden, attempt in listed if name in hidden]
+        values = [value for value, _ in mine]
+        middle = sorted(values)[len(values) // 2] if any(isinstance(value, float) for value in values) else None
+        groups: dict[str, list[AttemptRecord]] = {}
+        for value, attempt in mine:
+            label = f"= {json.dumps(value)}" if middle is None else f"{'<' if value < middle else '>='} {middle:.3g}"
+            groups.setdefault(f"{name} {label}", []).append(attempt)
+        table |= dict(sorted(groups.items()))
+    if unplaced := [attempt for _, attempt in listed if attempt.hidden_state is None]:
         table[NO_LAYOUT] = unplaced
     return table
-
-
-def _groups(name: str, attempts: list[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
-    values = [(attempt.hidden_state or {})[name] for attempt in attempts]
-    if not any(isinstance(value, float) for value in values):
-        labels = [f"{name} = {json.dumps(value)}" for value in values]
-    else:
-        middle = sorted(values)[len(values) // 2]
-        labels = [f"{name} {'<' if value < middle else '>='} {middle:.3g}" for value in values]
-    groups: dict[str, list[AttemptRecord]] = {label: [] for label in sorted(set(labels))}
-    for label, attempt in zip(labels, attempts, strict=True):
-        groups[label].append(attempt)
-    return groups
 
 
 _COUNT = json_fields.integer(0, 2**31)

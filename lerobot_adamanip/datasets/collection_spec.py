@@ -88,11 +88,10 @@ class CollectionSpec:
         require_choice("expert", self.expert, EXPERT_KINDS)
         require_choice("expert strategy", self.expert_strategy, EXPERT_STRATEGIES)
         for name, (lowest, highest) in LIMITS.items():
-            _require(
-                lowest <= getattr(self, name) <= highest, name, getattr(self, name), f"{lowest} ... {highest}", lowest
-            )
-        _require(0 <= self.late_starts <= 1, "late_starts", self.late_starts, "a share, 0 ... 1")
-        _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
+            value = getattr(self, name)
+            _require(lowest <= value <= highest, name, value, f"{lowest} ... {highest}", lowest)
+        for name in ("late_starts", "expert_share"):
+            _require(0 <= getattr(self, name) <= 1, name, getattr(self, name), "a share, 0 ... 1")
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
@@ -129,56 +128,32 @@ def _require(holds: bool, name: str, got: object, allowed: str, advice: object =
         raise ConfigurationError(f"Wrong {name} of a collection.", got=got, allowed=allowed, hint=hint)
 
 
-@dataclass(frozen=True)
 class CollectionPaths:
-    """Folders of a collection: ``root`` when complete, others beside it until then."""
+    """Folders of a collection: ``root`` when complete, others beside it until then.
 
-    root: Path
+    Attributes:
+        root: the finished dataset.
+        manifest: of the finished dataset.
+        failed: the dataset of failed episodes.
+        partial: folder of an unfinished collection.
+        partial_manifest: its manifest.
+        episodes: files of the episodes to keep.
+        failed_episodes: files of failed episodes, where they are kept.
+        attempts: attempts at items without an episode file.
+        building, building_failed: the two datasets, while they are assembled.
+    """
 
-    @property
-    def partial(self) -> Path:
-        """Folder of an unfinished collection."""
-        return self.root.with_name(self.root.name + COLLECTING)
-
-    @property
-    def episodes(self) -> Path:
-        """Files of the episodes to keep."""
-        return self.partial / "episodes"
-
-    @property
-    def attempts(self) -> Path:
-        """Attempts at items without an episode file."""
-        return self.partial / "attempts"
-
-    @property
-    def failed_episodes(self) -> Path:
-        """Files of failed episodes, where they are kept."""
-        return self.partial / "failed"
-
-    @property
-    def building(self) -> Path:
-        """The dataset, while it is assembled."""
-        return self.partial / "dataset"
-
-    @property
-    def building_failed(self) -> Path:
-        """The dataset of failed episodes, while it is assembled."""
-        return self.partial / "dataset-failed"
-
-    @property
-    def failed(self) -> Path:
-        """The dataset of failed episodes."""
-        return self.root.with_name(self.root.name + "-failed")
-
-    @property
-    def partial_manifest(self) -> Path:
-        """Manifest of an unfinished collection."""
-        return self.partial / "collection.json"
-
-    @property
-    def manifest(self) -> Path:
-        """Manifest of a finished one."""
-        return manifest_path(self.root)
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.manifest = manifest_path(root)
+        self.failed = root.with_name(root.name + "-failed")
+        self.partial = root.with_name(root.name + COLLECTING)
+        self.partial_manifest = self.partial / "collection.json"
+        self.episodes = self.partial / "episodes"
+        self.failed_episodes = self.partial / "failed"
+        self.attempts = self.partial / "attempts"
+        self.building = self.partial / "dataset"
+        self.building_failed = self.partial / "dataset-failed"
 
 
 def manifest_path(root: Path) -> Path:

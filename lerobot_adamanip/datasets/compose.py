@@ -12,21 +12,21 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.appending import append_rows, can_append
 from lerobot_adamanip.datasets.cutting import cut_episode
+from lerobot_adamanip.datasets.encoding import quieten
 from lerobot_adamanip.datasets.reading import as_typed, read_back, workspace_of
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.datasets.statistics import sort_statistics, write_episodes
-from lerobot_adamanip.datasets.writing import cameras_json
+from lerobot_adamanip.datasets.statistics import sort_statistics
+from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, workspace_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, KEY_FRAMES, SAFETY, is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.util.json_fields import parse
+from lerobot_adamanip.util.json_fields import parse, read
 
 Progress = Callable[[int, int], None]
 """Called with the number of episodes done, and of all."""
@@ -34,7 +34,6 @@ Pieces = Sequence[tuple[Source, int]]
 """Datasets and indices of their episodes, in the order of the new dataset."""
 _OF_COLLECTION = ("meta/collection.json", "meta/attempts.jsonl")
 _OF_ROBOT = (CALIBRATIONS, SAFETY)
-_CAMERA = "camera"
 
 
 def compose(
@@ -53,10 +52,12 @@ def compose(
         DatasetError: a source is damaged, or the sources are recordings with different calibrations.
         ConfigurationError: this LeRobot writes datasets in another way.
     """
+    from lerobot.datasets.feature_utils import get_hf_features_from_features
+
     sources = list({source.root: source for source, _ in pieces}.values())
     _require_same_calibrations(sources)
-    dataset = _create(out, sources[0].info, repo_id)
-    schema, lengths = _arrow_schema(dataset.meta.features), []
+    dataset, lengths = _create(out, sources[0].info, repo_id), []
+    schema = get_hf_features_from_features(dataset.meta.features).arrow_schema
     for done, (source, episode) in enumerate(pieces, start=1):
         lengths.append(_append(dataset, schema, source, episode))
         files.crash_point("episode assembled")
@@ -73,15 +74,12 @@ def compose(
 
 
 def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
-    import av
-    import datasets
     import lerobot
     from lerobot.configs.video import encoder_config_from_video_info
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
     from lerobot.utils.constants import DEFAULT_FEATURES
 
-    av.logging.set_libav_level(av.logging.ERROR)
-    datasets.disable_progress_bars()
+    quieten()
     own = {key: feature for key, feature in info["features"].items() if key not in DEFAULT_FEATURES}
     videos = [feature.get("info") for feature in own.values() if feature["dtype"] == "video"]
     dataset = LeRobotDataset.create(
@@ -116,14 +114,8 @@ def _append(dataset: Any, schema: pa.Schema, source: Source, episode: int) -> in
         for key, feature in dataset.meta.features.items()
         if feature["dtype"] == "video"
     }
-    stats = source.stats(episode, table)
-    return append_rows(dataset, _with_types(table, schema), row["tasks"], tasks, stats=stats, videos=videos)
-
-
-def _arrow_schema(features: dict[str, Any]) -> pa.Schema:
-    from lerobot.datasets.feature_utils import get_hf_features_from_features
-
-    return get_hf_features_from_features(features).arrow_schema
+    rows = _with_types(table, schema)
+    return append_rows(dataset, rows, row["tasks"], tasks, stats=source.stats(episode), videos=videos)
 
 
 def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
@@ -140,7 +132,7 @@ def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
 def _restore_info(out: Path, sources: Sequence[Source]) -> None:
     """Replaces LeRobot's description of the new videos by that of the old ones, where all sources agree."""
     path = out / "meta" / "info.json"
-    info = json.loads(path.read_text(encoding="utf-8"))
+    info = read(path)
     for key, feature in info["features"].items():
         told = [source.info["features"][key].get("info") or {} for source in sources]
         if any(told):
@@ -148,8 +140,7 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
             feature["info"] = {name: value for name, value in told[0].items() if name in agreed}
     box = workspace_of(sources[0].root, sources[0].info["features"])
     if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest
-        told = info["features"][POINT_CLOUD].setdefault("info", {})
-        told["workspace"] = {"lower": list(box.lower), "upper": list(box.upper)}
+        info["features"][POINT_CLOUD].setdefault("info", {}).update(workspace_info(box))
     files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
 
 
@@ -158,7 +149,7 @@ def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     sort_statistics(out)
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
     columns = pa.concat_tables(rows, promote_options="permissive")
-    _write_columns(out, columns)
+    add_episode_columns(out, columns)
     if cameras := _cameras(columns):
         files.write_atomically(out / "meta" / "cameras.json", cameras_json(cameras))
     first = pieces[0][0]
@@ -170,24 +161,14 @@ def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
         _copy(first.root, out, _OF_COLLECTION)
 
 
-def _write_columns(root: Path, columns: pa.Table) -> None:
-    for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
-        table = pq.read_table(path)
-        mine = columns.take(table["episode_index"])
-        for name in mine.column_names:
-            if name not in table.column_names:
-                table = table.append_column(name, mine[name])
-        write_episodes(path, table)
-
-
 def _cameras(columns: pa.Table) -> list[dict[str, Any]]:
     """Returns the camera's parameters in each episode; nothing if those of an episode are unknown."""
-    texts = columns[_CAMERA].to_pylist() if _CAMERA in columns.column_names else []
+    texts = columns["camera"].to_pylist() if "camera" in columns.column_names else []
     try:
-        cameras = [parse(text) for text in texts if isinstance(text, str)]
-    except ValueError:
+        cameras = [parse(text) for text in texts]
+    except (TypeError, ValueError):
         return []
-    return cameras if len(cameras) == len(columns) and all(isinstance(each, dict) for each in cameras) else []
+    return cameras if all(isinstance(each, dict) for each in cameras) else []
 
 
 def _require_same_calibrations(sources: Sequence[Source]) -> None:

@@ -22,19 +22,14 @@ _WORDS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Condition:
-    """A comparison of one column.
-
-    Attributes:
-        column: its name.
-        operation: ``=``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``.
-        values: to compare with; for ``=`` one of them has to be equal, for ``!=`` none.
-        ranges: first and end (exclusive) of whole numbers, for ``=`` and ``!=``.
-    """
+    """A comparison of one column: ``=``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``."""
 
     column: str
     operation: str
     values: tuple[Value, ...]
+    """To compare with; for ``=`` one of them has to be equal, for ``!=`` none."""
     ranges: tuple[tuple[int, int], ...] = ()
+    """First and end (exclusive) of whole numbers, for ``=`` and ``!=``."""
 
     def holds(self, facts: Facts) -> bool:
         """Whether an episode fulfils it; an unknown value fulfils nothing."""
@@ -48,12 +43,10 @@ class Condition:
 
 
 def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
-    """Parses a condition.
+    """Parses a condition on episodes with these facts.
 
-    Args:
-        text: a column's name, an operation and a value of the column's kind; for ``=`` and ``!=`` several, separated
-            by commas, and of whole numbers ranges like ``0:10`` (10 excluded).
-        facts: of the episodes to choose from: their columns, and the kind of each.
+    It is a column's name, an operation and a value of the column's kind; for ``=`` and ``!=`` several, separated by
+    commas, and of whole numbers ranges like ``0:10`` (10 excluded).
 
     Raises:
         ConfigurationError: the text is no condition, names no column, or its value is of another kind.
@@ -101,14 +94,10 @@ def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
     if not kinds:
         names = sorted({name for each in facts for name, value in each.items() if value is not None})
         word = column.lower()
-        begun = [name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word)]
-        near = begun[0] if begun else nearest(word, names)
-        raise ConfigurationError(
-            "Episodes have no such column.",
-            got=repr(column),
-            allowed=", ".join(names),
-            hint=f"--where '{near}{rest}'" if near else "--where 'success=true'",
-        )
+        begun = (name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word))
+        near = next(begun, None) or nearest(word, names)
+        hint = f"--where '{near}{rest}'" if near else "--where 'success=true'"
+        raise ConfigurationError("Episodes have no such column.", got=repr(column), allowed=", ".join(names), hint=hint)
     return float if kinds == {int, float} else kinds.pop() if len(kinds) == 1 else str
 
 

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.datasets.encoding import ENCODER_THREADS
 from lerobot_adamanip.datasets.reading import VIDEO_PATH
 from lerobot_adamanip.util.errors import DatasetError
 
 
 def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[str, Any], fps: int) -> bytes:
-    """Returns a video file of one episode's frames.
+    """Returns a video file of one episode's frames; ``feature`` describes the column, ``row`` is of ``meta/episodes``.
 
     Packets are copied without loss. Where the episode does not begin with a key frame, as after LeRobot's own cutting,
     its frames are encoded again with the settings that the dataset names.
 
-    Args:
-        root: of the dataset.
-        key: of the video column.
-        feature: the column's description.
-        row: of the episode, in ``meta/episodes``.
-        fps: of the dataset.
-
     Raises:
-        DatasetError: the file holds another number of frames than the episode has rows, or depth would be encoded
-            again.
+        DatasetError: the video holds too few frames, or depth would be encoded again.
     """
     chunk, file, begin, end = (
         row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
@@ -84,8 +78,6 @@ def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, featur
     from lerobot.configs.video import encoder_config_from_video_info
     from lerobot.datasets.video_utils import encode_video_frames
 
-    from lerobot_adamanip.datasets.encoding import ENCODER_THREADS
-
     if (feature.get("info") or {}).get("is_depth_map"):
         raise DatasetError(
             "Depth cannot be encoded anew without loss.",
@@ -93,17 +85,13 @@ def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, featur
             allowed="videos in which each episode begins with a key frame, as `lerobot-record` writes them",
             hint="the recording of before it was edited",
         )
-    folder, found = out.with_suffix(""), 0
+    folder = out.with_suffix("")
     folder.mkdir()
+    frame: Any
     with av.open(str(path)) as container:
-        frame: Any
-        for number, frame in enumerate(container.decode(video=0)):
-            if number >= span[1]:
-                break
-            if number >= span[0]:
-                frame.to_image().save(folder / f"frame-{found:06d}.png")
-                found += 1
-    if found:
+        for number, frame in enumerate(itertools.islice(container.decode(video=0), *span)):
+            frame.to_image().save(folder / f"frame-{number:06d}.png")
+    if found := len(list(folder.iterdir())):
         encoder = encoder_config_from_video_info(dict(feature.get("info") or {}))
         encode_video_frames(folder, out, fps, video_encoder=encoder, encoder_threads=ENCODER_THREADS, overwrite=True)
     return found

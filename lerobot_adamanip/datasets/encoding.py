@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_shard
@@ -51,6 +52,15 @@ class PreparedEpisode:
     videos: dict[str, bytes]
 
 
+def quieten() -> None:
+    """Silences the video library and progress bars."""
+    import av
+    import datasets
+
+    av.logging.set_libav_level(av.logging.ERROR)
+    datasets.disable_progress_bars()
+
+
 def video_encoder() -> Any:
     """Returns LeRobot's description of how videos are encoded."""
     from lerobot.configs.video import RGBEncoderConfig
@@ -63,11 +73,7 @@ def preparing_session(
     features: Features, fps: int
 ) -> Iterator[Callable[[EpisodeFile | bytes, Heartbeat], PreparedEpisode]]:
     """Yields a worker's function, which prepares an episode from its file or the file's content."""
-    import av
-    import datasets
-
-    av.logging.set_libav_level(av.logging.ERROR)
-    datasets.disable_progress_bars()
+    quieten()
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         sent = Path(scratch) / "episode.safetensors"
 
@@ -80,50 +86,44 @@ def preparing_session(
 
 
 def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Path) -> PreparedEpisode:
-    """Prepares one episode with LeRobot's functions, as LeRobot's writer does.
+    """Prepares one episode with LeRobot's functions, as LeRobot's writer does, in a folder to work in.
 
-    Args:
-        episode: to be prepared.
-        features: of the dataset, LeRobot's own columns included.
-        fps: of the dataset.
-        scratch: a folder to work in.
+    ``features`` are the dataset's, LeRobot's own columns included.
     """
     from lerobot.datasets.feature_utils import validate_frame
+    from lerobot.datasets.image_writer import write_image
 
-    length = len(episode)
-    for row in range(length):
+    for row in range(len(episode)):
         frame = {key: column[row] for key, column in episode.columns.items()}
         validate_frame({**frame, "task": episode.record["task"]}, dict(features))
+    rows = _rows(episode, features, fps)
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
-        images = {
-            key: _write_images(Path(folder) / key, episode.columns[key])
-            for key, feature in features.items()
-            if feature["dtype"] == "video"
-        }
-        rows = _rows(episode, features, fps)
-        buffer = {key: images[key] if key in images else rows[key] for key in features if key not in PLACE}
-        stats = compute_statistics(buffer, features)
-        videos = {key: _encode(Path(folder) / key, fps) for key in images}
+        images = {key: Path(folder) / key for key, feature in features.items() if feature["dtype"] == "video"}
+        paths = {}
+        for key, pictures in images.items():
+            pictures.mkdir()
+            paths[key] = [str(pictures / f"frame-{number:06d}.png") for number in range(len(episode))]
+            for path, image in zip(paths[key], episode.columns[key], strict=True):
+                write_image(image, Path(path))
+        stats = compute_statistics({key: {**rows, **paths}[key] for key in features if key not in PLACE}, features)
+        videos = {key: _encode(pictures, fps) for key, pictures in images.items()}
     return PreparedEpisode(episode.record, _table(rows, features), stats, videos)
 
 
 def _rows(episode: RecordedEpisode, features: Features, fps: int) -> dict[str, Any]:
     """Returns the columns as LeRobot's writer stacks them: of shape (1,) they are scalars."""
-    import numpy as np
-
     length = len(episode)
-    given: dict[str, Any] = {
+    given = {
+        **episode.columns,
         **{key: np.zeros(length, np.int64) for key in PLACE},
-        "timestamp": np.stack([row / fps for row in range(length)]),
-        "frame_index": np.stack(list(range(length))),
+        "timestamp": np.arange(length) / fps,
+        "frame_index": np.arange(length),
     }
-    rows = {}
-    for key, feature in features.items():
-        if feature["dtype"] == "video":
-            continue
-        column = given[key] if key in given else episode.columns[key]
-        rows[key] = column.reshape(length) if tuple(feature["shape"]) == (1,) else column
-    return rows
+    return {
+        key: given[key].reshape(length) if tuple(feature["shape"]) == (1,) else given[key]
+        for key, feature in features.items()
+        if feature["dtype"] != "video"
+    }
 
 
 def _table(rows: dict[str, Any], features: Features) -> bytes:
@@ -138,16 +138,6 @@ def _table(rows: dict[str, Any], features: Features) -> bytes:
         stream.write_table(table)
     content: bytes = sink.getvalue().to_pybytes()
     return content
-
-
-def _write_images(folder: Path, images: Any) -> list[str]:
-    from lerobot.datasets.image_writer import write_image
-
-    folder.mkdir()
-    paths = [folder / f"frame-{number:06d}.png" for number in range(len(images))]
-    for path, image in zip(paths, images, strict=True):
-        write_image(image, path)
-    return list(map(str, paths))
 
 
 def _encode(folder: Path, fps: int) -> bytes:

@@ -65,17 +65,16 @@ def _hidden(text: Any) -> dict[str, Value | None]:
 def _counted(source: Source) -> list[dict[str, Value | None]]:
     """Returns what the rows of each episode count; nothing where they lack the columns of tries."""
     wanted = ["episode_index", schema.TRIED, schema.FAILED, schema.DONE]
-    episodes = source.info["total_episodes"]
     if not set(wanted) <= set(source.info["features"]):
-        return [{} for _ in range(episodes)]
-    columns = pq.read_table(sorted((source.root / "data").glob("*/*.parquet")), columns=wanted).to_pydict()
-    tries: list[list[bool]] = [[] for _ in range(episodes)]
-    sent = [0] * episodes
-    for episode, tried, failed, done in zip(*(columns[name] for name in wanted), strict=True):
-        sent[episode] += not done
-        if tried >= 0:
-            tries[episode].append(failed)
-    return [{"key_frames": count, "recoveries": recoveries(each)} for count, each in zip(sent, tries, strict=True)]
+        return [{} for _ in range(source.info["total_episodes"])]
+    rows = pq.read_table(sorted((source.root / "data").glob("*/*.parquet")), columns=wanted).to_pandas()
+    return [
+        {
+            "key_frames": int((~mine[schema.DONE]).sum()),
+            "recoveries": recoveries(mine.loc[mine[schema.TRIED] >= 0, schema.FAILED].tolist()),
+        }
+        for _, mine in rows.groupby("episode_index")
+    ]
 
 
 def recoveries(failed: Sequence[bool]) -> int:

@@ -54,9 +54,8 @@ from lerobot_adamanip.util.json_fields import (
 )
 
 FORMAT = 2
-"""Of the manifest and the columns beside it. 1 was version 0.1.0's."""
+"""Of the manifest and the columns beside it."""
 MAX_POINTS = 16_384
-_LONGEST_ID, _FARTHEST, _MAX_PARTS = 120, 10.0, 64
 HIDDEN_STATE: Check = mapping(
     text(r"[a-z][a-z_]{0,39}", "the name of a hidden value"), either(flag, number(-1e6, 1e6), text(r"\w{1,40}", "")), 16
 )
@@ -135,20 +134,13 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
-    """Reads a manifest.
-
-    Args:
-        path: of the file.
-        assets: the folder of external assets, if the collection used any.
+    """Reads a manifest; ``assets`` is the folder of external assets, if the collection used any.
 
     Raises:
         DatasetError: it is missing or damaged, a field is not what it may be, or ``assets`` does not fit it.
     """
     try:
-        content = read(path)
-        if isinstance(content, dict) and "env_factory" in content:
-            raise _outdated(path)
-        return _manifest(table(_MANIFEST)("the manifest", content), None if assets is None else str(assets))
+        return _manifest(table(_MANIFEST)("the manifest", read(path)), None if assets is None else str(assets))
     except (OSError, ValueError, OverflowError) as error:
         if isinstance(error, AdaManipError) and not isinstance(error, ConfigurationError):
             raise
@@ -170,31 +162,36 @@ def stored_images(paths: CollectionPaths) -> bool | None:
 
 def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
     """Raises `DatasetError` naming each option, object and part of the fingerprint in which two manifests differ."""
-    old, new = _flat(stored), _flat(wanted)
-    if different := [name for name in new if old[name] != new[name]]:
-        raise DatasetError(
-            f"{where} holds a collection made with other options: {', '.join(different)}.",
-            got="; ".join(f"{name} = {_told(new[name])}" for name in different),
-            allowed="; ".join(f"{name} = {_told(old[name])}" for name in different),
-            hint="the same options, or another folder (a dataset does not grow: collect the rest elsewhere)",
-        )
-    if parts := differing_parts(stored.external_assets, wanted.external_assets):
-        raise DatasetError(
-            "The external assets are not those that were used.",
-            got=f"{where}: {', '.join(parts)} changed",
-            allowed="folders of the same content",
-            hint="the --assets of before, or another folder",
-        )
-    if parts := differing_parts(stored.fingerprint, wanted.fingerprint):
-        raise DatasetError(
-            f"{where} was recorded under another fingerprint: {', '.join(parts)} differ.",
-            got="; ".join(f"{name} = {wanted.fingerprint.get(name)}" for name in parts),
-            allowed="; ".join(f"{name} = {stored.fingerprint.get(name)}" for name in parts),
-            hint="the code and versions of before, or another folder: episodes of both do not go together",
-        )
+    for what, hint, old, new in (
+        (
+            "holds a collection made with other options",
+            "the same options, or another folder (a dataset does not grow: collect the rest elsewhere)",
+            _flat(stored),
+            _flat(wanted),
+        ),
+        (
+            "was collected with other external assets",
+            "the --assets of before, or another folder",
+            stored.external_assets,
+            wanted.external_assets,
+        ),
+        (
+            "was recorded under another fingerprint",
+            "the code and versions of before, or another folder: episodes of both do not go together",
+            stored.fingerprint,
+            wanted.fingerprint,
+        ),
+    ):
+        if parts := differing_parts(old, new):
+            raise DatasetError(
+                f"{where} {what}: {', '.join(parts)} differ.",
+                got="; ".join(f"{name} = {_told(new.get(name))}" for name in parts),
+                allowed="; ".join(f"{name} = {_told(old.get(name))}" for name in parts),
+                hint=hint,
+            )
 
 
-def differing_parts(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[str, ...]:
+def differing_parts(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, ...]:
     """Returns the names under which two fingerprints differ."""
     return tuple(name for name in sorted({*one, *other}) if one.get(name) != other.get(name))
 
@@ -211,17 +208,16 @@ def _told(value: object) -> str:
 
 
 def _object_id(name: str, value: object) -> str:
-    if not isinstance(value, str) or len(value) > _LONGEST_ID:
-        raise ValueError(f"{name} is no object's id")
+    object_id = str(text(r".{1,120}", "an object's id")(name, value))
     try:
-        (parse_asset_id if is_asset_id(value) else parse_object_id)(value)
+        (parse_asset_id if is_asset_id(object_id) else parse_object_id)(object_id)
     except ConfigurationError:
-        raise ValueError(f"{name} is {value!r}, which is no object's id") from None
-    return value
+        raise ValueError(f"{name} is {object_id!r}, which is no object's id") from None
+    return object_id
 
 
-_HASHES = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a hash or a name"), _MAX_PARTS)
-_CORNER = listing(number(-_FARTHEST, _FARTHEST), 3, 3)
+_HASHES = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a hash or a name"), 64)
+_CORNER = listing(number(-10.0, 10.0), 3, 3)
 _ENVIRONMENT: Mapping[str, Check] = {
     "num_points": integer(1, MAX_POINTS),
     "image_size": integer(*IMAGE_SIZES),
@@ -278,12 +274,3 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
         raise ValueError(f"category is {content['category']!r}, but its objects are of {spec.category!r}")
     counts = content["attempts"]
     return Manifest(spec, content["fingerprint"], hashes, None if counts is None else AttemptCounts(**counts))
-
-
-def _outdated(path: Path) -> DatasetError:
-    return DatasetError(
-        "This dataset was made by version 0.1.0, whose format names code; it is read no more.",
-        got=path,
-        allowed=f"format {FORMAT}, as `adamanip collect` writes it now",
-        hint="collect it again, into another folder",
-    )

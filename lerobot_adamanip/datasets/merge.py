@@ -9,33 +9,27 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.contract.pointcloud import Workspace
-from lerobot_adamanip.contract.schema import FRONT_IMAGE
 from lerobot_adamanip.datasets.compose import Pieces, Progress, compose
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
-from lerobot_adamanip.datasets.reading import as_typed, load_check, workspace_of
+from lerobot_adamanip.datasets.reading import load_check, workspace_of
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.selection import Selection
 from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 
 @dataclass(frozen=True)
 class Merged:
-    """Result of a merge.
-
-    Attributes:
-        episodes: in the new dataset.
-        parts_of_one: whether the sources were parts of one dataset, whose order the episodes have again.
-        whole: whether they were all parts of it.
-        fingerprints: of the episodes; more than one means that different code recorded them.
-    """
+    """Result of a merge."""
 
     episodes: int
     parts_of_one: bool
+    """Whether the sources were parts of one dataset, whose order the episodes have again."""
     whole: bool
+    """Whether they were all parts of it."""
     fingerprints: tuple[str, ...]
+    """Of the episodes; more than one means that different code recorded them."""
 
 
 def merge(
@@ -63,7 +57,13 @@ def merge(
             at ``out``.
         ConfigurationError: fewer than two parts, or this LeRobot writes datasets in another way.
     """
-    _require_several(roots)
+    if len(roots) < 2:
+        raise ConfigurationError(
+            "There is nothing to merge.",
+            got=f"{len(roots)} dataset(s)",
+            allowed="two or more",
+            hint="adamanip merge ONE OTHER --out BOTH",
+        )
     require_repo_id(repo_id)
     with owned_output(out, WRITING) as output:
         output.require_free()
@@ -85,17 +85,10 @@ def merge_into(
     pieces, selection = _in_order(sources)
     compose(folder, pieces, repo_id, selection, progress)
     whole = selection is not None and selection.is_whole
-    return Merged(len(pieces), selection is not None, whole, _fingerprints(sources))
-
-
-def _require_several(roots: Sequence[Path]) -> None:
-    if len(roots) < 2:
-        raise ConfigurationError(
-            "There is nothing to merge.",
-            got=f"{len(roots)} dataset(s)",
-            allowed="two or more",
-            hint="adamanip merge ONE OTHER --out BOTH",
-        )
+    columns = [source.own_columns for source in sources if "fingerprint" in source.own_columns.column_names]
+    fingerprints = {value for each in columns for value in each["fingerprint"].to_pylist()}
+    fingerprints.discard(None)  # of episodes that a robot recorded
+    return Merged(len(pieces), selection is not None, whole, tuple(sorted(fingerprints)))
 
 
 def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
@@ -122,21 +115,16 @@ def _require_each_once(sources: Sequence[Source]) -> None:
         )
 
 
-def _fingerprints(sources: Sequence[Source]) -> tuple[str, ...]:
-    columns = [source.own_columns for source in sources if "fingerprint" in source.own_columns.column_names]
-    # Episodes that a robot recorded have none.
-    return tuple(sorted({value for each in columns for value in each["fingerprint"].to_pylist() if value is not None}))
-
-
 def _require_equal_features(sources: Sequence[Source]) -> None:
-    first, *others = (_features(source.info) for source in sources)
-    for source, features in zip(sources[1:], others, strict=True):
+    first = _features(sources[0].info)
+    for source in sources[1:]:
+        features = _features(source.info)
         if differing := sorted(key for key in {**first, **features} if first.get(key) != features.get(key)):
             raise DatasetError(
                 "Datasets of different features cannot be one.",
                 got=f"{source.root.name} has {', '.join(differing[:3])} otherwise than {sources[0].root.name}",
                 allowed="the same columns, of the same shapes",
-                hint=_way_to_equal(differing, sources[0], source),
+                hint="`adamanip keyframes` for recordings, `adamanip render` for pictures; the same --num-points",
             )
 
 
@@ -146,21 +134,9 @@ def _features(info: dict[str, Any]) -> dict[str, Any]:
     return {**kinds, "fps": info["fps"]}
 
 
-def _way_to_equal(differing: Sequence[str], *pair: Source) -> str:
-    """Returns the command that gives two datasets the same columns."""
-    dense = [is_dense(source.info["features"]) for source in pair]
-    if dense[0] != dense[1]:
-        return f"adamanip keyframes {' '.join(as_typed(source.root) for source in pair)} --out BOTH"
-    bare = [source for source in pair if FRONT_IMAGE not in source.info["features"]]
-    if differing == [FRONT_IMAGE] and len(bare) == 1:
-        name = as_typed(bare[0].root)
-        return f"adamanip render {name} --out {name}-images, then merge that"
-    return "the same --num-points and --image-size, and pictures in all of them or in none"
-
-
 def one_workspace(roots: Sequence[Path]) -> Workspace:
     """Returns the box of the clouds of all these datasets; raises `DatasetError` if they differ."""
-    found = {root: workspace_of(root, load_check(root, recordings=True, old_clouds=True)["features"]) for root in roots}
+    found = {root: workspace_of(root, load_check(root, recordings=True)["features"]) for root in roots}
     if len(set(found.values())) > 1:
         raise DatasetError(
             "The clouds of these datasets have different workspaces.",

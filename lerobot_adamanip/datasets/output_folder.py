@@ -8,8 +8,9 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,12 +20,12 @@ from lerobot_adamanip.util.errors import DatasetError
 COLLECTING, RENDERING, WRITING, CONVERTING = ".partial", ".rendering", ".writing", ".converting"
 """Suffixes of the work folders of collect; render; filter, split and merge; keyframes."""
 WORK_FOLDERS = {
-    COLLECTING: ("episodes", "attempts", "failed", "collection.json", "dataset", "dataset-failed", "lock"),
+    COLLECTING: ("episodes", "attempts", "failed", "collection.json", "dataset", "dataset-failed"),
     RENDERING: ("episodes", "collection.json", "source", "dataset"),
     WRITING: ("dataset",),
     CONVERTING: ("episodes", "dataset", "merged"),
 }
-"""Suffix -> names that may be in such a folder; version 0.2 left ``lock``."""
+"""Suffix -> names that may be in such a folder."""
 _RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render"}
 """Suffix -> command that resumes from the episodes in its work folder."""
 _EPISODE_FOLDERS = ("episodes", "failed")
@@ -101,40 +102,30 @@ class OutputFolder:
 def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
     """Locks an output folder, makes its work folder, and probes that the finished dataset can be moved into place.
 
-    Args:
-        target: as the user gives it.
-        suffix: of the command's work folder, see `WORK_FOLDERS`.
-
     Raises:
         DatasetError: it cannot be written there, another command is at work there, or the work folder is not ours.
     """
     output = OutputFolder(resolve_output(target), suffix)
-    with _parents(output.root), lock_output(output.root):
+    made = [folder for folder in output.root.parents if not folder.exists()]
+    with contextlib.ExitStack() as stack:
+        stack.callback(_remove_empty, made)
+        with _clear_errors(output.root):
+            output.root.parent.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(lock_output(output.root))
         with _clear_errors(output.root):
             _require_ours(output.work, WORK_FOLDERS[suffix])
             output.work.mkdir(exist_ok=True)
-        try:
-            with _clear_errors(output.root):
-                _probe(output)
-            files.crash_point("output claimed")
-            yield output
-        finally:
-            with contextlib.suppress(OSError):
-                output.work.rmdir()  # only if it is empty
+            stack.callback(_remove_empty, [output.work])
+            _probe(output)
+        files.crash_point("output claimed")
+        yield output
 
 
-@contextlib.contextmanager
-def _parents(root: Path) -> Iterator[None]:
-    """Makes the folders above an output folder; removes them afterwards if they are empty."""
-    made = [folder for folder in root.parents if not folder.exists()]
-    with _clear_errors(root):
-        root.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError):
-            for folder in made:  # the innermost first
-                folder.rmdir()
+def _remove_empty(folders: Iterable[Path]) -> None:
+    """Removes empty folders, the innermost first, up to one that is not empty."""
+    with contextlib.suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
 
 
 def resolve_output(target: str | Path) -> Path:
@@ -165,17 +156,14 @@ def lock_path(root: Path) -> Path:
 
 @contextlib.contextmanager
 def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
-    """Locks an output folder against other commands of ours. The lock of a process that dies is released.
+    """Locks a resolved output folder against other commands of ours. The lock of a process that dies is released.
 
-    Args:
-        root: resolved, see `resolve_output`.
-        optional: go without a lock where no file can be written beside the folder.
+    An ``optional`` lock is done without where no file can be written beside the folder.
 
     Raises:
         DatasetError: another process has the lock.
     """
-    path = lock_path(root)
-    descriptor = None
+    path, descriptor = lock_path(root), None
     try:
         descriptor = _locked(path)
         _held.add(descriptor)
@@ -204,9 +192,10 @@ def _locked(path: Path) -> int:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            with contextlib.suppress(FileNotFoundError):
-                if os.path.samestat(os.stat(path), os.fstat(descriptor)):
-                    return descriptor
+            if path.exists() and os.path.samestat(os.stat(path), os.fstat(descriptor)):
+                return descriptor
+        except FileNotFoundError:
+            pass
         except OSError:
             os.close(descriptor)
             raise
@@ -223,33 +212,12 @@ _held: set[int] = set()
 os.register_at_fork(after_in_child=_close_locks)
 
 
-def require_not_written(root: Path) -> None:
-    """Raises `DatasetError` if another process has a file of a dataset open for writing (Linux; else does nothing)."""
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
-            written = Path(os.readlink(link)).is_relative_to(root)
-            process = int(link.parts[2])
-            if not written or process == os.getpid():
-                continue
-            flags = (link.parent.parent / "fdinfo" / link.name).read_text().split("flags:")[1].split()[0]
-        except (OSError, IndexError, ValueError):  # it has ended, or belongs to another user
-            continue
-        if int(flags, 8) & os.O_ACCMODE != os.O_RDONLY:
-            raise DatasetError(
-                "Another process is writing this dataset.",
-                got=f"process {process}, {root}",
-                allowed="a dataset that nobody is writing",
-                hint="the same command when the recording has ended",
-            )
-
-
 def _require_ours(work: Path, names: tuple[str, ...]) -> None:
     if work.is_symlink() or (work.exists() and not work.is_dir()):
         foreign = [work.name]
     else:
-        known = (*names, _PROBE)
-        found = sorted(path.name for path in work.iterdir()) if work.exists() else []
-        foreign = [name for name in found if name not in known and not (name[0] == "." and name.endswith(".tmp"))]
+        found = sorted(path.name for path in work.glob("*"))
+        foreign = [name for name in found if name not in (*names, _PROBE) and not re.fullmatch(r"\..*\.tmp", name)]
     if foreign:
         raise DatasetError(
             "There is something else in the folder for unfinished output.",

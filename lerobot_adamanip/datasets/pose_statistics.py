@@ -17,9 +17,7 @@ from lerobot_adamanip.util import files
 def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics:
     """Returns dataset statistics with fixed ranges of rotation and gripper, see `schema.fix_pose_statistics`.
 
-    Args:
-        stats: of the dataset.
-        features: of the dataset. State and action change where their names begin with those of a pose.
+    State and action change where their names in ``features`` begin with those of a pose.
     """
     poses = {
         key: stats[key]
@@ -33,9 +31,6 @@ def leave_poses_unscaled(root: Path | str) -> None:
     """Fixes the ranges of rotation and gripper in ``meta/stats.json``, for every training on a dataset. Idempotent.
 
     LeRobot makes a policy's normalizer from that file. `adamanip check` accepts both kinds of ranges.
-
-    Args:
-        root: folder of the dataset; its rows stay as they are.
 
     Raises:
         OSError: there is no ``meta/stats.json`` or no ``meta/info.json``.

@@ -28,16 +28,13 @@ _KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 _DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
 
-def load_check(
-    root: str | Path, *, num_points: int | None = None, recordings: bool = False, old_clouds: bool = False
-) -> dict[str, Any]:
+def load_check(root: str | Path, *, num_points: int | None = None, recordings: bool = False) -> dict[str, Any]:
     """Checks a dataset without decoding it, and returns its ``meta/info.json``.
 
     Args:
         root: folder of a LeRobotDataset.
         num_points: points per cloud it has to have; any number if None.
         recordings: accept a robot's recording too, whose rows are ticks and have no cloud.
-        old_clouds: accept clouds of shape (N, 3) too, as version 0.2 stored them.
 
     Raises:
         DatasetError: if it is missing, half written (no metadata, no Parquet footer, rows or videos missing), or lacks
@@ -46,10 +43,14 @@ def load_check(
     folder = Path(root).absolute()
     if not folder.is_dir():
         raise missing_dataset(folder)
-    info = _info(folder)
+    try:
+        info = read_info(folder)
+        read(folder / "meta" / "stats.json", max_bytes=MAX_STATISTICS_BYTES)
+    except (OSError, ValueError) as error:
+        raise _half_written(f"{folder}: {error}") from error
     _check_rows(folder, info)
     if not is_dense(info["features"]):
-        _check_features(folder, info, num_points, old_clouds)
+        _check_features(folder, info, num_points)
     elif not recordings:
         raise _recording(folder, info["features"])
     return info
@@ -67,8 +68,7 @@ def open_dataset(root: str | Path, *, num_points: int | None = None, **options: 
 def episode_table(root: str | Path) -> pa.Table:
     """Returns the per-episode columns of a dataset, without statistics, ordered by episode."""
     paths = sorted((Path(root) / "meta" / "episodes").glob("*/*.parquet"))
-    tables = [pq.read_table(path) for path in paths]
-    table = pa.concat_tables(tables).sort_by("episode_index")
+    table = pa.concat_tables(map(pq.read_table, paths)).sort_by("episode_index")
     return table.select([name for name in table.column_names if not name.startswith("stats/")])
 
 
@@ -125,7 +125,7 @@ def workspace_of(root: Path, features: dict[str, Any]) -> Workspace:
 
 def _recording(folder: Path, features: dict[str, Any]) -> DatasetError:
     name = as_typed(folder)
-    hint: str = f"adamanip keyframes {name} --out {name}-keyframes"
+    hint = f"adamanip keyframes {name} --out {name}-keyframes"
     if not any(key.endswith(DEPTH_SUFFIX) for key in features):
         hint = "adamanip collect without --dense: this recording has no depth to make clouds of"
     return DatasetError(
@@ -167,15 +167,6 @@ def read_info(folder: Path) -> dict[str, Any]:
     return info
 
 
-def _info(folder: Path) -> dict[str, Any]:
-    try:
-        info = read_info(folder)
-        read(folder / "meta" / "stats.json", max_bytes=MAX_STATISTICS_BYTES)
-    except (OSError, ValueError) as error:
-        raise _half_written(f"{folder}: {error}") from error
-    return info
-
-
 def _check_feature(key: str, feature: dict[str, Any]) -> None:
     """Raises ValueError for an invalid column; a video's name is part of a path."""
     sizes = feature["shape"]
@@ -187,12 +178,8 @@ def _check_feature(key: str, feature: dict[str, Any]) -> None:
 def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
     """Reads a whole dataset: every row, and every frame of its videos.
 
-    Args:
-        root: of the dataset.
-        lengths: rows of each episode, if known.
-
     Raises:
-        DatasetError: if anything is missing, or cannot be read.
+        DatasetError: if anything is missing or cannot be read, or rows of episodes are not ``lengths``, if given.
     """
     folder = Path(root).absolute()
     info = load_check(folder, recordings=True)
@@ -216,11 +203,8 @@ def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
 def _decoded(path: Path) -> int:
     import av
 
-    frames = 0
-    with av.open(str(path)) as container:
-        for _ in container.decode(video=0):
-            frames += 1
-    return frames
+    with contextlib.closing(av.open(str(path))) as container:
+        return sum(1 for _ in container.decode(video=0))
 
 
 def _check_rows(folder: Path, info: dict[str, Any]) -> None:
@@ -238,19 +222,9 @@ def _check_rows(folder: Path, info: dict[str, Any]) -> None:
             raise _half_written(f"{folder}: no videos of {key}")
 
 
-def _check_features(folder: Path, info: dict[str, Any], num_points: int | None, old_clouds: bool) -> None:
-    features = info["features"]
-    found = {key: tuple(feature["shape"]) for key, feature in features.items()}
+def _check_features(folder: Path, info: dict[str, Any], num_points: int | None) -> None:
+    found = {key: tuple(feature["shape"]) for key, feature in info["features"].items()}
     cloud = found.get(schema.POINT_CLOUD, ())
-    if len(cloud) == 2 and old_clouds:
-        cloud = found[schema.POINT_CLOUD] = (cloud[0] * cloud[1],)
-    if len(cloud) == 2:
-        raise DatasetError(
-            "The clouds of this dataset are stored as before version 0.3.",
-            got=f"{schema.POINT_CLOUD} of shape {cloud} in {as_typed(folder)}",
-            allowed=f"shape ({3 * cloud[0]},)",
-            hint=f"adamanip filter {as_typed(folder)} --out {as_typed(folder)}-flat",
-        )
     points = num_points or (cloud[0] // 3 if cloud and cloud[0] % 3 == 0 else schema.DEFAULT_NUM_POINTS)
     expected = schema.dataset_features(points)
     for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):

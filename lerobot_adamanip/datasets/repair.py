@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from lerobot_adamanip.datasets.check.dataset import require_dataset
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.check.layout import INFO, STATS, Layout, leftovers, read_layout
 from lerobot_adamanip.datasets.check.statistics import aggregated, check_statistics, stored_statistics
-from lerobot_adamanip.datasets.output_folder import lock_output, require_not_written, resolve_output
+from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.util import files
 
 
@@ -52,28 +52,26 @@ class Repair:
 
     def move_away(self, path: Path, why: str) -> None:
         """Moves a file or folder into the backup."""
-        name = path.relative_to(self.root)
-        shutil.move(path, self._place(name))
-        files.crash_point("moved aside")
-        self._did(f"{name.as_posix()}: moved away, {why}")
+        self._back_up(path, shutil.move)
+        self._note(path, f"moved away, {why}")
 
-    def replace(self, name: str, content: Mapping[str, Any], what: str) -> None:
+    def replace(self, path: Path, content: Mapping[str, Any], what: str) -> None:
         """Writes a JSON file; copies the one that was there into the backup."""
-        if (self.root / name).exists():
-            shutil.copy2(self.root / name, self._place(Path(name)))
-            files.crash_point("moved aside")
-        files.write_atomically(self.root / name, (json.dumps(content, indent=4) + "\n").encode())
-        self._did(f"{name}: {what}")
+        if path.exists():
+            self._back_up(path, shutil.copy2)
+        files.write_atomically(path, (json.dumps(content, indent=4) + "\n").encode())
+        self._note(path, what)
 
-    def _place(self, name: Path) -> Path:
-        place = self.backup / name
+    def _back_up(self, path: Path, move: Callable[[Path, Path], object]) -> None:
+        place = self.backup / path.relative_to(self.root)
         while place.exists():
             place = place.with_name(place.name + ".again")
         place.parent.mkdir(parents=True, exist_ok=True)
-        return place
+        move(path, place)
+        files.crash_point("moved aside")
 
-    def _did(self, line: str) -> None:
-        self.mended.append(line)
+    def _note(self, path: Path, what: str) -> None:
+        self.mended.append(f"{path.relative_to(self.root).as_posix()}: {what}")
         files.crash_point("partly mended")
 
 
@@ -81,38 +79,28 @@ def repair(root: str | Path) -> Repair:
     """Repairs a dataset whose recorder was killed. Can be interrupted and run again.
 
     Raises:
-        DatasetError: there is no dataset, or another process is writing it.
+        DatasetError: there is no dataset, or another command is at work there.
     """
     folder = resolve_output(require_dataset(root))
     done = Repair(folder, folder.with_name(folder.name + ".before-repair"))
     with lock_output(folder, optional=True):
-        require_not_written(folder)
         for path in list(leftovers(folder)):
             done.move_away(path, "left by a process that ended early")
-        layout = _readable_layout(done)
-        if layout is not None:
+        report = Report()
+        layout = read_layout(folder, report)
+        if layout is None or report.counts["metadata"]:
+            done.left.append(str(report.findings[0]))
+        elif not (counted := layout.info["total_episodes"]):
+            done.left.append(f"{INFO} counts no episode: none was saved")
+        elif len(layout.episodes) < counted:
+            done.left.append(
+                f"{INFO} counts {counted} episodes, and meta/episodes describes {len(layout.episodes)} of them. No "
+                "kill of this project's recorders does that; get the files of meta/episodes back from a copy"
+            )
+        else:
             _move_uncounted(done, layout)
             _write_totals(done)
     return done
-
-
-def _readable_layout(done: Repair) -> Layout | None:
-    """Returns the metadata if they describe every counted episode; else notes why not."""
-    report = Report()
-    layout = read_layout(done.root, report)
-    counted = 0 if layout is None else layout.info["total_episodes"]
-    if layout is None or report.counts["metadata"]:
-        done.left.append(str(report.findings[0]))
-    elif not counted:
-        done.left.append(f"{INFO} counts no episode: none was saved")
-    elif len(layout.episodes) < counted:
-        done.left.append(
-            f"{INFO} counts {counted} episodes, and meta/episodes describes {len(layout.episodes)} of them. No kill of "
-            "this project's recorders does that; get the files of meta/episodes back from a copy"
-        )
-    else:
-        return layout
-    return None
 
 
 def _move_uncounted(done: Repair, layout: Layout) -> None:
@@ -133,11 +121,11 @@ def _write_totals(done: Repair) -> None:
     true = {"total_episodes": len(layout.episodes), "total_frames": layout.rows, "total_tasks": tasks}
     if told != true:
         info = {**layout.info, **true, "splits": {"train": f"0:{len(layout.episodes)}"}}
-        done.replace(INFO, info, f"{len(layout.episodes)} episodes, {layout.rows} rows, counted again")
+        done.replace(done.root / INFO, info, f"{len(layout.episodes)} episodes, {layout.rows} rows, counted again")
         layout.info.update(true)
     report, stored = Report(), stored_statistics(layout.table)
     check_statistics(layout, stored, report)
     if not report.clean:
         stats = aggregated(stored, layout.picture_keys)
         plain = {key: {name: np.asarray(value).tolist() for name, value in stats[key].items()} for key in sorted(stats)}
-        done.replace(STATS, plain, "computed again from the episodes")
+        done.replace(done.root / STATS, plain, "computed again from the episodes")

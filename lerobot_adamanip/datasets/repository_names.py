@@ -11,47 +11,35 @@ from lerobot_adamanip.util.errors import ConfigurationError
 def require_repo_id(repo_id: str | None, *, suffix: str = "") -> None:
     """Raises `ConfigurationError` if the Hub would refuse the name of a dataset or policy; None is a default's place.
 
-    Args:
-        repo_id: ``name`` or ``owner/name``.
-        suffix: that is appended for another repository.
+    ``suffix`` is appended for another repository.
     """
-    if repo_id is None:
-        return
-    from huggingface_hub.errors import HFValidationError
-    from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
-
-    try:
-        if not repo_id:
-            raise HFValidationError("it is empty")
-        validate_repo_id(repo_id)
-        validate_repo_id(repo_id + suffix)
-    except HFValidationError as error:
-        raise ConfigurationError(
-            "The Hub takes no repository of this name.",
-            got=f"{repo_id!r}: {error}",
-            allowed="user/name, of letters, digits, '-', '_' and '.', at most 96 of them; no '--', no '..'",
-            hint="--repo-id YOUR_NAME/adamanip-safe",
-        ) from error
+    for name in () if repo_id is None else (repo_id, repo_id + suffix):
+        _require(name, "The Hub takes no repository of this name.")
 
 
 def require_hub_name(repo_id: str | None) -> str:
     """Returns ``repo_id`` if it can be a repository of the Hub; raises `ConfigurationError` if not."""
+    owner, _, name = (repo_id or "").partition("/")
+    reason = "no owner and name of the Hub" if not (owner and name) or owner == "local" else ""
+    return _require(repo_id or "", "Not a repository of the Hub.", reason)
+
+
+def _require(repo_id: str, what: str, reason: str = "") -> str:
     from huggingface_hub.errors import HFValidationError
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
 
-    owner, _, name = (repo_id or "").partition("/")
     try:
-        if not owner or not name or owner == "local":
-            raise HFValidationError("no owner and name of the Hub")
-        validate_repo_id(str(repo_id))
+        if reason or not repo_id:
+            raise HFValidationError(reason or "it is empty")
+        validate_repo_id(repo_id)
     except HFValidationError as error:
         raise ConfigurationError(
-            "Not a repository of the Hub.",
+            what,
             got=f"{repo_id!r}: {error}",
-            allowed="user/name, of letters, digits, '-', '_' and '.'",
+            allowed="user/name, of letters, digits, '-', '_' and '.', at most 96 of them; no '--', no '..'",
             hint="--repo-id YOUR_NAME/adamanip-safe",
         ) from error
-    return str(repo_id)
+    return repo_id
 
 
 def require_release_name(tag: str) -> str:

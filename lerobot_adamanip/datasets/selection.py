@@ -31,19 +31,16 @@ _SELECTION = table(
 
 @dataclass(frozen=True)
 class Selection:
-    """Episodes of a dataset.
-
-    Attributes:
-        source: hash of the dataset's metadata, see `identity`.
-        source_episodes: how many it has.
-        episodes: their indices there, in the order of the part.
-        made_with: the commands that chose them, in order; each takes DATASET, the result of the one before.
-    """
+    """Episodes of a dataset."""
 
     source: str
+    """Hash of the dataset's metadata, see `identity`."""
     source_episodes: int
+    """How many it has."""
     episodes: tuple[int, ...]
+    """Indices there, in the order of the part."""
     made_with: tuple[str, ...] = ()
+    """The commands that chose them, in order; each takes DATASET, the result of the one before."""
 
     @property
     def is_whole(self) -> bool:
@@ -51,11 +48,9 @@ class Selection:
         return self.episodes == tuple(range(self.source_episodes))
 
     def of(self, chosen: Sequence[int], command: Sequence[str]) -> Selection:
-        """Returns the selection of some of these episodes.
+        """Returns the selection of some of these episodes, by their places in `episodes`.
 
-        Args:
-            chosen: their places in `episodes`.
-            command: the words of the command that chose them, without a path.
+        ``command`` has the words of the command that chose them, without a path.
         """
         episodes = tuple(self.episodes[place] for place in chosen)
         return Selection(self.source, self.source_episodes, episodes, (*self.made_with, shlex.join(command)))
@@ -67,11 +62,7 @@ def selection_path(root: Path) -> Path:
 
 
 def read_selection(root: Path, episodes: int) -> Selection:
-    """Returns the selection of a part; of any other dataset, all its own episodes.
-
-    Args:
-        root: of the dataset.
-        episodes: how many it has.
+    """Returns the selection of a part; of any other dataset, all its own ``episodes``.
 
     Raises:
         DatasetError: the file cannot be read, or names another number of episodes.
@@ -80,10 +71,7 @@ def read_selection(root: Path, episodes: int) -> Selection:
     if not path.exists():
         return Selection(identity(root), episodes, tuple(range(episodes)))
     try:
-        written = read(path, max_bytes=100_000_000)
-        if isinstance(written, dict):
-            written = {"made_with": [], **written}  # version 0.2 wrote no commands
-        content = _SELECTION("the selection", written)
+        content = _SELECTION("the selection", read(path, max_bytes=100_000_000))
         content.pop("format")
         found = Selection(**content)
         if len(found.episodes) != episodes or max(found.episodes) >= found.source_episodes:

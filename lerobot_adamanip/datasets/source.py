@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 
-from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.encoding import PLACE
 from lerobot_adamanip.datasets.reading import DATA_PATH, load_check
 from lerobot_adamanip.datasets.selection import Selection, read_selection
-from lerobot_adamanip.datasets.statistics import cloud_statistics
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -31,7 +29,7 @@ class Source:
 
     Attributes:
         root: its folder.
-        info: its ``meta/info.json``, checked; clouds of version 0.2, (N, 3), appear as (3 N,).
+        info: its ``meta/info.json``, checked.
     """
 
     root: Path
@@ -44,10 +42,7 @@ class Source:
         Raises:
             DatasetError: it is missing, half written or of another kind.
         """
-        info = load_check(root, recordings=True, old_clouds=True)
-        if POINT_CLOUD in info["features"]:
-            info["features"][POINT_CLOUD]["shape"] = [math.prod(info["features"][POINT_CLOUD]["shape"])]
-        return cls(root.absolute(), info)
+        return cls(root.absolute(), load_check(root, recordings=True))
 
     @cached_property
     def episodes(self) -> pa.Table:
@@ -75,7 +70,7 @@ class Source:
         return read_selection(self.root, self.info["total_episodes"])
 
     @cached_property
-    def _files(self) -> dict[str, _RowFile]:
+    def _files(self) -> dict[str, pads.Dataset]:
         return {}
 
     def row(self, episode: int) -> dict[str, Any]:
@@ -84,91 +79,30 @@ class Source:
         return found
 
     def rows(self, row: Mapping[str, Any]) -> pa.Table:
-        """Returns the data rows of an episode.
-
-        Args:
-            row: of the episode, see `row`.
-
-        Raises:
-            DatasetError: some of them are missing.
-        """
+        """Returns the data rows of an episode, given its `row`; raises `DatasetError` if some are missing."""
         name = DATA_PATH.format(chunk_index=row["data/chunk_index"], file_index=row["data/file_index"])
+        wrong: object = f"its rows are not where they should be in {name}"
         try:
-            file = self._files[name] = self._files.get(name) or _RowFile(self.root / name)
-            table = file.rows(max(0, row["dataset_from_index"] - file.first), row["length"])
-        except (OSError, IndexError, pa.ArrowException) as error:
-            raise self._damaged(row, error) from error
-        if set(table["episode_index"].to_pylist()) != {row["episode_index"]} or len(table) != row["length"]:
-            raise self._damaged(row, f"its rows are not where they should be in {name}")
-        return _flat_clouds(table)
-
-    def stats(self, episode: int, rows: pa.Table) -> dict[str, dict[str, Any]]:
-        """Returns an episode's stored statistics, column -> name -> array.
-
-        Args:
-            episode: its index.
-            rows: of the episode; clouds of version 0.2 get their statistics from these.
-        """
-        found: dict[str, dict[str, Any]] = {}
-        for name in self.episodes.column_names:
-            if name.startswith("stats/"):
-                key, _, statistic = name.removeprefix("stats/").rpartition("/")
-                column = self.episodes[name]
-                value = np.asarray(column[episode].as_py(), dtype=_number_type(column.type))
-                found.setdefault(key, {})[statistic] = value
-        if (
-            POINT_CLOUD in found
-            and list(found[POINT_CLOUD]["min"].shape) != self.info["features"][POINT_CLOUD]["shape"]
-        ):
-            found[POINT_CLOUD] = cloud_statistics(_clouds(rows))
-        return {key: value for key, value in found.items() if key not in PLACE}
-
-    def _damaged(self, row: Mapping[str, Any], what: object) -> DatasetError:
-        return DatasetError(
+            file = self._files[name] = self._files.get(name) or pads.dataset(self.root / name, format="parquet")
+            # An episode is one row group wherever LeRobot or we wrote it: no other one is read.
+            table = file.to_table(filter=pc.field("episode_index") == row["episode_index"])
+            if table["index"].to_pylist() == list(range(row["dataset_from_index"], row["dataset_to_index"])):
+                return table
+        except (OSError, pa.ArrowException) as error:
+            wrong = error
+        raise DatasetError(
             "Rows of a dataset cannot be read.",
-            got=f"{self.root}, episode {row['episode_index']}: {what}",
+            got=f"{self.root}, episode {row['episode_index']}: {wrong}",
             allowed="rows of each episode, one after another",
             hint=f"adamanip check {self.root.name}",
         )
 
-
-class _RowFile:
-    """An open data file and its latest row groups: an episode is one group wherever LeRobot or we wrote it."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = pq.ParquetFile(path, memory_map=True)
-        sizes = [self._file.metadata.row_group(number).num_rows for number in range(self._file.num_row_groups)]
-        self._ends = np.cumsum(sizes)
-        self._groups, self._table = range(0), pa.table({})
-        self.first = int(self._file.read_row_group(0, columns=["index"])["index"][0].as_py())
-
-    def rows(self, begin: int, length: int) -> pa.Table:
-        """Returns rows by their place in the file."""
-        first, last = np.searchsorted(self._ends, [begin, begin + length - 1], side="right")
-        groups = range(int(first), min(int(last) + 1, self._file.num_row_groups))
-        if groups != self._groups:
-            self._groups, self._table = groups, self._file.read_row_groups(list(groups))
-        before = int(self._ends[first - 1]) if first else 0
-        return self._table.slice(begin - before, length)
-
-
-def _number_type(kind: pa.DataType) -> Any:
-    while pa.types.is_nested(kind):
-        kind = kind.value_type
-    return kind.to_pandas_dtype()
-
-
-def _clouds(rows: pa.Table) -> Any:
-    clouds = numeric_array(rows[POINT_CLOUD])
-    if clouds is None:
-        raise ValueError("clouds of different sizes")
-    return clouds.reshape(len(rows), -1)
-
-
-def _flat_clouds(rows: pa.Table) -> pa.Table:
-    """Returns rows with clouds (3 N,), where version 0.2 stored (N, 3)."""
-    at = rows.schema.get_field_index(POINT_CLOUD)
-    if at < 0 or not isinstance(rows.schema.field(at).type, pa.ExtensionType):
-        return rows
-    clouds = _clouds(rows)
-    return rows.set_column(at, POINT_CLOUD, pa.FixedSizeListArray.from_arrays(clouds.ravel(), clouds.shape[1]))
+    def stats(self, episode: int) -> dict[str, dict[str, Any]]:
+        """Returns an episode's stored statistics, column -> name -> array."""
+        found: dict[str, dict[str, Any]] = {}
+        for name in self.episodes.column_names:
+            key, _, statistic = name.removeprefix("stats/").rpartition("/")
+            values = numeric_array(self.episodes[name].slice(episode, 1)) if name.startswith("stats/") else None
+            if values is not None and key not in PLACE:
+                found.setdefault(key, {})[statistic] = values[0]
+        return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -55,26 +56,19 @@ def split_episodes(
         built.mkdir()
         said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
         command = ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed), "--out", output.root.name]
-        _write(built, source, parts, command, progress)
+        before, total = 0, source.info["total_episodes"]
+        for name, chosen in parts.items():
+            pieces, selection = [(source, episode) for episode in chosen], source.selection.of(chosen, command)
+            tell = functools.partial(_tell, progress, before, total)
+            compose(built / name, pieces, f"local/{name}", selection, tell)
+            before += len(chosen)
         files.sync(built)
         output.publish(built)
     return parts
 
 
-def _after(before: int, source: Source, progress: Progress) -> Progress:
-    return lambda done, _: progress(before + done, source.info["total_episodes"])
-
-
-def _write(folder: Path, source: Source, parts: Parts, command: Sequence[str], progress: Progress) -> None:
-    before = 0
-
-    def after(done: int, _: int) -> None:
-        progress(before + done, source.info["total_episodes"])
-
-    for name, chosen in parts.items():
-        pieces = [(source, episode) for episode in chosen]
-        compose(folder / name, pieces, f"local/{name}", source.selection.of(chosen, command), after)
-        before += len(chosen)
+def _tell(progress: Progress, before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
 
 
 def assign(facts: Sequence[Facts], shares: Mapping[str, float] | None, *, by: str, seed: int) -> Parts:
@@ -135,11 +129,10 @@ def _check_shares(shares: Mapping[str, float], groups: int, by: str) -> None:
 
 def _counts(shares: Sequence[float], total: int) -> list[int]:
     """Returns how many of ``total`` each share gets: largest remainders, and at least one each."""
-    exact = [share * total for share in shares]
-    counts = [max(1, int(each + _ROUNDING)) for each in exact]
-    while sum(counts) < total:
-        missing = [each - count for each, count in zip(exact, counts, strict=True)]
-        counts[missing.index(max(missing))] += 1
-    while sum(counts) > total:
-        counts[counts.index(max(counts))] -= 1
-    return counts
+    exact = np.multiply(shares, total)
+    counts = np.maximum(1, (exact + _ROUNDING).astype(int))
+    while counts.sum() < total:
+        counts[np.argmax(exact - counts)] += 1
+    while counts.sum() > total:
+        counts[np.argmax(counts)] -= 1
+    return [int(count) for count in counts]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import DatasetError
 
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
@@ -23,12 +22,7 @@ def compute_statistics(
 ) -> dict[str, dict[str, Any]]:
     """Computes an episode's statistics by LeRobot's function; those of clouds here, a hundred times as fast.
 
-    Args:
-        columns: column -> (T, ...) values, or paths of T pictures.
-        features: of the dataset.
-
-    Returns:
-        Column -> statistic -> values in the shape of a row.
+    Takes column -> (T, ...) values, or paths of T pictures; returns column -> statistic -> values in a row's shape.
     """
     from lerobot.datasets.compute_stats import compute_episode_stats
 
@@ -66,19 +60,8 @@ def write_episodes(path: Path, table: pa.Table) -> None:
 
 
 def sort_statistics(root: Path) -> None:
-    """Sorts the statistics that LeRobot wrote by column: its order changes from run to run. Their values stay.
-
-    Raises:
-        DatasetError: LeRobot wrote none.
-    """
+    """Sorts the statistics that LeRobot wrote by column: its order changes from run to run. Their values stay."""
     from lerobot.datasets.io_utils import load_stats, write_stats
 
-    stats = load_stats(root)
-    if stats is None:
-        raise DatasetError(
-            "LeRobot wrote no statistics.",
-            got=root / "meta",
-            allowed="meta/stats.json",
-            hint="pip install 'lerobot==0.6.1'",
-        )
+    stats = load_stats(root) or {}
     write_stats(dict(sorted(stats.items())), root)

@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import pyarrow.compute as pc
+import numpy as np
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.catalog import object_split
@@ -20,7 +20,6 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
-from lerobot_adamanip.evaluation.plots import MAX_BARS, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.evaluation.tries import Recovery, recovery
@@ -28,79 +27,60 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 from lerobot_adamanip.util.json_fields import integer, parse, read
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 RECORDED = Group("source", "recorded on a robot")
 """Group of a mix's episodes without an object of ours."""
-_COUNTS = ("tries", "failed_tries", "success")
+_COUNTS = {"tries": schema.TRIED, "failed_tries": schema.FAILED, "success": schema.SUCCESS}
+"""Column of episodes -> the column of rows that it counts."""
 
 
 @dataclass(frozen=True)
 class GroupStats:
-    """Counts of a group of episodes.
-
-    Attributes:
-        episodes: how many.
-        labelled: of those, how many have labels of tries; a robot's episodes have none.
-        key_frames: in all; an episode's last row, the final observation, is none.
-        tries: at a joint.
-        failed_tries: of those.
-        recovered: of the episodes with a failed try, those that ended in success.
-        success: of the episodes.
-    """
+    """Counts of a group of episodes."""
 
     episodes: int
     labelled: int
+    """Of the episodes, how many have labels of tries; a robot's have none."""
     key_frames: int
+    """An episode's last row, the final observation, is none."""
     tries: int
     failed_tries: int
     recovered: Rate
+    """Of the episodes with a failed try, those that ended in success."""
     success: Rate
 
 
 @dataclass(frozen=True)
 class Attempts:
-    """Attempts that were made for a dataset.
-
-    Attributes:
-        kept: attempts that are episodes of it, of all.
-        given_up: episodes that were asked for, and no attempt at them succeeded.
-        hidden: hidden value -> (kept, attempted).
-    """
+    """Attempts that were made for a dataset."""
 
     kept: Rate
     given_up: int
+    """Episodes that were asked for, and no attempt at them succeeded."""
     hidden: Mapping[str, tuple[int, int]]
+    """Hidden value -> (kept, attempted)."""
 
 
 @dataclass(frozen=True)
 class DatasetStats:
-    """Counts of a dataset.
-
-    Attributes:
-        root: its folder.
-        objects: how many different ones.
-        rows: in all, final observations included.
-        bytes: of all files.
-        late: episodes that start late.
-        lengths: key frames of an episode -> episodes.
-        failures: failed tries of an episode -> episodes, of those with labels.
-        groups: all episodes first, then by category, split of objects, and hidden value.
-        recovery: what follows a failed try; None where no episode has its tries in order.
-        attempts: that were made for it; None where they are unknown, as for merged datasets and parts of others.
-    """
+    """Counts of a dataset."""
 
     root: str
     objects: int
     rows: int
+    """Final observations included."""
     bytes: int
     late: int
+    """Episodes that start late."""
     lengths: Mapping[int, int]
+    """Key frames of an episode -> episodes."""
     failures: Mapping[int, int]
+    """Failed tries of an episode -> episodes, of those with labels."""
     groups: Mapping[Group, GroupStats]
+    """All episodes first, then by category, split of objects, and hidden value."""
     recovery: Recovery | None
+    """What follows a failed try; None where no episode has its tries in order."""
     attempts: Attempts | None
+    """That were made for it; None where they are unknown, as for merged datasets and parts of others."""
 
     @property
     def overall(self) -> GroupStats:
@@ -154,32 +134,6 @@ def read_stats(root: str | Path) -> DatasetStats:
         recovery=recovery(told) if told else None,
         attempts=attempts,
     )
-
-
-def plot_stats(found: DatasetStats, path: Path) -> None:
-    """Draws episodes by length, by failed tries, and by group."""
-    from matplotlib.ticker import MaxNLocator
-
-    groups = {group.label: each.episodes for group, each in list(found.groups.items())[1 : MAX_BARS + 1]}
-    width = 0.45 * max(6, len(groups))
-    figure = new_figure(7.5 + width, 4.2)
-    lengths, failures, bars = figure.subplots(1, 3, width_ratios=(3.6, 2.4, width + 1.5))
-    _draw(lengths, found.lengths, "key frames of an episode")
-    _draw(failures, found.failures, "failed tries of an episode")
-    lengths.set_ylabel("episodes")
-    bars.bar(range(len(groups)), list(groups.values()), 0.8)
-    bars.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    bars.set_xticks(range(len(groups)), list(groups), rotation=35, ha="right", fontsize=8)
-    save_figure(figure, f"{Path(found.root).name}: {found.overall.episodes} episodes of {found.objects} objects", path)
-
-
-def _draw(axes: Axes, counts: Mapping[int, int], label: str) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    axes.bar(list(counts), list(counts.values()), 0.9)
-    axes.set_xlabel(label)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
 
 
 def _groups(rows: Sequence[Mapping[str, Any]], records: Sequence[EpisodeRecord]) -> dict[Group, GroupStats]:
@@ -246,22 +200,15 @@ def _with_counts(
     """Returns the columns of episodes; ``tries``, ``failed_tries``, ``success`` that are unknown come from the rows."""
     if all(row.get(name) is not None for row in rows for name in _COUNTS):
         return rows
-    wanted = [key for key in (schema.TRIED, schema.FAILED, schema.SUCCESS) if key in features]
-    table = pq.read_table(sorted((folder / "data").glob("*/*.parquet")), columns=["episode_index", *wanted])
-    if schema.TRIED in wanted:
-        at = table.schema.get_field_index(schema.TRIED)
-        table = table.set_column(at, schema.TRIED, pc.greater_equal(table[schema.TRIED], 0))
-    summed = table.group_by("episode_index").aggregate([(key, "sum") for key in wanted]).to_pylist()
-    counted = {
-        each["episode_index"]: {
-            "tries": int(each.get(f"{schema.TRIED}_sum", 0)),
-            "failed_tries": int(each.get(f"{schema.FAILED}_sum", 0)),
-            "success": bool(each.get(f"{schema.SUCCESS}_sum", 0)),
-        }
-        for each in summed
-    }
+    wanted = {name: key for name, key in _COUNTS.items() if key in features}
+    table = pq.read_table(sorted((folder / "data").glob("*/*.parquet")), columns=["episode_index", *wanted.values()])
+    episodes = table["episode_index"].to_numpy()
+    counts = {name: np.zeros(len(rows), int) for name in _COUNTS}
+    for name, key in wanted.items():
+        values = table[key].to_numpy()
+        np.add.at(counts[name], episodes, values >= 0 if name == "tries" else values)
     known = ({name: value for name, value in row.items() if value is not None or name not in _COUNTS} for row in rows)
-    return [{**counted[row["episode_index"]], **row} for row in known]
+    return [{**{name: int(each[number]) for name, each in counts.items()}, **row} for number, row in enumerate(known)]
 
 
 def _attempts(folder: Path) -> Attempts | None:

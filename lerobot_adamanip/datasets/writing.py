@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import Workspace
-from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, video_encoder
+from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.statistics import write_episodes
 
 _VIDEO_FILE_MB = 25
@@ -39,9 +40,9 @@ def create_dataset(
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    _quieten()
+    quieten()
     features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=image_size is not None)
-    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **_box(workspace)}
+    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
     if image_size is not None:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
@@ -57,32 +58,22 @@ def create_dataset(
     )
 
 
-def _quieten() -> None:
-    import av
-    import datasets
-
-    av.logging.set_libav_level(av.logging.ERROR)
-    datasets.disable_progress_bars()
-
-
-def _box(workspace: Workspace | None) -> dict[str, Any]:
+def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
+    """Returns how a column's description tells the box of its clouds."""
     if workspace is None:
         return {}
     return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
 
 
-def add_episode_columns(root: Path, columns: dict[str, list[Any]]) -> None:
-    """Adds per-episode columns to a finalised dataset, readable as ``ds.meta.episodes[i][name]``.
-
-    Args:
-        root: of the dataset.
-        columns: name -> one value per episode, by episode index.
-    """
+def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table) -> None:
+    """Adds columns, a value for each episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
+    added = columns if isinstance(columns, pa.Table) else pa.table(columns)
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         table = pq.read_table(path)
-        indices = table["episode_index"].to_pylist()
-        for name, values in columns.items():
-            table = table.append_column(name, pa.array([values[index] for index in indices]))
+        mine = added.take(table["episode_index"])
+        for name in mine.column_names:
+            if name not in table.column_names:
+                table = table.append_column(name, mine[name])
         write_episodes(path, table)
 
 

@@ -52,7 +52,6 @@ WRONG = (
     ("keyframes some/absent --out new", "some/absent"),
     ("keyframes --out", "--out"),
     ("stats some/absent", "some/absent\n"),
-    ("stats --plot x.png some/absent", "stats ... --out"),
     ("merge some/absent other --out new", "some/absent"),
     ("merge one --ut new", "--out"),
     ("filter some/absent --out new --where success=true", "some/absent"),

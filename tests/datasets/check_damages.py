@@ -115,11 +115,6 @@ def without_row(episode: int, frame: int) -> Callable[[Path], object]:
     return edit_rows(shorter)
 
 
-def without_last_episode(table: pa.Table) -> pa.Table:
-    episodes = table["episode_index"].to_pylist()
-    return table.slice(0, episodes.index(max(episodes)))
-
-
 def swap_contents(first: int, second: int) -> Callable[[Path], object]:
     """What two episodes of one length hold, exchanged; what says where rows belong stays."""
 
@@ -196,15 +191,6 @@ def edit_film(change: Callable[[list[Any]], list[Any]]) -> Callable[[Path], obje
 def drop_line(root: Path) -> object:
     lines = (root / ATTEMPTS).read_text().splitlines(keepends=True)
     return (root / ATTEMPTS).write_text("".join(lines[:-1]))
-
-
-def edit_attempt(line: int, **values: Any) -> Callable[[Path], object]:
-    def do(root: Path) -> object:
-        lines = [json.loads(each) for each in (root / ATTEMPTS).read_text().splitlines()]
-        lines[line] |= values
-        return (root / ATTEMPTS).write_text("".join(json.dumps(each) + "\n" for each in lines))
-
-    return do
 
 
 def leave(name: str) -> Callable[[Path], object]:

@@ -56,10 +56,107 @@ def writers(source: Path) -> dict[str, Callable[[Path], object]]:
 COMMANDS = tuple(writers(Path()))
 
 
+def held(root: Path) -> dict[str, bytes]:
+    """Returns the episode files of an unfinished collection."""
+    return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.iterdir()}
+
+
 def record_part(root: Path) -> dict[str, bytes]:
     """Records half of a collection; returns its episode files."""
     collect(root, BARE, fakes(), patiently(part=Part(1, 2)))
-    return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.iterdir()}
+    return held(root)
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "repair"])
+def test_every_command_refuses_before_any_work(
+    unpictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, refuses: Refuses
+) -> None:
+    out, other = tmp_path / "dataset", another(unpictured, tmp_path / "another")
+    run = {**writers(unpictured), "merge": lambda out: merge([unpictured, other], out), "repair": repair}[command]
+    if command == "repair":
+        shutil.copytree(unpictured, out)
+    with lock_output(out):
+        assert "Another command is at work" in refuses(DatasetError, lambda: run(out))
+    assert not lock_path(out).exists()
+    if command == "repair":
+        return
+    (tmp_path / "file").touch()
+    with monkeypatch.context() as patch:
+        patch.setattr(demos_fake_env, "make_env", lambda *_, **__: pytest.fail("an environment was made"))
+        assert "cannot be written there" in refuses(DatasetError, lambda: run(tmp_path / "file" / "dataset"))
+    if command != "keyframes":  # its source has to be a recording
+        usage = namedtuple("usage", "total used free")
+        with monkeypatch.context() as patch:
+            patch.setattr(output_folder.shutil, "disk_usage", lambda _: usage(10, 10, 1000))
+            assert "not enough room" in refuses(DatasetError, lambda: run(out))
+    assert {path.name for path in tmp_path.iterdir()} == {"another", "file"}
+
+
+@pytest.mark.parametrize("command", COMMANDS[1:])
+def test_an_unfinished_collection_owns_its_folder(
+    unpictured: Path, tmp_path: Path, command: str, refuses: Refuses
+) -> None:
+    episodes = CollectionPaths(tmp_path / "dataset").episodes
+    episodes.mkdir(parents=True)
+    (episodes / "safe_000-00000.safetensors").touch()
+    said = refuses(DatasetError, lambda: writers(unpictured)[command](tmp_path / "dataset"))
+    assert "An unfinished `adamanip collect` waits" in said
+    assert list(episodes.iterdir())
+
+
+# Places ---------------------------------------------------------------------------------------------------------------
+
+
+def test_links_and_dots_lead_to_the_folder_that_they_name(unpictured: Path, tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "link").symlink_to(tmp_path / "disk" / "dataset")
+    filter_episodes(unpictured, ["episode_index=0"], tmp_path / "here" / ".." / "here" / "link")
+    assert (tmp_path / "here" / "link").is_symlink()
+    assert load_check(tmp_path / "disk" / "dataset")
+    assert [path.name for folder in ("disk", "here") for path in (tmp_path / folder).iterdir()] == ["dataset", "link"]
+
+
+@pytest.mark.parametrize("out", ["/proc/dataset", "/", "loop/dataset"])
+def test_a_folder_that_cannot_be_written_is_one_error(tmp_path: Path, out: str, refuses: Refuses) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    refused = owned_output(tmp_path / out, COLLECTING)
+    assert "cannot be written there" in refuses(DatasetError, lambda: contextlib.ExitStack().enter_context(refused))
+
+
+def test_a_mount_point_is_refused_before_anything_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuses: Refuses
+) -> None:
+    """What renaming onto one says; making one needs rights that tests do not have."""
+    (tmp_path / "dataset").mkdir()
+    replace = os.replace
+
+    def busy(source: Any, target: Any) -> None:
+        if Path(target) == tmp_path / "dataset":
+            raise OSError(16, "Device or resource busy")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", busy)
+    said = refuses(DatasetError, lambda: collect(tmp_path / "dataset", BARE, fakes(), patiently()))
+    assert "Device or resource busy" in said
+    assert list(tmp_path.rglob("*.safetensors")) == []
+
+
+@pytest.mark.parametrize("suffix", WORK_FOLDERS)
+def test_a_folder_of_somebody_else_beside_it_is_not_touched(tmp_path: Path, suffix: str, refuses: Refuses) -> None:
+    mine = tmp_path / f"dataset{suffix}" / "thesis.tex"
+    mine.parent.mkdir()
+    mine.touch()
+
+    def enter() -> None:
+        with owned_output(tmp_path / "dataset", suffix):
+            pytest.fail("it was entered")
+
+    assert "thesis.tex" in refuses(DatasetError, enter)
+    assert mine.exists()
+
+
+# One at a time ----------------------------------------------------------------------------------------------------
 
 
 HOLDS = """
@@ -88,16 +185,28 @@ def test_a_killed_command_leaves_no_lock_to_what_it_has_forked(tmp_path: Path, r
             os.kill(child, 9)
 
 
-@pytest.mark.parametrize("command", COMMANDS[1:])
-def test_an_unfinished_collection_owns_its_folder(
-    unpictured: Path, tmp_path: Path, command: str, refuses: Refuses
-) -> None:
-    before = record_part(tmp_path / "dataset")
-    said = refuses(DatasetError, lambda: writers(unpictured)[command](tmp_path / "dataset"))
-    assert "An unfinished `adamanip collect` waits" in said
-    assert {path.name: path.read_bytes() for path in CollectionPaths(tmp_path / "dataset").episodes.iterdir()} == before
-    collect(tmp_path / "dataset", BARE, fakes(), patiently())
+def test_a_lock_of_a_process_that_died_binds_nobody(tmp_path: Path) -> None:
+    lock_path(tmp_path / "dataset").touch()
+    with owned_output(tmp_path / "dataset", COLLECTING):
+        assert lock_path(tmp_path / "dataset").exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_read_only_part_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unpictured: Path) -> None:
+    record_part(tmp_path / "part")
+    opened = os.open
+
+    def read_only(path: Any, flags: int, *mode: int, **options: Any) -> int:
+        if Path(path) == lock_path(tmp_path / "part"):
+            raise OSError(30, "Read-only file system")
+        return opened(path, flags, *mode, **options)
+
+    monkeypatch.setattr(os, "open", read_only)
+    assert collect(tmp_path / "dataset", BARE, fakes(), patiently(adopt=(tmp_path / "part",))).recorded == 3
     same_bytes(unpictured, tmp_path / "dataset")
+
+
+# Episodes of another collection -----------------------------------------------------------------------------------
 
 
 def test_a_part_of_a_dataset_is_no_finished_collection(unpictured: Path, tmp_path: Path, refuses: Refuses) -> None:
@@ -106,11 +215,11 @@ def test_a_part_of_a_dataset_is_no_finished_collection(unpictured: Path, tmp_pat
     filter_episodes(unpictured, ["episode_index=0:2"], tmp_path / "part")
     (tmp_path / "part").rename(root)
     assert "a part of a dataset" in refuses(DatasetError, lambda: collect(root, BARE, fakes(), patiently()))
-    assert {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.iterdir()} == before
+    assert held(root) == before
     selection_path(root).unlink()
     assert "does not have the episodes" in refuses(DatasetError, lambda: collect(root, BARE, fakes(), patiently()))
     assert load_check(root)["total_episodes"] == 2
-    assert {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.iterdir()} == before
+    assert held(root) == before
 
 
 def test_episodes_of_another_collection_stay_beside_a_finished_one(
@@ -130,44 +239,22 @@ def hopeless(**changes: Any) -> Any:
     return make_spec(objects=("safe_000",), episodes_per_object=1, keep_failed=True, observe_images=False, **changes)
 
 
-def failing_seed(tmp_path: Path) -> int:
-    """Returns the seed of a collection whose first attempt fails, and is kept."""
-    for seed in range(50):
-        root = tmp_path / f"search{seed}"
+def test_failed_episodes_of_another_collection_are_not_published(tmp_path: Path, refuses: Refuses) -> None:
+    for seed in range(50):  # until the only attempt fails, and is kept
+        root = tmp_path / str(seed)
         with contextlib.suppress(DatasetError):
             collect(root, hopeless(seed=seed), fakes(), CollectOptions(max_attempts=1))
-        if list(CollectionPaths(root).failed_episodes.glob("*")):
-            return seed
-    raise AssertionError("no attempt failed")
-
-
-def test_failed_episodes_of_another_collection_are_not_published(tmp_path: Path, refuses: Refuses) -> None:
-    seed, root = failing_seed(tmp_path), tmp_path / "dataset"
-    with pytest.raises(DatasetError, match="could not be recorded"):
-        collect(root, hopeless(seed=seed), fakes(), CollectOptions(max_attempts=1))
-    (kept,) = CollectionPaths(root).failed_episodes.iterdir()
+        if kept := list(CollectionPaths(root).failed_episodes.glob("*")):
+            break
     other = hopeless(seed=seed, expert="static")
     assert "expert = 'static'" in refuses(DatasetError, lambda: collect(root, other, fakes(), patiently()))
+    changed = fakes(code="b")
     assert "another fingerprint" in refuses(
-        DatasetError, lambda: collect(root, hopeless(seed=seed), fakes(code="b"), patiently())
+        DatasetError, lambda: collect(root, hopeless(seed=seed), changed, patiently())
     )
-    assert kept.exists()
-    # One that got there all the same, under a name that fits.
-    stray = tmp_path / "stray" / "dataset"
-    with contextlib.suppress(DatasetError):
-        collect(stray, hopeless(seed=1), fakes(code="b"), CollectOptions(max_attempts=1, part=Part(1, 1)))
-    folder = CollectionPaths(stray).failed_episodes
-    if not CollectionPaths(stray).episodes.exists():
-        pytest.fail("nothing was prepared")
-    shutil.rmtree(CollectionPaths(stray).partial)
-    with contextlib.suppress(DatasetError):
-        collect(stray, hopeless(seed=seed), fakes(code="b"), CollectOptions(max_attempts=1))
-    (foreign,) = folder.iterdir()
-    shutil.copy(foreign, kept.with_name(foreign.name.replace("-000.", "-009.")))
+    assert all(path.exists() for path in kept)
     summary = collect(root, hopeless(seed=seed), fakes(), patiently())
-    failed = episode_table(CollectionPaths(root).failed)
-    assert failed["fingerprint"].to_pylist() == failed.num_rows * episode_table(root)["fingerprint"].to_pylist()
-    assert failed.num_rows <= summary.attempted - 1
+    assert episode_table(CollectionPaths(root).failed).num_rows == summary.attempted - 1
 
 
 def test_accounts_of_another_collection_are_forgotten(tmp_path: Path) -> None:
@@ -192,131 +279,6 @@ def test_the_failed_episodes_of_another_collection_are_not_replaced(tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset-failed", "elsewhere"]
 
 
-# Places ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", ["collect", "render", "filter", "split", "merge"])
-def test_links_and_dots_lead_to_the_folder_that_they_name(unpictured: Path, tmp_path: Path, command: str) -> None:
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "here").mkdir()
-    (tmp_path / "here" / "link").symlink_to(tmp_path / "disk" / "dataset")
-    writers(unpictured)[command](tmp_path / "here" / ".." / "here" / "link")
-    assert (tmp_path / "here" / "link").is_symlink()
-    assert list((tmp_path / "disk" / "dataset").rglob("info.json"))
-    assert sorted(path.name for path in (tmp_path / "disk").iterdir()) == ["dataset"]
-    assert {path.name for path in (tmp_path / "here").iterdir()} <= {"link", "another"}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_folder_that_cannot_be_written_is_one_error_before_any_work(
-    unpictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, refuses: Refuses
-) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    monkeypatch.setattr(demos_fake_env, "make_env", lambda *_, **__: pytest.fail("an environment was made"))
-    other = another(unpictured, tmp_path / "other")
-    run = writers(unpictured) | {"merge": lambda out: merge([unpictured, other], out)}
-    for out in ("/proc/dataset", "/", "file/dataset", "loop/dataset"):
-        said = refuses(DatasetError, lambda out=out: run[command](tmp_path / out))  # type: ignore[misc]
-        assert "cannot be written there" in said
-
-
-def test_a_mount_point_is_refused_before_anything_is_recorded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuses: Refuses
-) -> None:
-    """What renaming onto one says; making one needs rights that tests do not have."""
-    (tmp_path / "dataset").mkdir()
-    replace = os.replace
-
-    def busy(source: Any, target: Any) -> None:
-        if Path(target) == tmp_path / "dataset":
-            raise OSError(16, "Device or resource busy")
-        replace(source, target)
-
-    monkeypatch.setattr(os, "replace", busy)
-    said = refuses(DatasetError, lambda: collect(tmp_path / "dataset", BARE, fakes(), patiently()))
-    assert "Device or resource busy" in said
-    assert list(tmp_path.rglob("*.safetensors")) == []
-
-
-@pytest.mark.parametrize("command", COMMANDS[:5])
-def test_a_full_disk_is_refused_before_any_work(
-    unpictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, refuses: Refuses
-) -> None:
-    usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(output_folder.shutil, "disk_usage", lambda _: usage(10, 10, 1000))
-    said = refuses(DatasetError, lambda: writers(unpictured)[command](tmp_path / "dataset"))
-    assert "not enough room" in said
-    assert {path.name for path in tmp_path.iterdir()} <= {"another"}
-
-
-@pytest.mark.parametrize("suffix", WORK_FOLDERS)
-def test_a_folder_of_somebody_else_beside_it_is_not_touched(tmp_path: Path, suffix: str, refuses: Refuses) -> None:
-    mine = tmp_path / f"dataset{suffix}" / "thesis.tex"
-    mine.parent.mkdir()
-    mine.touch()
-
-    def enter() -> None:
-        with owned_output(tmp_path / "dataset", suffix):
-            pytest.fail("it was entered")
-
-    assert "thesis.tex" in refuses(DatasetError, enter)
-    assert mine.exists()
-
-
-# One at a time ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", [*COMMANDS, "repair"])
-def test_one_command_at_a_time(unpictured: Path, tmp_path: Path, command: str, refuses: Refuses) -> None:
-    root = tmp_path / "dataset"
-    if command == "repair":
-        shutil.copytree(unpictured, root)
-    with lock_output(root):
-        run = repair if command == "repair" else writers(unpictured)[command]
-        assert "Another command is at work" in refuses(DatasetError, lambda: run(root))
-    assert not lock_path(root).exists()
-
-
-def test_a_lock_of_a_process_that_died_binds_nobody(tmp_path: Path) -> None:
-    lock_path(tmp_path / "dataset").touch()
-    with owned_output(tmp_path / "dataset", COLLECTING):
-        assert lock_path(tmp_path / "dataset").exists()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_what_a_recorder_is_writing_is_not_repaired(unpictured: Path, tmp_path: Path, refuses: Refuses) -> None:
-    """LeRobot's own recorder of another robot locks nothing: it is found by its open files."""
-    root = tmp_path / "dataset"
-    shutil.copytree(unpictured, root)
-    script = "import sys; file = open(sys.argv[1], 'wb'); print(flush=True); sys.stdin.read()"
-    command = [sys.executable, "-c", script, str(root / "data" / "new.parquet")]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as recorder:
-        assert recorder.stdout is not None
-        recorder.stdout.readline()
-        assert "is writing this dataset" in refuses(DatasetError, lambda: repair(root))
-        assert (root / "data" / "new.parquet").exists()
-    (root / "data" / "new.parquet").unlink()
-    assert repair(root).mended == []
-
-
-def test_a_read_only_part_is_adopted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unpictured: Path) -> None:
-    record_part(tmp_path / "part")
-    opened = os.open
-
-    def read_only(path: Any, flags: int, *mode: int, **options: Any) -> int:
-        if Path(path) == lock_path(tmp_path / "part"):
-            raise OSError(30, "Read-only file system")
-        return opened(path, flags, *mode, **options)
-
-    monkeypatch.setattr(os, "open", read_only)
-    assert collect(tmp_path / "dataset", BARE, fakes(), patiently(adopt=(tmp_path / "part",))).recorded == 3
-    same_bytes(unpictured, tmp_path / "dataset")
-
-
-# Pictures ---------------------------------------------------------------------------------------------------------
-
-
 def test_pictures_of_another_dataset_are_not_taken_for_ones_own(
     unpictured: Path, tmp_path: Path, refuses: Refuses
 ) -> None:
@@ -334,9 +296,6 @@ def test_pictures_of_another_dataset_are_not_taken_for_ones_own(
     assert left == {path.name: path.read_bytes() for path in (tmp_path / "dataset.rendering").rglob("*.safetensors")}
     assert add_pictures(tmp_path / "part", out, demos_fake_env.make_env) == 3
     assert selection_path(out).read_bytes() == selection_path(tmp_path / "part").read_bytes()
-
-
-# Names ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["my data", "a/b/c", "../x", "u/a--b", "", "x" * 97])

@@ -16,11 +16,8 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.reading import load_check, open_dataset, read_info
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import DatasetError
 
 EPISODE = dense_episode(STOPS[:2])
 
@@ -107,37 +104,3 @@ def test_what_no_recorder_of_ours_leaves_is_named_and_left_alone(finished: Path,
         assert said in done.left[0]
         assert {path: path.read_bytes() for path in root.rglob("*") if path.is_file()} == before
         assert not done.backup.exists()
-
-
-# Version 0.2 ------------------------------------------------------------------------------------------------------
-
-
-def with_clouds(source: Path, root: Path, *shape: int) -> Path:
-    """The rows of a dataset as LeRobot records them, with clouds of this shape."""
-    features = schema.dataset_features(8, images=False)
-    features[schema.POINT_CLOUD]["shape"] = shape
-    dataset = LeRobotDataset.create("local/old", schema.FPS, features, root=root)
-    rows = pq.read_table(sorted((source / "data").glob("*/*.parquet"))).to_pylist()
-    for row, following in zip(rows, [*rows[1:], None], strict=True):
-        values = {key: np.array(row[key], each["dtype"]).reshape(each["shape"]) for key, each in features.items()}
-        dataset.add_frame({**values, "task": "open the fake"})
-        if following is None or following["episode_index"] != row["episode_index"]:
-            dataset.save_episode()
-    dataset.finalize()
-    return root
-
-
-def test_a_filter_stores_clouds_of_version_0_2_as_rows(unpictured: Path, tmp_path: Path) -> None:
-    old, new = (with_clouds(unpictured, tmp_path / str(len(shape)), *shape) for shape in ((8, 3), (24,)))
-    assert ["adamanip filter" in finding.message for finding in check(old).findings if finding.kind == "schema"] == [
-        True
-    ]
-    with pytest.raises(DatasetError, match="adamanip filter"):
-        load_check(old)
-    for source, out in ((old, "from_old"), (new, "from_new")):
-        filter_episodes(source, [], tmp_path / out)
-    for name in ("data/chunk-000/file-000.parquet", "meta/tasks.parquet"):
-        assert pq.read_table(tmp_path / "from_old" / name).equals(pq.read_table(tmp_path / "from_new" / name)), name
-    assert check(tmp_path / "from_old").counts.keys() <= check(unpictured).counts.keys()
-    assert read_info(tmp_path / "from_old")["features"][schema.POINT_CLOUD]["shape"] == [24]
-    assert open_dataset(tmp_path / "from_old")[3][schema.POINT_CLOUD].shape == (24,)

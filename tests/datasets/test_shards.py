@@ -7,7 +7,6 @@ import pytest
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, read_shard, write_shard
-from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
 
@@ -49,19 +48,3 @@ def test_a_file_cut_anywhere_is_not_an_episode(tmp_path: Path, episode: Recorded
         assert read_record(tmp_path / "b") is None
         with pytest.raises(DatasetError, match="recorded episode"):
             read_shard(tmp_path / "b")
-
-
-def test_dying_before_the_rename_leaves_no_file_and_spoils_no_older_one(
-    tmp_path: Path, episode: RecordedEpisode, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def die(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    write_shard(tmp_path / "old", episode)
-    before = (tmp_path / "old").read_bytes()
-    monkeypatch.setattr(files.os, "replace", die)
-    for name in ("old", "new"):
-        with pytest.raises(KeyboardInterrupt):
-            write_shard(tmp_path / name, RecordedEpisode(episode.columns, {"other": True}))
-    assert (tmp_path / "old").read_bytes() == before
-    assert not (tmp_path / "new").exists()

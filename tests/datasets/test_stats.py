@@ -7,11 +7,9 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from demos_helpers import another
-from PIL import Image
 from sound_demos import collect_sound
 
 from lerobot_adamanip.cli.main import main
@@ -30,27 +28,21 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return collect_sound(root, objects=("safe_000", "door_001"), episodes_per_object=5, observe_images=False)
 
 
-def rows(root: Path) -> list[dict[str, object]]:
-    names = ["episode_index", schema.TRIED, schema.FAILED, schema.SUCCESS]
-    return list(pq.read_table(sorted((root / "data").glob("*/*.parquet")), columns=names).to_pylist())
-
-
 def test_counts_are_those_of_the_rows(demos: Path) -> None:
-    found, told = read_stats(demos), rows(demos)
-    lengths = Counter(row["episode_index"] for row in told)
-    failing = {row["episode_index"] for row in told if row[schema.FAILED]}
+    found = read_stats(demos)
+    rows = pq.read_table(sorted((demos / "data").glob("*/*.parquet"))).to_pandas()
+    lengths, failing = rows.groupby("episode_index").size(), rows[rows[schema.FAILED]]["episode_index"].nunique()
     overall = found.overall
     assert overall.episodes == len(lengths) == 10
-    assert overall.key_frames == len(told) - 10
-    assert overall.tries == sum(int(row[schema.TRIED] >= 0) for row in told)  # type: ignore[operator]
-    assert overall.failed_tries == sum(bool(row[schema.FAILED]) for row in told)
-    assert 0 < overall.failed_tries < overall.tries
-    assert (overall.recovered.count, overall.recovered.episodes) == (len(failing), len(failing))
+    assert overall.key_frames == len(rows) - 10
+    assert overall.tries == (rows[schema.TRIED] >= 0).sum()
+    assert 0 < overall.failed_tries == rows[schema.FAILED].sum() < overall.tries
+    assert (overall.recovered.count, overall.recovered.episodes) == (failing, failing)
     assert overall.success.count == 10
-    assert found.lengths == dict(sorted(Counter(length - 1 for length in lengths.values()).items()))
+    assert found.lengths == dict(sorted(Counter(lengths - 1).items()))
     assert sum(count * episodes for count, episodes in found.failures.items()) == overall.failed_tries
     assert found.length_summary()["mean"] == pytest.approx(overall.key_frames / 10)
-    assert (found.objects, found.rows) == (2, len(told))
+    assert (found.objects, found.rows) == (2, len(rows))
     assert found.late == sum(episode_table(demos)["late"].to_pylist())
 
 
@@ -99,22 +91,16 @@ def test_a_dataset_without_columns_of_ours_is_counted_from_its_rows(demos: Path,
     assert (list(found.groups), found.objects, found.recovery) == ([Group("all", "all")], 0, None)
 
 
-def test_the_command_prints_a_table_and_draws(demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = tmp_path / "new" / "demos.png"
-    assert main(["stats", str(demos), "--out", str(picture)]) == 0
+def test_the_command_prints(demos: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stats", str(demos)]) == 0
     out = capsys.readouterr().out
     assert "door: locked" in out
     assert "100 %" in out
-    with Image.open(picture) as image:
-        assert image.width > 600
-        assert np.asarray(image.convert("L")).std() > 10
     assert main(["stats", str(demos), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["groups"][0]["by"] == "all"
-    assert told["groups"][0]["success"]["count"] == 10
+    assert (told["groups"][0]["by"], told["groups"][0]["success"]["count"]) == ("all", 10)
     assert told["attempts"]["kept"]["count"] == 10
     assert told["key_frames"]["min"] >= 1
-    assert main(["stats", str(demos), "--out", "demos.txt"]) == 2
 
 
 def test_no_dataset_and_half_of_one_are_one_clear_error(demos: Path, tmp_path: Path) -> None:

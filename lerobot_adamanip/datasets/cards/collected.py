@@ -114,12 +114,17 @@ def _made(
     """Returns the fields about how the dataset was made."""
     categories = list(dict.fromkeys(category_of(record["object_id"]) for record in records))
     together = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
-    parts = _fingerprints(records) if manifest is None else manifest.fingerprint
+    found = Counter(str(record["fingerprint"]) for record in records)
+    of_episodes = {f"of {count} episodes": value for value, count in found.items()}
+    parts = of_episodes if manifest is None else manifest.fingerprint
     made = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
     if manifest is not None:
         made = f"```bash\n{collect_command(manifest.spec, 'DATASET' if selection else folder)}\n```"
     if selection is not None:
-        made = f"{_chosen(selection)}\n\nHow `DATASET` was made:\n\n{made}"
+        commands = "\n".join(selection.made_with)
+        told = f", made with\n\n```bash\n{commands}\n```" if commands else "."
+        part = f"Part of `DATASET`: {len(selection.episodes)} of its {selection.source_episodes} episodes"
+        made = f"{part}, listed in `meta/selection.json`{told}\n\nHow `DATASET` was made:\n\n{made}"
     return {
         "title": "all categories" if together else categories[0].replace("_", " "),
         "env_type": "adamanip" if together else f"adamanip_{categories[0]}",
@@ -128,15 +133,6 @@ def _made(
         "fingerprint": ", ".join(parts.values()) if manifest is None else combined(manifest.fingerprint),
         "fingerprint_table": "\n".join(f"| {part} | `{value}` |" for part, value in sorted(parts.items())),
     }
-
-
-def _chosen(selection: Selection) -> str:
-    """Describes a part of a dataset, and the commands that chose it."""
-    part = f"Part of `DATASET`: {len(selection.episodes)} of its {selection.source_episodes} episodes"
-    if not selection.made_with:
-        return f"{part}, listed in `meta/selection.json`."
-    commands = "\n".join(selection.made_with)
-    return f"{part}, listed in `meta/selection.json`, made with\n\n```bash\n{commands}\n```"
 
 
 def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, object]:
@@ -152,12 +148,6 @@ def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, obje
     external = any(is_asset_id(str(record["object_id"])) for record in records)
     objects = " from external models" if external else ", generated from parameters"
     return {"pictures": pictures, "camera_pose": moves, "kind_of_objects": objects}
-
-
-def _fingerprints(records: list[dict[str, Any]]) -> dict[str, str]:
-    """Returns the episodes' fingerprints, for datasets without a manifest."""
-    found = Counter(str(record["fingerprint"]) for record in records)
-    return {f"of {count} episodes": value for value, count in found.items()}
 
 
 def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
@@ -180,29 +170,24 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
 def _attempted(
     manifest: Manifest | None, attempts: list[AttemptRecord], records: list[dict[str, Any]]
 ) -> dict[str, object]:
-    """Returns the counts of the collection's attempts."""
-    if manifest is None or manifest.attempts is None:
-        counted = [_as_attempt(record) for record in records]
-        rows = (
-            f"| `{label}` | {len(group)} | {sum(each.success for each in group)} |"
-            for label, group in grouped_by_hidden_value(counted).items()
-        )
+    """Returns the counts of the collection's attempts, or of the episodes where those are unknown."""
+    counts = None if manifest is None else manifest.attempts
+    if counts is None:
+        attempts = [_as_attempt(record) for record in records]
         account = "what was attempted for them is told by the collections that they are from"
-        header = "| hidden | episodes | of them succeeded |\n|---|---|---|"
-        return {"account": account, "hidden_table": "\n".join([header, *rows])}
-    succeeded = sum(attempt.success for attempt in attempts)
-    counts = manifest.attempts
-    account = (
-        f"for the collection {counts.attempted} episodes were attempted: {succeeded} "
-        f"({100.0 * succeeded / max(1, counts.attempted):.1f} %) succeeded,\n{counts.kept} were kept, and "
-        f"{counts.given_up} wanted episodes were given up"
-    )
-    rows = (
-        f"| `{label}` | {len(group)} | {sum(each.success for each in group)} | {sum(each.kept for each in group)} |"
-        for label, group in grouped_by_hidden_value(attempts).items()
-    )
-    header = "| hidden | attempted | of them succeeded | of them kept |\n|---|---|---|---|"
-    return {"account": account, "hidden_table": "\n".join([header, *rows])}
+        rows = ["| hidden | episodes | of them succeeded |", "|---|---|---|"]
+    else:
+        succeeded = sum(attempt.success for attempt in attempts)
+        account = (
+            f"for the collection {counts.attempted} episodes were attempted: {succeeded} "
+            f"({100.0 * succeeded / max(1, counts.attempted):.1f} %) succeeded,\n{counts.kept} were kept, and "
+            f"{counts.given_up} wanted episodes were given up"
+        )
+        rows = ["| hidden | attempted | of them succeeded | of them kept |", "|---|---|---|---|"]
+    for label, group in grouped_by_hidden_value(attempts).items():
+        kept = f" {sum(each.kept for each in group)} |" if counts is not None else ""
+        rows.append(f"| `{label}` | {len(group)} | {sum(each.success for each in group)} |{kept}")
+    return {"account": account, "hidden_table": "\n".join(rows)}
 
 
 def _as_attempt(record: dict[str, Any]) -> AttemptRecord:

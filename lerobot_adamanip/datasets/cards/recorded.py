@@ -26,12 +26,7 @@ def has_recorded_episodes(root: Path) -> bool:
 
 
 def recorded_card(folder: Path, name: str, repo_id: str) -> str:
-    """Returns the README of a dataset with episodes of a robot.
-
-    Args:
-        folder: of the dataset.
-        name: of its folder.
-        repo_id: its name on the Hub.
+    """Returns the README of a dataset with episodes of a robot, of a folder's name and a name on the Hub.
 
     Raises:
         DatasetError: an episode tells neither its recording nor its object.

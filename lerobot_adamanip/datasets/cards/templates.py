@@ -5,12 +5,11 @@ from __future__ import annotations
 import importlib.resources
 import re
 from collections.abc import Iterator, Mapping
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 from typing import Any
 
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import DatasetError
 
 LICENSE = "apache-2.0"
 TAGS = ("LeRobot", "lerobot_env_adamanip", "adamanip", "point-cloud", "articulated-objects", "simulation")
@@ -20,18 +19,10 @@ TEMPLATES = ("dataset_card.md", "recorded_card.md", "model_card.md", "environmen
 def card_template(name: str) -> Template:
     """Returns a template of ``hub_cards/``: beside the package in a checkout, inside it in a wheel."""
     package = importlib.resources.files("lerobot_adamanip")
-    candidates: list[Traversable] = [package / "hub_cards" / name]
-    if isinstance(package, Path):
-        candidates.append(package.parent / "hub_cards" / name)
-    for candidate in candidates:
-        if candidate.is_file():
-            return Template(candidate.read_text(encoding="utf-8"))
-    raise ConfigurationError(
-        "A card template is missing.",
-        got=name,
-        allowed=", ".join(map(str, candidates)),
-        hint="pip install --force-reinstall lerobot_env_adamanip",
-    )
+    template = package / "hub_cards" / name
+    if isinstance(package, Path) and not template.is_file():
+        template = package.parent / "hub_cards" / name
+    return Template(template.read_text(encoding="utf-8"))
 
 
 def template_texts() -> Iterator[str]:
@@ -45,11 +36,9 @@ def citation() -> str:
 
 
 def front_matter(kind: str, fields: Mapping[str, Any]) -> str:
-    """Returns a card's header of YAML, made by the Hub's own library.
+    """Returns the header of a ``dataset`` or ``model`` card as YAML, made by the Hub's own library.
 
-    Args:
-        kind: ``dataset`` or ``model``.
-        fields: of ``DatasetCardData`` or ``ModelCardData``; ``eval_results`` become ``model-index``.
+    ``fields`` are of ``DatasetCardData`` or ``ModelCardData``; ``eval_results`` become ``model-index``.
     """
     from huggingface_hub import DatasetCardData, ModelCardData
 
@@ -58,11 +47,7 @@ def front_matter(kind: str, fields: Mapping[str, Any]) -> str:
 
 
 def check_card(text: str, kind: str) -> None:
-    """Checks a card without the Hub, which checks it again when it is uploaded.
-
-    Args:
-        text: of the card.
-        kind: ``dataset`` or ``model``.
+    """Checks a ``dataset`` or ``model`` card without the Hub, which checks it again when it is uploaded.
 
     Raises:
         DatasetError: its header is no YAML, lacks a licence, holds a malformed ``model-index`` or dataset's name, or a

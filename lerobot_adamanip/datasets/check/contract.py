@@ -35,9 +35,7 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
             found, right = _plain(feature.get(name)), _plain(wanted.get(name))
             as_pictures = name == "dtype" and right == "video" and found == "image"
             if found != right and not as_pictures and not (name == "names" and right is None):
-                is_old = key == schema.POINT_CLOUD and len(feature.get("shape") or ()) == 2
-                hint = "; `adamanip filter DIR --out NEW` stores it so" if is_old else ""
-                report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}{hint}", INFO)
+                report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}", INFO)
     for key in features:
         if key.startswith("observation.") and key not in contract and not key.startswith(_IMAGES):
             report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
@@ -58,7 +56,7 @@ def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
     """Returns the contract for the dataset's number of points and size of pictures."""
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
-    points = schema.DEFAULT_NUM_POINTS if not cloud else cloud[0] if len(cloud) == 2 else max(1, cloud[0] // 3)
+    points = max(1, cloud[0] // 3) if cloud else schema.DEFAULT_NUM_POINTS
     size = image[0] if image else schema.IMAGE_SIZE
     own = schema.dataset_features(points, size, images=schema.FRONT_IMAGE in features)
     return {**own, **{key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}}

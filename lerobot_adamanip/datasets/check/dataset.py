@@ -8,7 +8,7 @@ from pathlib import Path
 from lerobot_adamanip.datasets.check.contract import check_features
 from lerobot_adamanip.datasets.check.facts import check_course, check_facts, count_labels, has_facts, read_collection
 from lerobot_adamanip.datasets.check.findings import Progress, Report
-from lerobot_adamanip.datasets.check.layout import INFO, Layout, leftovers, read_layout, unlisted_files
+from lerobot_adamanip.datasets.check.layout import CAMERAS, INFO, Layout, leftovers, read_layout, unlisted_files
 from lerobot_adamanip.datasets.check.reading import read_rows
 from lerobot_adamanip.datasets.check.statistics import (
     Stored,
@@ -19,7 +19,6 @@ from lerobot_adamanip.datasets.check.statistics import (
 from lerobot_adamanip.datasets.check.values import check_values
 from lerobot_adamanip.datasets.check.videos import check_videos
 from lerobot_adamanip.datasets.reading import missing_dataset, workspace_of
-from lerobot_adamanip.util.errors import DatasetError
 
 
 def check(
@@ -47,12 +46,15 @@ def check(
         return report
     report.episodes = len(layout.episodes)
     collected = read_collection(folder, assets, report)
+    named = any("cameras" in (feature.get("info") or {}) for feature in layout.features.values())
+    if named and not (folder / CAMERAS).exists():
+        report.add("missing", "parameters of the cameras", CAMERAS)
     check_features(layout.features, report, collected=collected is not None)
     stored = stored_statistics(layout.table)
     for name in unlisted_files(layout):
         report.add("unlisted", "no episode is in this file", name)
     counted = _check_rows(layout, stored, report, progress)
-    frames, done = layout.rows * len(layout.video_keys), itertools.count(1)
+    frames, done = layout.rows * len(layout.keys_of("video")), itertools.count(1)
     check_videos(layout, stored, report, lambda: progress("frames", next(done), frames))
     check_statistics(layout, stored, report)
     check_facts(layout, collected, counted, report)
@@ -62,15 +64,8 @@ def check(
 def require_dataset(root: str | Path) -> Path:
     """Returns the folder of a dataset, whole or not; raises `DatasetError` if there is nothing of one."""
     folder = Path(root).absolute()
-    if not folder.is_dir():
-        raise missing_dataset(folder)
     if not (folder / INFO).exists() and not any(folder.glob("data/*/*.parquet")):
-        raise DatasetError(
-            "There is no dataset.",
-            got=f"{folder}, without {INFO} and data/",
-            allowed="the folder of a LeRobotDataset",
-            hint="adamanip collect, or another folder",
-        )
+        raise missing_dataset(folder)
     return folder
 
 

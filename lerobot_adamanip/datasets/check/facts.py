@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from lerobot_adamanip.catalog import category_of, parse_object_id
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.check.findings import Report, Rows
-from lerobot_adamanip.datasets.check.layout import ATTEMPTS, CAMERAS, Layout
+from lerobot_adamanip.datasets.check.layout import ATTEMPTS, Layout
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec, episode_seed, manifest_path
 from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, read_manifest
 from lerobot_adamanip.datasets.reading import JSON_COLUMNS
@@ -27,7 +26,10 @@ from lerobot_adamanip.util.fingerprint import combined
 from lerobot_adamanip.util.json_fields import flag, integer, mapping, optional, parse, read, text
 
 COLLECTION = "meta/collection.json"
+Row = Mapping[str, Any]
+"""Columns of an episode."""
 _ANY = text(r"(?s).*", "text")
+_VALUES = mapping(_ANY, lambda _, value: value, 64)
 _COUNT = integer(0, 2**31)
 _SEED = integer(0, 2**63 - 1)
 
@@ -57,30 +59,26 @@ def read_collection(root: Path, assets: Path | None, report: Report) -> Collecte
             return Collected(None, dict(content["fingerprint"]))
         manifest = read_manifest(path, assets if external else None)
     except AdaManipError as error:
-        report.add("collection", str(error).partition("\n")[0] + _cause(error), COLLECTION)
-        return None
+        cause = "" if error.__cause__ is None else f" {error.__cause__}"[:200]
+        report.add("collection", str(error).partition("\n")[0] + cause, COLLECTION)
     except (OSError, ValueError, KeyError, TypeError) as error:
         report.add("unreadable", str(error)[:200], COLLECTION)
-        return None
-    return Collected(manifest, manifest.fingerprint)
-
-
-def _cause(error: BaseException) -> str:
-    return "" if error.__cause__ is None else f" {error.__cause__}"[:200]
+    else:
+        return Collected(manifest, manifest.fingerprint)
+    return None
 
 
 def count_labels(where: Rows, columns: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, int]]:
     """Returns episode -> ``tries``, ``failed_tries`` and ``success``, counted from its rows."""
-    starts = where.starts()
-    sums = {}
-    if schema.TRIED in columns:
-        sums["tries"] = np.add.reduceat((columns[schema.TRIED] >= 0).astype(np.int64), starts)
-    if schema.FAILED in columns:
-        sums["failed_tries"] = np.add.reduceat(columns[schema.FAILED].astype(np.int64), starts)
-    if schema.SUCCESS in columns:
-        sums["success"] = np.maximum.reduceat(columns[schema.SUCCESS].astype(np.int64), starts)
-    numbers = where.episodes[starts].tolist()
-    return {number: {name: int(values[at]) for name, values in sums.items()} for at, number in enumerate(numbers)}
+    counts: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
+        "tries": (schema.TRIED, lambda tried: np.count_nonzero(tried >= 0)),
+        "failed_tries": (schema.FAILED, np.count_nonzero),
+        "success": (schema.SUCCESS, np.any),
+    }
+    return {
+        number: {name: int(count(columns[key][rows])) for name, (key, count) in counts.items() if key in columns}
+        for number, rows in where.runs()
+    }
 
 
 def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
@@ -114,45 +112,35 @@ def has_facts(layout: Layout) -> bool:
 def check_facts(
     layout: Layout, collected: Collected | None, counted: Mapping[int, Mapping[str, int]], report: Report
 ) -> None:
-    """Checks the columns of episodes, by themselves, against the rows, and against the collection.
-
-    Args:
-        layout: of the dataset.
-        collected: what it says of its collection.
-        counted: see `count_labels`.
-        report: takes the findings.
-    """
+    """Checks the columns of episodes: by themselves, against counts of the rows, and against the collection."""
     if not has_facts(layout):
         return
     names = [name for name in layout.table.column_names if not name.startswith("stats/")]
-    fixed = _fixed_camera(layout, report)
-    fingerprint = None if collected is None else combined(collected.fingerprint)
-    rows, sound = layout.table.select(names).to_pylist(), []
+    rows = layout.table.select(names).to_pylist()
     for row in rows:
-        number, file = row["episode_index"], row["listed_in"]
         if row["object_id"] is None and row.get("recorded") is not None:
             continue  # in a mix, an episode that a robot has recorded: no object of ours, no seed
+        number = row["episode_index"]
         try:
-            _check_row(row, fixed)
+            _check_row(row)
             for name, value in counted.get(number, {}).items():
                 if name in row and int(row[name]) != value and number not in report.damaged:
                     raise ValueError(f"{name} is {row[name]}, but the rows say {value}")
             if collected is not None:
-                _check_place_columns(row)
+                for name in ("slot", "attempt"):
+                    _COUNT(name, row.get(name))
+                flag("late", row.get("late"))
         except (ValueError, TypeError, KeyError, AdaManipError) as error:
-            report.add("facts", str(error).partition("\n")[0][:200], file, number)
+            report.add("facts", str(error).partition("\n")[0][:200], row["listed_in"], number)
             continue
-        sound.append(row)
-        if fingerprint is not None and row.get("fingerprint", fingerprint) != fingerprint:
-            report.add("fingerprint", f"{row['fingerprint']}, not the collection's {fingerprint}", file, number)
-        if collected is not None and collected.manifest is not None:
-            _check_place(row, collected.manifest.spec, report)
+        if collected is not None:
+            _check_place(row, collected, report)
     _check_once(layout, rows, report)
     if collected is not None:
-        _check_attempts(layout.root, sound, collected, report)
+        _check_attempts(layout.root, collected, report)
 
 
-def _check_row(row: Mapping[str, Any], fixed: Mapping[str, Any]) -> None:
+def _check_row(row: Row) -> None:
     """Raises ValueError for a row that cannot be."""
     object_id = text(r".{1,120}", "an object's id")("object_id", row["object_id"])
     (parse_asset_id if is_asset_id(object_id) else parse_object_id)(object_id)
@@ -167,86 +155,51 @@ def _check_row(row: Mapping[str, Any], fixed: Mapping[str, Any]) -> None:
         actions = read_start(_ANY("start", row["start"]))
         if "late" in row and flag("late", row["late"]) != bool(len(actions)):
             raise ValueError(f"late is {row['late']}, but start tells of {len(actions)} actions")
-    told = mapping(_ANY, lambda _, value: value, 64)("episode_record", parsed.get("episode_record", {}))
+    told = _VALUES("episode_record", parsed.get("episode_record", {}))
     own = {"object_id": object_id, "seed": row["seed"], "hidden_state": parsed["hidden_state"]}
     for name, value in own.items():
         if name in told and told[name] != value:
             raise ValueError(f"{name} is {value!r:.60}, but episode_record says {told[name]!r:.60}")
-    camera = mapping(_ANY, lambda _, value: value, 64)("camera", parsed.get("camera", {}))
-    for name, value in fixed.items():
-        if camera and camera.get(name) != value:
-            raise ValueError(f"camera.{name} is not the constant one of {CAMERAS}")
 
 
-def _check_place_columns(row: Mapping[str, Any]) -> None:
-    """Raises ValueError for an episode of a collection that does not tell its place in it."""
-    for name in ("slot", "attempt"):
-        _COUNT(name, row.get(name))
-    flag("late", row.get("late"))
-
-
-def _fixed_camera(layout: Layout, report: Report) -> Mapping[str, Any]:
-    """Returns what the camera's parameters are in every episode."""
-    path = layout.root / CAMERAS
-    if not path.exists():
-        named = any("cameras" in (feature.get("info") or {}) for feature in layout.features.values())
-        if named:
-            report.add("missing", "parameters of the cameras", CAMERAS)
-        return {}
-    try:
-        return dict(read(path)["front"]["constant"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        report.add("unreadable", f"it lacks or garbles {error}"[:200], CAMERAS)
-        return {}
-
-
-def _check_place(row: Mapping[str, Any], spec: CollectionSpec, report: Report) -> None:
-    """An episode is of the collection's objects, and of the seed that follows from its place."""
-    number, file = row["episode_index"], row["listed_in"]
-    if row["object_id"] not in spec.objects:
-        report.add("collection", f"{row['object_id']} is none of the collection's objects", file, number)
+def _check_place(row: Row, collected: Collected, report: Report) -> None:
+    """An episode is of the collection's code and objects, and of the seed that follows from its place."""
+    place, fingerprint = (row["listed_in"], row["episode_index"]), combined(collected.fingerprint)
+    if row.get("fingerprint", fingerprint) != fingerprint:
+        report.add("fingerprint", f"{row['fingerprint']}, not the collection's {fingerprint}", *place)
+    if collected.manifest is None:
         return
-    place = (category_of(row["object_id"]), row["object_id"], row["slot"], row["attempt"])
-    if row["seed"] != episode_seed(spec.seed, *place):
-        report.add("collection", f"seed {row['seed']} is not that of its place in the collection", file, number)
+    spec: CollectionSpec = collected.manifest.spec
+    name = row["object_id"]
+    if name not in spec.objects:
+        report.add("collection", f"{name} is none of the collection's objects", *place)
+    elif row["seed"] != episode_seed(spec.seed, category_of(name), name, row["slot"], row["attempt"]):
+        report.add("collection", f"seed {row['seed']} is not that of its place in the collection", *place)
 
 
-def _check_once(layout: Layout, rows: list[dict[str, Any]], report: Report) -> None:
+def _check_once(layout: Layout, rows: Sequence[Row], report: Report) -> None:
     """No episode is there twice: a collection, or a seed, that was merged with itself."""
     name = f"stats/{schema.ACTION}/mean"
     means = layout.table[name].to_pylist() if name in layout.table.column_names else [None] * len(rows)
     seen: dict[tuple[object, ...], int] = {}
     for row, mean in zip(rows, means, strict=True):
-        if row["episode_index"] in report.damaged:
-            continue
-        # A policy that is corrected meets the seeds of demonstrations: what was done tells them apart.
-        same = seen.setdefault((row["object_id"], row.get("seed"), row["length"], str(mean)), row["episode_index"])
-        if same != row["episode_index"]:
-            report.add("facts", f"the same as episode {same}", row["listed_in"], row["episode_index"])
+        number = row["episode_index"]
+        if number not in report.damaged:
+            # A policy that is corrected meets the seeds of demonstrations: what was done tells them apart.
+            same = seen.setdefault((row["object_id"], row.get("seed"), row["length"], str(mean)), number)
+            if same != number:
+                report.add("facts", f"the same as episode {same}", row["listed_in"], number)
 
 
-def _check_attempts(root: Path, rows: list[dict[str, Any]], collected: Collected, report: Report) -> None:
-    """Every episode whose columns are sound has its line; there are as many lines as the manifest counts."""
-    path = attempts_path(root)
-    if not path.exists():
-        report.add("missing", "the attempts of the collection", ATTEMPTS)
-        return
+def _check_attempts(root: Path, collected: Collected, report: Report) -> None:
+    """There are as many lines as the manifest counts."""
     try:
-        listed = read_attempts(path)
+        attempted = len(read_attempts(attempts_path(root)))
     except AdaManipError as error:
-        report.add("unreadable", str(error.__cause__)[:200], ATTEMPTS)
+        is_missing = isinstance(error.__cause__, FileNotFoundError)
+        told = "the attempts of the collection" if is_missing else str(error.__cause__)[:200]
+        report.add("missing" if is_missing else "unreadable", told, ATTEMPTS)
         return
-    told = {(each.object_id, each.slot, each.attempt): each for each in listed}
     counts = None if collected.manifest is None else collected.manifest.attempts
-    if counts is not None and len(listed) != counts.attempted:
-        report.add("attempts", f"{len(listed)} lines, where {COLLECTION} counts {counts.attempted}", ATTEMPTS)
-        return
-    for row in rows:
-        if row["episode_index"] in report.damaged:
-            continue
-        line = told.get((row["object_id"], row["slot"], row["attempt"]))
-        right = {"seed": row["seed"], "hidden_state": json.loads(row["hidden_state"]), "late": row["late"]}
-        if line is None:
-            report.add("attempts", "no line for the episode", ATTEMPTS, row["episode_index"])
-        elif wrong := [name for name, value in right.items() if getattr(line, name) != value]:
-            report.add("attempts", f"another {', '.join(wrong)} of the episode", ATTEMPTS, row["episode_index"])
+    if counts is not None and attempted != counts.attempted:
+        report.add("attempts", f"{attempted} lines, where {COLLECTION} counts {counts.attempted}", ATTEMPTS)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
@@ -49,7 +50,7 @@ KINDS: Mapping[str, Kind] = {
     "facts": Kind("an episode's columns (object, hidden state, tries ...) cannot be, or contradict its rows", _NO),
     "collection": Kind("`meta/collection.json` cannot be, or an episode is none of that collection", _NO),
     "fingerprint": Kind("an episode was recorded under another fingerprint than its collection", _NO),
-    "attempts": Kind("`meta/attempts.jsonl` tells otherwise of an episode, or has lost lines", _NO),
+    "attempts": Kind("`meta/attempts.jsonl` has lost lines", _NO),
     "replay": Kind("the simulator does not do again what was recorded (`--replay`)", _NO),
 }
 """Kind -> meaning. docs/checking.md shows this table."""
@@ -59,15 +60,7 @@ MOST_OF_A_KIND = 200
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding.
-
-    Attributes:
-        kind: one of `KINDS`.
-        message: what is wrong.
-        file: path within the dataset.
-        episode: index.
-        frame: within the episode, from 0.
-    """
+    """One finding: a kind of `KINDS`, what is wrong, and its place: file, episode, and frame within the episode."""
 
     kind: str
     message: str
@@ -77,21 +70,15 @@ class Finding:
 
     def __str__(self) -> str:
         """One line: kind, place, message."""
-        place = [] if self.file is None else [self.file]
-        place += [] if self.episode is None else [f"episode {self.episode}"]
-        place += [] if self.frame is None else [f"frame {self.frame}"]
-        return f"{self.kind}: {', '.join(place)}{': ' if place else ''}{self.message}"
+        episode = None if self.episode is None else f"episode {self.episode}"
+        frame = None if self.frame is None else f"frame {self.frame}"
+        place = ", ".join(filter(None, (self.file, episode, frame)))
+        return f"{self.kind}: {place}{': ' if place else ''}{self.message}"
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Places of R rows.
-
-    Attributes:
-        file: path within the dataset.
-        episodes: (R,) index of each row's episode.
-        frames: (R,) each row's number within it.
-    """
+    """Places of R rows: their file, and of each row its episode (R,) and its number within it (R,)."""
 
     file: str
     episodes: NDArray[np.int64]
@@ -104,6 +91,11 @@ class Rows:
         """Returns the first row of each run of one episode's rows."""
         return np.flatnonzero(np.r_[True, np.diff(self.episodes) != 0])
 
+    def runs(self) -> Iterator[tuple[int, slice]]:
+        """Yields each run of rows of one episode, and the episode's index."""
+        for start, end in itertools.pairwise([*self.starts().tolist(), len(self)]):
+            yield int(self.episodes[start]), slice(start, end)
+
 
 @dataclass
 class Report:
@@ -111,8 +103,7 @@ class Report:
 
     Attributes:
         root: of the dataset.
-        episodes: that were checked.
-        rows: that were checked.
+        episodes, rows: how many were checked.
         findings: at most `MOST_OF_A_KIND` of each kind.
         counts: kind -> how many there are.
         damaged: episodes with a finding about their rows. What follows from it is not reported again.

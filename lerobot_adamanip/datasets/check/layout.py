@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,8 +22,7 @@ _FRAME = 1e-3
 """Times that differ by less are equal [s]: LeRobot keeps them as sums of durations."""
 
 
-@dataclass(frozen=True)
-class VideoPart:
+class VideoPart(NamedTuple):
     """Place of an episode's frames: file within the dataset, and times within the file [s]."""
 
     file: str
@@ -31,19 +30,8 @@ class VideoPart:
     end: float
 
 
-@dataclass(frozen=True)
-class Episode:
-    """Metadata of an episode.
-
-    Attributes:
-        number: its index.
-        length: rows.
-        file: of its rows, path within the dataset.
-        start, end: first row of the dataset that belongs to it, and the one after its last.
-        tasks: texts.
-        listed_in: file of ``meta/episodes`` that holds these metadata.
-        videos: column -> place of its frames.
-    """
+class Episode(NamedTuple):
+    """Metadata of an episode: its index, rows, files, and which rows of the dataset are its (``end`` excluded)."""
 
     number: int
     length: int
@@ -64,7 +52,7 @@ class Layout:
         info: ``meta/info.json``.
         tasks: task_index -> text.
         episodes: in order.
-        table: rows of ``meta/episodes``, in the same order.
+        table: rows of ``meta/episodes``, in the same order, with column ``listed_in``: the file of each.
     """
 
     root: Path
@@ -84,20 +72,19 @@ class Layout:
         """Rows per second."""
         return int(self.info["fps"])
 
-    @property
-    def video_keys(self) -> list[str]:
-        """Columns that are videos."""
-        return [key for key, feature in self.features.items() if feature["dtype"] == "video"]
+    def keys_of(self, *dtypes: str) -> list[str]:
+        """Returns the columns of some types."""
+        return [key for key, feature in self.features.items() if feature["dtype"] in dtypes]
 
     @property
     def picture_keys(self) -> list[str]:
         """Columns whose statistics are of colours."""
-        return [key for key, feature in self.features.items() if feature["dtype"] in ("video", "image")]
+        return self.keys_of("video", "image")
 
     @property
     def data_keys(self) -> list[str]:
         """Columns that are in the Parquet files."""
-        return [key for key, feature in self.features.items() if feature["dtype"] != "video"]
+        return [key for key in self.features if key not in self.keys_of("video")]
 
     @property
     def rows(self) -> int:
@@ -137,11 +124,9 @@ def read_layout(root: Path, report: Report) -> Layout | None:
         return None
     if info.get("codebase_version") != VERSION:
         report.add("metadata", f"codebase_version is {info.get('codebase_version')!r}, not {VERSION!r}", INFO)
-    tasks = _tasks(root, report)
-    table = _episode_table(root, report)
+    tasks, table = _tasks(root, report), _episode_table(root, report)
     videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
-    episodes = _episodes(table, videos, report)
-    layout = Layout(root, info, tasks or {}, episodes, table)
+    layout = Layout(root, info, tasks or {}, list(_episodes(table, videos, report)), table)
     _check_counts(layout, report, tasks is not None)
     _check_order(layout, report)
     return layout
@@ -160,12 +145,11 @@ def _tasks(root: Path, report: Report) -> dict[int, str] | None:
 
 
 def _episode_table(root: Path, report: Report) -> pa.Table:
-    """Returns the rows of all readable files of ``meta/episodes``, by episode, with column ``listed_in``."""
     tables = []
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         name = path.relative_to(root).as_posix()
         try:
-            table = pq.read_table(path)
+            table = pq.read_table(path).replace_schema_metadata(None)
             if not {"episode_index", "length"} <= set(table.column_names):
                 raise KeyError("the file does not list episodes")
             tables.append(table.append_column("listed_in", pa.array([name] * len(table), pa.string())))
@@ -175,19 +159,16 @@ def _episode_table(root: Path, report: Report) -> pa.Table:
         if not report.counts["unreadable"]:
             report.add("missing", "metadata of the episodes", "meta/episodes")
         return pa.table({"episode_index": pa.array([], pa.int64()), "listed_in": pa.array([], pa.string())})
-    merged = pa.concat_tables([each.replace_schema_metadata(None) for each in tables], promote_options="permissive")
-    return merged.sort_by("episode_index")
+    return pa.concat_tables(tables, promote_options="permissive").sort_by("episode_index")
 
 
-def _episodes(table: pa.Table, videos: Iterable[str], report: Report) -> list[Episode]:
+def _episodes(table: pa.Table, videos: Iterable[str], report: Report) -> Iterator[Episode]:
     names = [name for name in table.column_names if not name.startswith("stats/")]
-    found = []
     for row in table.select(names).to_pylist():
         try:
-            found.append(_episode(row, videos))
+            yield _episode(row, videos)
         except (KeyError, TypeError, ValueError) as error:
             report.add("metadata", f"it lacks or garbles {error}", row["listed_in"], row["episode_index"])
-    return found
 
 
 def _episode(row: dict[str, Any], videos: Iterable[str]) -> Episode:
@@ -197,17 +178,17 @@ def _episode(row: dict[str, Any], videos: Iterable[str]) -> Episode:
             raise ValueError(f"{name} = {value!r}")
         return value
 
-    def place(prefix: str) -> dict[str, int]:
-        return {name: number(f"{prefix}/{name}") for name in ("chunk_index", "file_index")}
+    def file(template: str, prefix: str, **names: str) -> str:
+        return template.format(**names, **{name: number(f"{prefix}/{name}") for name in ("chunk_index", "file_index")})
 
     def part(key: str) -> VideoPart:
         start, end = (float(row[f"videos/{key}/{name}_timestamp"]) for name in ("from", "to"))
-        return VideoPart(VIDEO_PATH.format(video_key=key, **place(f"videos/{key}")), start, end)
+        return VideoPart(file(VIDEO_PATH, f"videos/{key}", video_key=key), start, end)
 
     return Episode(
         number("episode_index"),
         number("length"),
-        DATA_PATH.format(**place("data")),
+        file(DATA_PATH, "data"),
         number("dataset_from_index"),
         number("dataset_to_index"),
         tuple(row["tasks"]),
@@ -230,20 +211,21 @@ def _check_order(layout: Layout, report: Report) -> None:
     """Episodes count on, their rows follow each other, and each is as long as its rows are."""
     row = 0
     for expected, episode in enumerate(layout.episodes):
+        place = episode.listed_in, episode.number
         if episode.number != expected:
             missing = "is there twice" if episode.number < expected else f"follows episode {expected - 1}"
-            report.add("metadata", f"episode {episode.number} {missing}", episode.listed_in, episode.number)
+            report.add("metadata", f"episode {episode.number} {missing}", *place)
             return
         span = f"rows {episode.start} to {episode.end}, length {episode.length}"
         if episode.end - episode.start != episode.length or episode.length == 0:
-            report.add("metadata", span, episode.listed_in, episode.number)
+            report.add("metadata", span, *place)
         elif episode.start != row:
-            report.add("metadata", f"{span}, where row {row} is the next", episode.listed_in, episode.number)
+            report.add("metadata", f"{span}, where row {row} is the next", *place)
         row = episode.end
         for key, part in episode.videos.items():
             if abs(part.end - part.start - episode.length / layout.fps) > _FRAME:
                 told = f"{part.end - part.start:.3f} s of {key} for {episode.length} rows at {layout.fps}/s"
-                report.add("video-length", told, episode.listed_in, episode.number)
+                report.add("video-length", told, *place)
 
 
 def leftovers(root: Path) -> Iterator[Path]:
@@ -258,6 +240,5 @@ def unlisted_files(layout: Layout) -> Iterator[str]:
     """Yields Parquet and video files without an episode."""
     known = set(layout.by_data_file()) | {file for _, file in layout.by_video_file()}
     for pattern in ("data/*/*.parquet", "videos/*/*/*.mp4"):
-        for path in sorted(layout.root.glob(pattern)):
-            if (name := path.relative_to(layout.root).as_posix()) not in known:
-                yield name
+        names = (path.relative_to(layout.root).as_posix() for path in sorted(layout.root.glob(pattern)))
+        yield from (name for name in names if name not in known)

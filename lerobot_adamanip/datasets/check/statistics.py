@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.check.layout import STATS, Layout
-from lerobot_adamanip.datasets.check.reading import points_last
 from lerobot_adamanip.datasets.pose_statistics import unscaled_poses
 from lerobot_adamanip.datasets.reading import MAX_STATISTICS_BYTES
 from lerobot_adamanip.datasets.statistics import QUANTILES
@@ -49,104 +48,68 @@ def check_episode_statistics(
 ) -> None:
     """Compares episodes' statistics with their rows; skips episodes whose rows are known to be damaged.
 
-    Args:
-        where: places of the rows, whole episodes.
-        columns: (R, ...) values.
-        stored: statistics of all episodes.
-        row_of: episode -> its row in ``stored``.
-        report: takes one finding for each episode.
+    ``columns`` are (R, ...) values of whole episodes, and ``row_of`` tells where an episode is in ``stored``.
     """
-    starts = where.starts()
-    numbers = where.episodes[starts].tolist()
-    rows = [row_of.get(number, 0) for number in numbers]  # an episode without metadata is known as damaged
-    wrong: dict[int, list[str]] = {}
-    for key, values in columns.items():
-        if key in OF_PLACE:
+    for number, rows in where.runs():
+        if number in report.damaged:
             continue
-        told, what = stored.get(key, {}), key
-        if set(told) >= NEEDED:
-            differ = _differ(values, starts, {name: each[rows] for name, each in told.items()})
-        else:
-            differ, what = np.ones(len(numbers), bool), f"none of {key}"
-        for number in np.array(numbers)[differ].tolist():
-            wrong.setdefault(number, []).append(what)
-    for number, keys in wrong.items():
-        if number not in report.damaged:
-            report.add("episode-statistics", f"not those of its rows: {listed(keys)}", where.file, number)
+        wrong = []
+        for key, values in columns.items():
+            told = {name: each[row_of[number]] for name, each in stored.get(key, {}).items()}
+            if key not in OF_PLACE and not set(told) >= NEEDED:
+                wrong.append(f"none of {key}")
+            elif key not in OF_PLACE and not _are_of(told, values[rows]):
+                wrong.append(key)
+        if wrong:
+            report.add("episode-statistics", f"not those of its rows: {listed(wrong)}", where.file, number)
 
 
-def _differ(values: NDArray[Any], starts: NDArray[np.int64], told: dict[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-    """Returns (E,), which episodes' statistics are not those of the values; NaN counts as a difference."""
-    counts = np.diff(np.r_[starts, len(values)])
-    points = points_last(values)
-    lowest = np.minimum.reduceat(points.min(axis=2), starts, axis=0)
-    highest = np.maximum.reduceat(points.max(axis=2), starts, axis=0)
-    elements = (counts * points.shape[2])[:, None]
-    mean = np.add.reduceat(points.sum(axis=2, dtype=np.float64), starts, axis=0) / elements
-    squares = np.add.reduceat(np.einsum("rdp,rdp->rd", points, points, dtype=np.float64), starts, axis=0) / elements
-    if any(each.shape[1] != mean.shape[1] for name, each in told.items() if name != "count"):
-        return np.ones(len(starts), bool)
+def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bool:
+    """Whether statistics (D,) are those of an episode's values (T, ...); NaN is a difference."""
+    numbers = values.astype(np.int8) if values.dtype == bool else values
+    points = numbers.reshape(-1, values.shape[-1] if values.ndim > 1 else 1)
+    if any(each.shape != points.shape[1:] for name, each in told.items() if name != "count"):
+        return False
+    lowest, highest = (points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64))
     largest = np.maximum(np.abs(lowest), np.abs(highest)) + 1e-6
-    rounding = _ROUNDING + _ROUNDING_EACH * elements
+    rounding = _ROUNDING + _ROUNDING_EACH * len(points)
     near = np.abs(told["min"] - lowest) <= _ROUNDING * largest
     near &= np.abs(told["max"] - highest) <= _ROUNDING * largest
-    near &= np.abs(told["mean"] - mean) <= rounding * largest
+    near &= np.abs(told["mean"] - points.mean(axis=0, dtype=np.float64)) <= rounding * largest
     # A difference of squares in float32 rounds by as much as the squares do.
-    near &= np.abs(told["std"] ** 2 - (squares - mean**2)) <= rounding * largest**2
-    near &= told["count"] == counts[:, None]
-    for name, share in QUANTILES.items():
-        if name in told and (counts > 1).any():
-            near &= _is_quantile(points, starts, told[name], share, (lowest, highest)) | (counts < 2)[:, None]
-    return np.asarray(~near.all(axis=1))
-
-
-def _is_quantile(
-    points: NDArray[Any],
-    starts: NDArray[np.int64],
-    told: NDArray[np.float64],
-    share: float,
-    limits: tuple[NDArray[Any], NDArray[Any]],
-) -> NDArray[np.bool_]:
-    """Returns (E, D), whether a share of the values is below: two bins of LeRobot's histogram either way."""
-    lengths = np.diff(np.r_[starts, len(points)])
-    slack = 2.0 * (limits[1] - limits[0]).astype(np.float64) / _BINS + 1e-6 * (1.0 + np.abs(told))
-    # In the points' own precision, so that no larger copy of a cloud is made.
-    upper, lower = (np.repeat(each.astype(points.dtype), lengths, axis=0) for each in (told + slack, told - slack))
-    wanted = share * (lengths * points.shape[2])[:, None]
-    below = np.add.reduceat(np.count_nonzero(points <= upper[:, :, None], axis=2), starts, axis=0)
-    strictly = np.add.reduceat(np.count_nonzero(points < lower[:, :, None], axis=2), starts, axis=0)
-    return np.asarray((below >= wanted - 1e-6) & (strictly <= wanted + 1e-6))
+    near &= np.abs(told["std"] ** 2 - points.var(axis=0, dtype=np.float64)) <= rounding * largest**2
+    near &= told["count"] == len(values)
+    if len(values) > 1 and (names := [name for name in QUANTILES if name in told]):
+        shares, found = np.array([QUANTILES[name] for name in names]), np.stack([told[name] for name in names])
+        slack = 2.0 * (highest - lowest) / _BINS + 1e-6 * (1.0 + np.abs(found))
+        # Equal values may begin right at the share.
+        lower, upper = (np.quantile(points, shares + by, axis=0, method="inverted_cdf") for by in (-1e-6, 1e-6))
+        near &= ((found >= lower - slack) & (found <= upper + slack)).all(axis=0)
+    return bool(near.all())
 
 
 def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
     """Returns the statistics of the dataset: LeRobot's aggregation of its episodes'.
 
-    Args:
-        stored: statistics of the episodes.
-        pictures: columns whose statistics are of shape (3, 1, 1), or (1, 1, 1) of depth.
+    Those of the columns ``pictures`` are of shape (3, 1, 1), or (1, 1, 1) of depth.
     """
     from lerobot.datasets.compute_stats import aggregate_stats
 
     whole = {key: told for key, told in stored.items() if set(told) >= NEEDED}
 
-    def of_episode(row: int) -> Statistics:
-        return {
-            key: {
-                name: values[row].reshape(-1, 1, 1) if key in pictures and name != "count" else values[row]
-                for name, values in told.items()
-            }
-            for key, told in whole.items()
-        }
+    def shaped(key: str, name: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        return value.reshape(-1, 1, 1) if key in pictures and name != "count" else value
 
-    episodes = min((len(told["count"]) for told in whole.values()), default=0)
-    return aggregate_stats([of_episode(row) for row in range(episodes)]) if episodes else {}
+    episodes = [
+        {key: {name: shaped(key, name, each[row]) for name, each in told.items()} for key, told in whole.items()}
+        for row in range(min((len(told["count"]) for told in whole.values()), default=0))
+    ]
+    return aggregate_stats(episodes) if episodes else {}
 
 
 def read_statistics(root: Path) -> Statistics:
     """Returns ``meta/stats.json``, every statistic flat; raises OSError or ValueError."""
     content = read(root / STATS, max_bytes=MAX_STATISTICS_BYTES)
-    if not isinstance(content, dict):
-        raise ValueError("no statistics by column")
     try:
         return {
             key: {name: np.asarray(value, np.float64).reshape(-1) for name, value in told.items()}
@@ -172,19 +135,14 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     if not stored or len(layout.table) != layout.info["total_episodes"]:
         return  # it is unknown which episodes they are of
     # A lost column is a finding of its own.
-    of_columns = {key: each for key, each in stored.items() if key in layout.info["features"]}
-    wrong = []
-    true = aggregated(of_columns, layout.picture_keys)
-    fixed = unscaled_poses(true, layout.info["features"])
-    for key, right in true.items():
-        if key in OF_PLACE:
-            continue
-        if key not in told:
-            wrong.append(f"none of {key}")
-        elif names := [name for name in right if not any(_same(told[key], of[key], name) for of in (true, fixed))]:
+    true = aggregated({key: each for key, each in stored.items() if key in layout.features}, layout.picture_keys)
+    fixed = unscaled_poses(true, layout.features)
+    wrong = [f"none of {key}" for key in true if key not in told]
+    for key in true.keys() & told.keys() - set(OF_PLACE):
+        if names := [name for name in true[key] if not any(_same(told[key], of[key], name) for of in (true, fixed))]:
             wrong.append(f"{key} ({listed(names)})")
     if wrong:
-        report.add("statistics", f"not those of the episodes: {listed(wrong)}", STATS)
+        report.add("statistics", f"not those of the episodes: {listed(sorted(wrong))}", STATS)
 
 
 def _same(told: Mapping[str, NDArray[np.float64]], right: Mapping[str, NDArray[np.float64]], name: str) -> bool:

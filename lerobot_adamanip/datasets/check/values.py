@@ -13,7 +13,6 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
 from lerobot_adamanip.contract.pointcloud import Workspace, as_points
 from lerobot_adamanip.datasets.check.findings import Report, Rows
-from lerobot_adamanip.datasets.check.reading import points_last
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util.arrow import numeric_array
 
@@ -66,13 +65,10 @@ def _report_shape(where: Rows, table: pa.Table, key: str, shape: tuple[int, ...]
 
 def _shape(cell: object) -> tuple[int, ...] | None:
     """Returns the shape of nested lists; None for an empty cell, or lists of different lengths."""
-    if cell is None:
+    try:
+        return None if cell is None else np.shape(cell)
+    except ValueError:
         return None
-    if not isinstance(cell, list):
-        return ()
-    inner = {_shape(each) for each in cell}
-    only = inner.pop() if len(inner) == 1 else None
-    return None if only is None else (len(cell), *only)
 
 
 def _check_poses(where: Rows, columns: Columns, report: Report) -> None:
@@ -92,12 +88,12 @@ def _check_poses(where: Rows, columns: Columns, report: Report) -> None:
 def _check_clouds(where: Rows, columns: Columns, workspace: Workspace, report: Report) -> None:
     if schema.POINT_CLOUD not in columns or columns[schema.POINT_CLOUD].shape[-1] % 3:
         return
-    clouds = points_last(as_points(columns[schema.POINT_CLOUD]))
-    lowest, highest = clouds.min(axis=2), clouds.max(axis=2)
+    clouds = as_points(columns[schema.POINT_CLOUD])
+    lowest, highest = clouds.min(axis=1), clouds.max(axis=1)
     beyond = (lowest < np.array(workspace.lower) - MARGIN) | (highest > np.array(workspace.upper) + MARGIN)
     # A camera that sees nothing gives zeros: see `pointcloud.farthest_point_order`.
     nothing = ((lowest == 0.0) & (highest == 0.0)).all(axis=1)
-    finite = np.isfinite(lowest).all(axis=1) & np.isfinite(highest).all(axis=1)
+    finite = np.isfinite(lowest + highest).all(axis=1)
     box = f"{tuple(workspace.lower)} to {tuple(workspace.upper)}"
     report.add_rows("workspace", f"points outside {box} m", where, finite & beyond.any(axis=1) & ~nothing)
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import enum
-import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,29 +18,23 @@ from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.datasets.reading import load_check, open_dataset
 from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.mechanisms import make_mechanism
+from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_adamanip.util.json_fields import parse
 
 Array = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Try:
-    """A try at a joint.
-
-    Attributes:
-        key_frame: its number, from 0.
-        joint: name of the joint.
-        failed: whether it covered less than half of its way.
-        progress: how far the joint moved, in the direction it was sent [rad or m].
-        recovers: whether it worked after a failed try.
-    """
+class Try(NamedTuple):
+    """A try at a joint."""
 
     key_frame: int
     joint: str
     failed: bool
     progress: float
+    """How far the joint moved, in the direction it was sent [rad or m]."""
     recovers: bool
+    """Whether it worked after a failed try."""
 
 
 @dataclass(frozen=True)
@@ -77,22 +70,9 @@ class ViewedEpisode:
         """How many actions were sent."""
         return len(self.goals)
 
-    def phase_runs(self) -> Iterator[tuple[Phase | None, int, int]]:
-        """Yields phases, None for unlabelled ones, with the first key frame of each and that after its last."""
-        place = 0
-        for phase, run in itertools.groupby(self.phases):
-            end = place + len(list(run))
-            yield phase, place, end
-            place = end
-
 
 def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpisode:
     """Reads an episode of any dataset that has a cloud, a state and actions as the contract has them.
-
-    Args:
-        root: of the dataset.
-        number: of the episode, from 0.
-        images: whether to decode pictures, if there are any.
 
     Raises:
         DatasetError: the dataset is missing, half written or damaged.
@@ -104,11 +84,12 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
         raise ConfigurationError("No such episode.", got=number, allowed=f"0 to {total - 1}", hint="--episode 0")
     row = source.row(number)
     table = source.rows(row)
-    columns = {name: np.asarray(table[name].to_pylist()) for name in table.column_names if name in _READ}
+    arrays = {name: numeric_array(table[name]) for name in table.column_names}
+    columns = {name: values for name, values in arrays.items() if values is not None}
     length = len(table)
-    sent = length - 1 if columns.get(schema.DONE, np.zeros(1))[-1] else length
-    pictures = _images(root, number) if images and schema.FRONT_IMAGE in source.info["features"] else None
+    sent = length - 1 if columns.get(schema.DONE, [False])[-1] else length
     tries = tuple(_tries(columns, sent, _joint_names(row.get("object_id"))))
+    has_images = schema.FRONT_IMAGE in source.info["features"]
     return ViewedEpisode(
         title=_title(number, row, tries),
         clouds=as_points(columns[schema.POINT_CLOUD]).astype(np.float32),
@@ -119,24 +100,17 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
         outcomes=_labels(Outcome, columns.get(schema.OUTCOME), sent),
         tries=tries,
         seconds=columns["timestamp"].astype(np.float32),
-        images=pictures,
+        images=_images(root, number) if images and has_images else None,
     )
-
-
-_READ = (
-    schema.POINT_CLOUD, schema.STATE, schema.ACTION, schema.EXECUTED, schema.EFFORT, schema.PHASE, schema.OUTCOME,
-    schema.TRIED, schema.FAILED, schema.PROGRESS, schema.DONE, "timestamp",
-)  # fmt: skip
 
 
 def _labels[Label: enum.IntEnum](
     kind: type[Label], column: NDArray[Any] | None, count: int
 ) -> tuple[Label | None, ...]:
     """Returns the labels of the first rows; None where the column or the label is missing."""
-    if column is None:
-        return (None,) * count
     known = {int(label): label for label in kind}
-    return tuple(known.get(value) for value in column[:count].astype(int).tolist())
+    codes = [-1] * count if column is None else column[:count].astype(int).tolist()
+    return tuple(known.get(code) for code in codes)
 
 
 def _tries(columns: Mapping[str, NDArray[Any]], sent: int, names: tuple[str, ...]) -> Iterator[Try]:
@@ -180,12 +154,8 @@ def _title(number: int, row: Mapping[str, Any], tries: tuple[Try, ...]) -> str:
 
 def _hidden(row: Mapping[str, Any]) -> str:
     try:
-        hidden = parse(row["hidden_state"])
-        told = [f"{name} {_shown(value)}" for name, value in sorted(hidden.items())]
+        hidden = sorted(parse(row["hidden_state"]).items())
     except (ValueError, KeyError, TypeError, AttributeError):
         return ""
-    return f"hidden: {', '.join(told)}" if told else ""
-
-
-def _shown(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else f"{value:.3g}" if isinstance(value, float) else str(value)
+    told = (f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}".lower() for name, value in hidden)
+    return f"hidden: {', '.join(told)}" if hidden else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,10 +80,13 @@ def _draw_timeline(axes: Axes, episode: ViewedEpisode) -> None:
     for joint, torque in enumerate(episode.effort.T):
         axes.plot(np.arange(len(torque)), torque, linewidth=1.2, label=f"joint {joint + 1}", gid="effort")
     top = axes.get_xaxis_transform()
-    for phase, first, end in episode.phase_runs():
+    first = 0
+    for phase, run in itertools.groupby(episode.phases):
+        end = first + len(list(run))
         color, name = ("white", "not labelled") if phase is None else (_PHASES[phase], phase.name.lower())
         axes.axvspan(first, end, color=color, alpha=0.5, linewidth=0, gid="phases")
         axes.text((first + end) / 2, 1.02, name, transform=top, fontsize=7, rotation=30, gid="phase")
+        first = end
     for each in episode.tries:
         told = f"{each.joint}\n{each.progress:+.2f}" + ("\nrecovers" if each.recovers else "")
         color = FAILED if each.failed else WORKED

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ APPLICATION = "adamanip"
 KEY_FRAME, SECONDS = "key_frame", "time"
 """Timelines: number of the key frame, and seconds since the start."""
 _TOOL, _GOAL, _FAILED, _WORKED = (31, 78, 156), (90, 90, 90), (198, 40, 40), (46, 125, 50)
-_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _AXIS = 0.05
 """Length of the axes of a pose [m]."""
 _AXES = np.array([(220, 60, 60), (60, 160, 60), (70, 90, 220)], np.uint8)
@@ -28,8 +26,7 @@ _AXES = np.array([(220, 60, 60), (60, 160, 60), (70, 90, 220)], np.uint8)
 
 def save(episode: ViewedEpisode, path: Path) -> None:
     """Writes a recording, which `rerun FILE.rrd` shows; half of one is never at ``path``. Needs no display."""
-    rr = _rerun()
-    recording = rr.RecordingStream(APPLICATION)
+    recording = _rerun().RecordingStream(APPLICATION)
     path.parent.mkdir(parents=True, exist_ok=True)
     half = path.with_name(f".{path.name}.writing")
     try:
@@ -42,45 +39,22 @@ def save(episode: ViewedEpisode, path: Path) -> None:
         half.unlink(missing_ok=True)
 
 
-def spawn(episode: ViewedEpisode) -> None:
-    """Opens rerun's own window with the episode; raises `ConfigurationError` if it does not open."""
-    recording = _rerun().RecordingStream(APPLICATION)
-    try:
-        recording.spawn(default_blueprint=_blueprint(episode))
-        log_episode(recording, episode)
-        recording.flush()
-    except (RuntimeError, OSError) as error:
-        raise _no_display(str(error).partition("\n")[0][:200]) from error
-
-
-def require_display() -> None:
-    """Raises `ConfigurationError` where rerun's window cannot open: on Linux, without X11 and Wayland."""
-    if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
-        raise _no_display(f"neither {' nor '.join(_DISPLAYS)} is set")
-
-
-def _no_display(reason: str) -> ConfigurationError:
-    return ConfigurationError(
-        "rerun's window does not open here.",
-        got=reason,
-        allowed="a desktop; or --out FILE.png or --out FILE.rrd, which need none",
-        hint="--out episode.rrd, then `rerun --web-viewer episode.rrd` serves it to a browser",
-    )
-
-
 def log_episode(recording: Any, episode: ViewedEpisode) -> None:
     """Logs an episode to a rerun stream, row by row."""
     rr = _rerun()
-    _log_names(recording, episode)
-    path = episode.tools[:, :3]
-    for row in range(len(episode.tools)):
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    recording.log("log", rr.TextLog(episode.title, level="INFO"), static=True)
+    joints = [f"joint {number + 1} [N m]" for number in range(episode.effort.shape[1])]
+    recording.log("effort", rr.SeriesLines(names=joints), static=True)
+    recording.log("gripper", rr.SeriesLines(names=["gripper (0 closed, 1 open)"]), static=True)
+    for row, (cloud, tool) in enumerate(zip(episode.clouds, episode.tools, strict=True)):
         recording.set_time(KEY_FRAME, sequence=row)
         recording.set_time(SECONDS, duration=float(episode.seconds[row]))
-        cloud = episode.clouds[row]
         recording.log("world/cloud", rr.Points3D(cloud, colors=_by_height(cloud), radii=0.003))
-        recording.log("world/tool/path", rr.LineStrips3D([path[: row + 1]], colors=[_TOOL], radii=0.0015))
-        _log_pose(recording, "world/tool/pose", episode.tools[row])
-        recording.log("gripper", rr.Scalars([float(episode.tools[row, schema.GRIPPER_DIM])]))
+        path = episode.tools[: row + 1, :3]
+        recording.log("world/tool/path", rr.LineStrips3D([path], colors=[_TOOL], radii=0.0015))
+        _log_pose(recording, "world/tool/pose", tool)
+        recording.log("gripper", rr.Scalars([float(tool[schema.GRIPPER_DIM])]))
         if episode.effort.size:
             recording.log("effort", rr.Scalars(episode.effort[row]))
         if episode.images is not None:
@@ -90,17 +64,8 @@ def log_episode(recording: Any, episode: ViewedEpisode) -> None:
     recording.log("world/goal", rr.Clear(recursive=True))
 
 
-def _log_names(recording: Any, episode: ViewedEpisode) -> None:
-    rr = _rerun()
-    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    recording.log("log", rr.TextLog(episode.title, level="INFO"), static=True)
-    names = [f"joint {number + 1} [N m]" for number in range(episode.effort.shape[1])]
-    recording.log("effort", rr.SeriesLines(names=names), static=True)
-    recording.log("gripper", rr.SeriesLines(names=["gripper (0 closed, 1 open)"]), static=True)
-
-
 def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
-    """Logs where the tool is sent, and the outcome."""
+    """Logs where the tool is sent, the outcome, and the try, if there is one."""
     rr = _rerun()
     goal, phase, outcome = episode.goals[number], episode.phases[number], episode.outcomes[number]
     _log_pose(recording, "world/goal/pose", goal)
@@ -113,40 +78,36 @@ def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
             told = "failed" if each.failed else "worked, after one that failed" if each.recovers else "worked"
             text = f"{number}: try at the {each.joint} {told} (moved {each.progress:+.3f} rad or m)"
             recording.log("log", rr.TextLog(text, level="ERROR" if each.failed else "INFO"))
-            color = _FAILED if each.failed else _WORKED
             where = episode.tools[min(number + 1, len(episode.tools) - 1), :3]
-            point = rr.Points3D([where], colors=[color], radii=0.01, labels=[f"{number} {each.joint} {told}"])
-            recording.log(f"world/tries/{number}", point)  # a name of its own: it stays visible
+            look = {"colors": [_FAILED if each.failed else _WORKED], "labels": [f"{number} {each.joint} {told}"]}
+            recording.log(f"world/tries/{number}", rr.Points3D([where], radii=0.01, **look))  # of its own: it stays
 
 
 def _log_pose(recording: Any, name: str, pose: NDArray[Any]) -> None:
     """Logs a pose of the contract, (10,), as its three axes."""
-    rr = _rerun()
     axes = matrix_from_rotation_6d(pose[schema.ROTATION_DIMS]).T * _AXIS
-    recording.log(name, rr.Arrows3D(origins=np.tile(pose[:3], (3, 1)), vectors=axes, colors=_AXES, radii=0.002))
+    origins = np.tile(pose[:3], (3, 1))
+    recording.log(name, _rerun().Arrows3D(origins=origins, vectors=axes, colors=_AXES, radii=0.002))
 
 
 def _by_height(cloud: NDArray[Any]) -> NDArray[np.uint8]:
     """Returns (N, 3) colours: dark and blue below, yellow above."""
     from matplotlib import colormaps
 
-    heights = cloud[:, 2]
-    span = max(float(np.ptp(heights)), 1e-6)
-    colors: NDArray[np.uint8] = colormaps["viridis"]((heights - heights.min()) / span, bytes=True)[:, :3]
+    low, high = cloud[:, 2].min(), cloud[:, 2].max()
+    colors: NDArray[np.uint8] = colormaps["viridis"]((cloud[:, 2] - low) / max(high - low, 1e-6), bytes=True)[:, :3]
     return colors
 
 
 def _blueprint(episode: ViewedEpisode) -> Any:
     import rerun.blueprint as rrb
 
-    series = [rrb.TimeSeriesView(origin="effort", name="effort"), rrb.TimeSeriesView(origin="gripper", name="gripper")]
-    camera = [rrb.Spatial2DView(origin="camera", name="camera")] if episode.images is not None else []
-    told = rrb.Vertical(*camera, *series, rrb.TextLogView(origin="log", name="what happened"))
-    return rrb.Blueprint(
-        rrb.Horizontal(rrb.Spatial3DView(origin="world", name="scene"), told, column_shares=[3, 2]),
-        rrb.TimePanel(timeline=KEY_FRAME),
-        collapse_panels=True,
-    )
+    views: list[Any] = [rrb.Spatial2DView(origin="camera", name="camera")] if episode.images is not None else []
+    views += [rrb.TimeSeriesView(origin=name, name=name) for name in ("effort", "gripper")]
+    told = rrb.Vertical(*views, rrb.TextLogView(origin="log", name="what happened"))
+    scene = rrb.Spatial3DView(origin="world", name="scene")
+    panel = rrb.TimePanel(timeline=KEY_FRAME)
+    return rrb.Blueprint(rrb.Horizontal(scene, told, column_shares=[3, 2]), panel, collapse_panels=True)
 
 
 def _rerun() -> Any:
@@ -156,7 +117,7 @@ def _rerun() -> Any:
         raise ConfigurationError(
             "rerun is not installed.",
             got=f"no module {error.name}",
-            allowed="rerun-sdk, which LeRobot's viewer needs too",
+            allowed="rerun-sdk",
             hint="pip install 'lerobot[viz]'; or --out episode.png, which needs none",
         ) from error
     return rerun

@@ -1,0 +1,94 @@
+"""Which episodes a condition chooses, and how a split shares them out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.conditions import Facts, choose, parse_condition
+from lerobot_adamanip.datasets.episode_facts import episode_facts, recoveries
+from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.split import assign
+from lerobot_adamanip.util.errors import AdaManipError
+
+FACTS: list[Facts] = [
+    {"failed_tries": 0, "success": True, "object_id": "safe_000", "hidden.range": 1.25, "note": None, "code": "7"},
+    {"failed_tries": 2, "success": False, "object_id": "safe_001", "hidden.range": 1.5, "note": "x", "code": "07"},
+    {"failed_tries": 9, "success": True, "object_id": "door_n002", "hidden.range": 2.0, "note": "y z", "code": "a"},
+]
+CHOSEN = {
+    "failed_tries>=1": [1, 2], "failed_tries > 2": [2], "failed_tries<1": [0], "failed_tries<=2": [0, 1],
+    "failed_tries<=1.5": [0], "failed_tries=0,9": [0, 2], "failed_tries=0:2,9": [0, 2], "failed_tries!=0:2": [1, 2],
+    "success=true": [0, 2], "success!=TRUE": [1], "success == false": [1], "object_id=safe_000,door_n002": [0, 2],
+    "object_id!=safe_000": [1, 2], "hidden.range>1.3": [1, 2], "hidden.range=1.5": [1], "note=x": [1],
+    "note!=x": [2], "note=y z": [2], "code=7": [0],
+}  # fmt: skip
+REFUSED = {
+    "": "no condition", "failed_tries": "no condition", "failed_tries>=": "no condition",
+    "__import__('os').system('x')=1": "no condition",
+    "failed_trys>1": "failed_tries, hidden.range, note, object_id, success", "failed_tries>x": "0 to 9",
+    "failed_tries=__class__": "0 to 9", "success=maybe": "true or false", "success>false": "= or !=",
+    "object_id>safe": "= or !=", "failed_tries>1,2": "0 to 9", "object_id=safe_007": "safe_000, safe_001",
+}  # fmt: skip
+"""Condition -> what its error names."""
+
+
+@pytest.mark.parametrize("text", CHOSEN)
+def test_conditions(text: str) -> None:
+    assert choose([text], FACTS) == CHOSEN[text]
+    condition = parse_condition(text, FACTS)
+    assert [index for index, each in enumerate(FACTS) if condition.holds(each)] == CHOSEN[text]
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_chooses_nothing_is_one_clear_error(text: str) -> None:
+    with pytest.raises(AdaManipError) as error:
+        choose([text], FACTS)
+    assert REFUSED[text] in str(error.value)
+
+
+def test_what_is_known_of_an_episode(finished: Path) -> None:
+    facts = episode_facts(Source.open(finished))
+    rows = pq.read_table(sorted((finished / "data").glob("*/*.parquet"))).to_pandas()
+    for number, each in enumerate(facts):
+        mine = rows[rows["episode_index"] == number]
+        assert each["key_frames"] == len(mine) - 1
+        assert each["recoveries"] == recoveries(mine.loc[mine[schema.TRIED] >= 0, schema.FAILED].tolist())
+        assert (each["category"], each["object_split"], each["task"]) == ("safe", "seen", "open the fake")
+    assert {"tries", "failed_tries", "success", "late", "expert", "slot", "seed", "hidden.locked"} <= set(facts[0])
+    assert not {"camera", "versions", "hidden_state", "data/file_index"} & set(facts[0])
+    assert max(each["recoveries"] or 0 for each in facts) == 1
+
+
+MANY: list[Facts] = [{"episode_index": n, "object_id": f"safe_{n % 7:03d}", "success": n % 3 > 0} for n in range(50)]
+
+
+@given(
+    shares=st.lists(st.integers(1, 20), min_size=2, max_size=5),
+    by=st.sampled_from(["episode_index", "object_id"]),
+    seed=st.integers(0, 99),
+)
+def test_everything_goes_to_one_part_and_values_stay_together(shares: list[int], by: str, seed: int) -> None:
+    named = {f"part{number}": share / sum(shares) for number, share in enumerate(shares)}
+    parts = assign(MANY, named, by=by, seed=seed)
+    assert parts == assign(MANY, named, by=by, seed=seed)
+    assert list(parts) == list(named)
+    assert sorted(index for mine in parts.values() for index in mine) == list(range(50))
+    values: list[set[Any]] = [{MANY[index][by] for index in mine} for mine in parts.values()]
+    assert all(values)
+    total = len({each[by] for each in MANY})
+    assert sum(map(len, values)) == total
+    for mine, share in zip(values, named.values(), strict=True):
+        assert len(mine) == 1 or abs(len(mine) - share * total) < 1 + len(shares)
+
+
+def test_shares_are_kept_and_seeds_differ() -> None:
+    parts = [assign(MANY, {"a": 0.8, "b": 0.2}, by="episode_index", seed=seed) for seed in range(3)]
+    assert [(len(each["a"]), len(each["b"])) for each in parts] == [(40, 10)] * 3
+    assert len({tuple(each["b"]) for each in parts}) == 3
