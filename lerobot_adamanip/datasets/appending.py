@@ -63,7 +63,7 @@ def append_rows(
         table: the rows; the columns `encoding.PLACE` are replaced.
         tasks: of the episode; new ones are added to the dataset.
         task_of_row: one of them for each row.
-        stats: column -> statistics; those of these columns are computed anew.
+        stats: column -> statistics; those of `encoding.PLACE` are computed anew.
         videos: column -> content of a file with the episode's frames alone.
     """
     from lerobot.datasets.compute_stats import compute_episode_stats
@@ -79,16 +79,20 @@ def append_rows(
     }
     every = {**stats, **compute_episode_stats(place, meta.features)}
     ordered = {key: every[key] for key in meta.features if key in every}
-    for key, values in place.items():
-        at = table.schema.get_field_index(key)
-        table = table.set_column(at, table.schema.field(at), pa.array(values, type=table.schema.field(at).type))
-    metadata = _append_table(writer, meta, table)
+    metadata = _append_table(writer, meta, _with_columns(table, place))
     for key, content in videos.items():
         path = Path(tempfile.mkdtemp(dir=dataset.root)) / f"{key}_{number:03d}.mp4"
         path.write_bytes(content)
         metadata.update(writer._save_episode_video(key, number, temp_path=path))
     meta.save_episode(number, length, tasks, ordered, metadata)
     return length
+
+
+def _with_columns(table: pa.Table, columns: Mapping[str, Any]) -> pa.Table:
+    for key, values in columns.items():
+        at = table.schema.get_field_index(key)
+        table = table.set_column(at, table.schema.field(at), pa.array(values, type=table.schema.field(at).type))
+    return table
 
 
 def _append_table(writer: Any, meta: Any, table: pa.Table) -> dict[str, Any]:

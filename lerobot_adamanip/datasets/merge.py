@@ -47,14 +47,13 @@ def merge(
     after another, without the manifest and the attempts of their collections.
 
     Args:
-        roots: of datasets with equal features; two or more.
+        roots: of two or more datasets with equal features.
         out: of the new one; a folder that does not exist.
         repo_id: ``local/<folder name>`` by default.
         progress: called after each episode.
 
     Raises:
-        DatasetError: a part is missing, half written or of other features, two of them share episodes, or something is
-            at ``out``.
+        DatasetError: a part is damaged or of other features, two share episodes, or something is at ``out``.
         ConfigurationError: fewer than two parts, or this LeRobot writes datasets in another way.
     """
     if len(roots) < 2:

@@ -41,19 +41,17 @@ def split_episodes(
         shares: name of a part -> its share; 1 together. None for a part for each value of ``by``.
         by: name of a column, see `episode_facts`: episodes of one value stay together. Shares are of its values.
         seed: of the random assignment.
-        progress: called after each episode.
 
     Raises:
         ConfigurationError: shares that do not make 1, an unknown column, or fewer values than parts.
-        DatasetError: the dataset is missing or damaged, or something is at ``out``.
+        DatasetError: the dataset is damaged, or something is at ``out``.
     """
     with owned_output(out, WRITING) as output:
         output.require_free()
         source = Source.open(root)
         parts = assign(episode_facts(source), shares, by=by, seed=seed)
         output.require_room(files.tree_bytes(source.root))
-        built = output.fresh("dataset")
-        built.mkdir()
+        (built := output.fresh("dataset")).mkdir()
         said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
         command = ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed), "--out", output.root.name]
         before, total = 0, source.info["total_episodes"]
