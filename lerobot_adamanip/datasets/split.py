@@ -41,6 +41,7 @@ def split_episodes(
         shares: name of a part -> its share; 1 together. None for a part for each value of ``by``.
         by: name of a column, see `episode_facts`: episodes of one value stay together. Shares are of its values.
         seed: of the random assignment.
+        progress: called after each episode.
 
     Raises:
         ConfigurationError: shares that do not make 1, an unknown column, or fewer values than parts.
@@ -51,9 +52,9 @@ def split_episodes(
         source = Source.open(root)
         parts = assign(episode_facts(source), shares, by=by, seed=seed)
         output.require_room(files.tree_bytes(source.root))
-        (built := output.fresh("dataset")).mkdir()
-        said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
-        command = ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed), "--out", output.root.name]
+        built = output.fresh("dataset")
+        built.mkdir()
+        command = [*_command(shares, by, seed), "--out", output.root.name]
         before, total = 0, source.info["total_episodes"]
         for name, chosen in parts.items():
             pieces, selection = [(source, episode) for episode in chosen], source.selection.of(chosen, command)
@@ -63,6 +64,11 @@ def split_episodes(
         files.sync(built)
         output.publish(built)
     return parts
+
+
+def _command(shares: Mapping[str, float] | None, by: str, seed: int) -> list[str]:
+    said = [] if shares is None else ["--parts", ",".join(f"{name}={share:g}" for name, share in shares.items())]
+    return ["adamanip", "split", "DATASET", *said, "--by", by, "--seed", str(seed)]
 
 
 def _tell(progress: Progress, before: int, total: int, done: int, _: int) -> None:
