@@ -58,8 +58,7 @@ def split_episodes(
         before, total = 0, source.info["total_episodes"]
         for name, chosen in parts.items():
             pieces, selection = [(source, episode) for episode in chosen], source.selection.of(chosen, command)
-            tell = functools.partial(_tell, progress, before, total)
-            compose(built / name, pieces, f"local/{name}", selection, tell)
+            compose(built / name, pieces, f"local/{name}", selection, functools.partial(_tell, progress, before, total))
             before += len(chosen)
         files.sync(built)
         output.publish(built)
