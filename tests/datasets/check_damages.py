@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -35,45 +36,50 @@ class Damage(NamedTuple):
     """Whether a repair leaves nothing to be found."""
 
 
-def cut(name: str, share: float) -> Callable[[Path], object]:
-    """A file of which only the first part is there."""
-
-    def do(root: Path) -> object:
-        content = (root / name).read_bytes()
-        return (root / name).write_bytes(content[: int(share * len(content))])
-
-    return do
+def damage(work: Callable[..., object]) -> Callable[..., Callable[[Path], object]]:
+    """Makes a function of a dataset's root, and of more, one of the others that waits for the root."""
+    return lambda *options, **named: lambda root: work(root, *options, **named)
 
 
-def remove(name: str) -> Callable[[Path], object]:
-    return lambda root: (root / name).unlink()
+@damage
+def cut(root: Path, name: str, share: float) -> None:
+    """Leaves the first part of a file."""
+    content = (root / name).read_bytes()
+    (root / name).write_bytes(content[: int(share * len(content))])
 
 
-def edit_json(name: str, change: Callable[[Any], object]) -> Callable[[Path], object]:
-    def do(root: Path) -> object:
-        content = json.loads((root / name).read_text())
-        change(content)
-        return (root / name).write_text(json.dumps(content))
-
-    return do
+@damage
+def remove(root: Path, name: str) -> None:
+    (root / name).unlink()
 
 
-def write_rows(path: Path, table: pa.Table) -> None:
-    """One row group for each episode, as LeRobot's writer has it."""
+@damage
+def leave(root: Path, name: str) -> None:
+    """Adds what a killed process leaves."""
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    (root / name).write_bytes(b"half")
+
+
+@damage
+def edit_json(root: Path, name: str, change: Callable[[Any], object]) -> None:
+    content = json.loads((root / name).read_text())
+    change(content)
+    (root / name).write_text(json.dumps(content))
+
+
+def edit_rows(root: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+    """Writes changed rows: one row group for each episode, as LeRobot's writer has it."""
+    table = change(pq.read_table(root / DATA))
     episodes = np.asarray(table["episode_index"].to_pylist())
     starts = np.flatnonzero(np.r_[True, np.diff(episodes) != 0]).tolist()
-    with pq.ParquetWriter(path, table.schema, compression="snappy") as writer:
-        for start, end in zip(starts, [*starts[1:], len(table)], strict=True):
+    with pq.ParquetWriter(root / DATA, table.schema, compression="snappy") as writer:
+        for start, end in itertools.pairwise([*starts, len(table)]):
             writer.write_table(table.slice(start, end - start))
 
 
 def row_of(table: pa.Table, episode: int, frame: int) -> int:
     places = zip(table["episode_index"].to_pylist(), table["frame_index"].to_pylist(), strict=True)
-    return next(row for row, place in enumerate(places) if place == (episode, frame))
-
-
-def edit_rows(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], object]:
-    return lambda root: write_rows(root / DATA, change(pq.read_table(root / DATA)))
+    return list(places).index((episode, frame))
 
 
 def set_column(table: pa.Table, key: str, values: list[Any]) -> pa.Table:
@@ -84,16 +90,15 @@ def set_column(table: pa.Table, key: str, values: list[Any]) -> pa.Table:
     return table.set_column(at, key, pa.array(values, type=kind))
 
 
-def edit_cell(key: str, episode: int, frame: int, change: Callable[[Any], Any]) -> Callable[[Path], object]:
-    """One cell of a data file."""
-
+@damage
+def edit_cell(root: Path, key: str, episode: int, frame: int, change: Callable[[Any], Any]) -> None:
     def edited(table: pa.Table) -> pa.Table:
         values = table[key].to_pylist()
         row = row_of(table, episode, frame)
         values[row] = change(values[row])
         return set_column(table, key, values)
 
-    return edit_rows(edited)
+    edit_rows(root, edited)
 
 
 def at(place: Sequence[int], value: float) -> Callable[[Any], Any]:
@@ -107,21 +112,22 @@ def at(place: Sequence[int], value: float) -> Callable[[Any], Any]:
     return change
 
 
-def without_row(episode: int, frame: int) -> Callable[[Path], object]:
+@damage
+def without_row(root: Path, episode: int, frame: int) -> None:
     def shorter(table: pa.Table) -> pa.Table:
         row = row_of(table, episode, frame)
         return pa.concat_tables([table.slice(0, row), table.slice(row + 1)])
 
-    return edit_rows(shorter)
+    edit_rows(root, shorter)
 
 
-def swap_contents(first: int, second: int) -> Callable[[Path], object]:
-    """What two episodes of one length hold, exchanged; what says where rows belong stays."""
+@damage
+def swap_contents(root: Path, first: int, second: int) -> None:
+    """Exchanges what two episodes of one length hold; what says where rows belong stays."""
 
     def swapped(table: pa.Table) -> pa.Table:
         episodes = np.asarray(table["episode_index"].to_pylist())
         one, other = (np.flatnonzero(episodes == number) for number in (first, second))
-        assert len(one) == len(other)
         order = np.arange(len(table))
         order[one], order[other] = other, one
         for key in table.column_names:
@@ -130,79 +136,54 @@ def swap_contents(first: int, second: int) -> Callable[[Path], object]:
                 table = set_column(table, key, [values[row] for row in order])
         return table
 
-    return edit_rows(swapped)
+    edit_rows(root, swapped)
 
 
-def edit_episode(episode: int, **values: Any) -> Callable[[Path], object]:
-    """Columns of an episode's metadata."""
-
-    def do(root: Path) -> object:
-        table = pq.read_table(root / META)
-        for key, value in values.items():
-            column = table[key].to_pylist()
-            column[episode] = value(column[episode]) if callable(value) else value
-            field = table.schema.field(key)
-            table = table.set_column(table.schema.get_field_index(key), field, pa.array(column, field.type))
-        return pq.write_table(table, root / META)
-
-    return do
+@damage
+def edit_episode(root: Path, episode: int, **values: Any) -> None:
+    """Changes columns of an episode's metadata."""
+    table = pq.read_table(root / META)
+    for key, value in values.items():
+        column = table[key].to_pylist()
+        column[episode] = value(column[episode]) if callable(value) else value
+        field = table.schema.field(key)
+        table = table.set_column(table.schema.get_field_index(key), field, pa.array(column, field.type))
+    pq.write_table(table, root / META)
 
 
-def without_metadata(episodes: int) -> Callable[[Path], object]:
-    """Metadata of the first episodes alone."""
-
-    def do(root: Path) -> object:
-        return pq.write_table(pq.read_table(root / META).slice(0, episodes), root / META)
-
-    return do
+@damage
+def without_metadata(root: Path, episodes: int) -> None:
+    """Leaves the metadata of the first episodes alone."""
+    pq.write_table(pq.read_table(root / META).slice(0, episodes), root / META)
 
 
-def break_pages(episode: int) -> Callable[[Path], object]:
-    """Bytes of an episode's cloud, overwritten."""
-
-    def do(root: Path) -> object:
-        content = bytearray((root / DATA).read_bytes())
-        chunk = pq.ParquetFile(root / DATA).metadata.row_group(episode).column(0)
-        start = chunk.dictionary_page_offset or chunk.data_page_offset
-        content[start : start + chunk.total_compressed_size] = b"\xff" * chunk.total_compressed_size
-        return (root / DATA).write_bytes(content)
-
-    return do
+@damage
+def break_pages(root: Path, episode: int) -> None:
+    """Overwrites the bytes of an episode's cloud."""
+    content = bytearray((root / DATA).read_bytes())
+    chunk = pq.ParquetFile(root / DATA).metadata.row_group(episode).column(0)
+    start = chunk.dictionary_page_offset or chunk.data_page_offset
+    content[start : start + chunk.total_compressed_size] = b"\xff" * chunk.total_compressed_size
+    (root / DATA).write_bytes(content)
 
 
-def film(root: Path, lengths: Sequence[int], change: Callable[[list[Any]], list[Any]]) -> None:
+@damage
+def edit_film(root: Path, change: Callable[[list[Any]], list[Any]]) -> None:
     """Codes the dataset's video again after a change of its frames."""
     import av
 
     with av.open(str(root / VIDEO)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(frames) == sum(lengths)
     write_video(root / VIDEO, change(frames), schema.FPS)
 
 
-def lengths_of(root: Path) -> list[int]:
-    return [int(value) for value in pq.read_table(root / META)["length"].to_pylist()]
-
-
-def edit_film(change: Callable[[list[Any]], list[Any]]) -> Callable[[Path], object]:
-    return lambda root: film(root, lengths_of(root), change)
-
-
-def drop_line(root: Path) -> object:
+def drop_line(root: Path) -> None:
     lines = (root / ATTEMPTS).read_text().splitlines(keepends=True)
-    return (root / ATTEMPTS).write_text("".join(lines[:-1]))
+    (root / ATTEMPTS).write_text("".join(lines[:-1]))
 
 
-def leave(name: str) -> Callable[[Path], object]:
-    def do(root: Path) -> object:
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        return (root / name).write_bytes(b"half")
-
-    return do
-
-
-def copy_data(root: Path) -> object:
-    return shutil.copy(root / DATA, root / "data/chunk-000/file-001.parquet")
+def copy_data(root: Path) -> None:
+    shutil.copy(root / DATA, root / "data/chunk-000/file-001.parquet")
 
 
 def other_record(value: str) -> str:
