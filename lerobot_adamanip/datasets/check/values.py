@@ -63,7 +63,7 @@ def _report_shape(where: Rows, table: pa.Table, key: str, shape: tuple[int, ...]
     report.add_rows("shape", f"{key} has cells of shape {', '.join(told[:3])}, not {shape}", where, wrong)
 
 
-def _shape(cell: object) -> tuple[int, ...] | None:
+def _shape(cell: Any) -> tuple[int, ...] | None:
     """Returns the shape of nested lists; None for an empty cell, or lists of different lengths."""
     try:
         return None if cell is None else np.shape(cell)
