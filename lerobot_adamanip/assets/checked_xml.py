@@ -23,6 +23,11 @@ def broken(
     return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
 
 
+def annotate_hint(path: Path) -> str:
+    """Returns the command that annotates the object whose URDF or annotation is at ``path``."""
+    return f"adamanip annotate {path.parent.name}"
+
+
 @functools.cache
 def warn_once(text: str) -> None:
     """Logs a warning, the first time only: objects are loaded again and again."""
@@ -37,13 +42,8 @@ def parse_xml(path: Path, text: bytes) -> Any:
     try:
         return fromstring(text, forbid_dtd=True)
     except defusedxml.DefusedXmlException as error:
-        raise broken(
-            path,
-            "has a document type or entities, which are not read.",
-            type(error).__name__,
-            "plain XML",
-            hint="a file without <!DOCTYPE ...>",
-        ) from error
+        what = "has a document type or entities, which are not read."
+        raise broken(path, what, type(error).__name__, "plain XML", hint="a file without <!DOCTYPE ...>") from error
     except (ParseError, ValueError, LookupError, RecursionError) as error:
         raise broken(path, "not XML.", error, "well-formed XML") from error
 
@@ -55,7 +55,6 @@ def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != count or not all(math.isfinite(v) and abs(v) < HUGE for v in values):
-        raise broken(
-            path, f"{what} is not {count} finite number(s).", repr(text[:80]), f"{count} number(s) below {HUGE:g}"
-        )
+        allowed = f"{count} number(s) below {HUGE:g}"
+        raise broken(path, f"{what} is not {count} finite number(s).", repr(text[:80]), allowed)
     return values

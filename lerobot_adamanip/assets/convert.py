@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, JointChoice
-from lerobot_adamanip.assets.checked_xml import broken
+from lerobot_adamanip.assets.checked_xml import annotate_hint, broken
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame, posed
 from lerobot_adamanip.assets.meshes import convex_parts
 from lerobot_adamanip.assets.plausible import check_meshes, left_out, tell_left_out
@@ -70,14 +70,13 @@ def assemble(
     leaders = groups(urdf, annotation.joints)
     origins = {name: (to_object @ pose)[:3, 3] for name, pose in found.poses.items()} | {urdf.root: np.zeros(3)}
     obj = _Assembly(urdf, annotation, found, to_object, leaders, origins, solid, checked).build()
-    reason = infeasible(obj) if checked else None
-    if reason is not None:
+    if checked and (reason := infeasible(obj)) is not None:
         raise broken(
             urdf.path,
             f"a {annotation.category} like this can never be opened.",
             reason,
             f"joints that go {GOAL_MARGIN:g} times as far as the goal, or farther",
-            hint=f"adamanip annotate {urdf.path.parent.name}, and set how far the joint goes",
+            hint=f"{annotate_hint(urdf.path)}, and set how far the joint goes",
         )
     tell_left_out(found)
     return obj
@@ -87,25 +86,16 @@ def check_joints(urdf: Urdf, annotation: Annotation) -> None:
     """Raises `ConfigurationError` unless each role has a joint of its own, of the right kind."""
     roles, by_name = ROLES[annotation.category], {joint.name: joint for joint in urdf.moving}
     chosen = [annotation.joints[role.name].joint for role in roles.joints]
+    hint = annotate_hint(urdf.path)
     if len(set(chosen)) != len(chosen) or not set(chosen) <= set(by_name):
-        raise broken(
-            urdf.path,
-            "the annotation's joints are not two of its own.",
-            chosen,
-            list(by_name),
-            hint=f"adamanip annotate {urdf.path.parent.name}",
-        )
-    for role in roles.joints:
-        joint = by_name[annotation.joints[role.name].joint]
+        raise broken(urdf.path, "the annotation's joints are not two of its own.", chosen, list(by_name), hint=hint)
+    for role, name in zip(roles.joints, chosen, strict=True):
+        joint = by_name[name]
         check_kind(urdf, role, joint)
         if joint.mimic is not None:
-            raise broken(
-                urdf.path,
-                f"joint {joint.name!r} cannot be the {role.name}: it does not move by itself.",
-                f"it follows joint {joint.mimic.leader!r} (mimic)",
-                ", ".join(each.name for each in urdf.leading) or "a joint that follows none",
-                hint=f"adamanip annotate {urdf.path.parent.name}, and choose the joint",
-            )
+            what = f"joint {name!r} cannot be the {role.name}: it does not move by itself."
+            free = ", ".join(each.name for each in urdf.leading) or "a joint that follows none"
+            raise broken(urdf.path, what, f"it follows joint {joint.mimic.leader!r} (mimic)", free, hint=hint)
 
 
 @dataclass(frozen=True)
@@ -132,30 +122,25 @@ class _Assembly:
         links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._order))
         lower, upper = self._box(links)
         depth, width, height = (float(length) for length in upper - lower)
-        roles = ROLES[self.annotation.category].parts
+        roles, names = ROLES[self.annotation.category].parts, left_out(self.found)
+        without = f", without {names}" if names else ""
         return ArticulatedObject(
             f"{self.annotation.category}:{self.urdf.path.parent.name}",
             self.annotation.category,
             links,
             tuple(self._part(role, links, lower, upper) for role in roles),
             (width, depth, height),
-            f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints{self._gaps()}",
+            f"external asset, {len(self.urdf.links)} links, {len(self.urdf.moving)} joints{without}",
             weightless=True,
         )
-
-    def _gaps(self) -> str:
-        names = left_out(self.found)
-        return f", without {names}" if names else ""
 
     def _order(self, link: str) -> tuple[int, bool]:
         """Parents before children, the final joint's link before the key joint's, the same in every process."""
         above = self.urdf.joint_above(link)
+        if above is None:
+            return 0, False
         key = self.annotation.joints[ROLES[self.annotation.category].key.name].joint
-        return self._depth(link), above is not None and above.name == key
-
-    def _depth(self, link: str) -> int:
-        above = self.urdf.joint_above(link)
-        return 0 if above is None else 1 + self._depth(above.parent)
+        return 1 + self._order(above.parent)[0], above.name == key
 
     def _link(self, name: str) -> Link:
         members = [link for link, leader in self.leaders.items() if leader == name]
@@ -191,12 +176,8 @@ class _Assembly:
     def _part(self, role: PartRole, links: tuple[Link, ...], lower: Array, upper: Array) -> PartAnnotation:
         choice, where = self.annotation.parts[role.name], self.urdf.path
         if choice.link not in self.leaders:
-            raise broken(
-                where,
-                f"the {role.name} is annotated on a link that does not exist.",
-                repr(choice.link),
-                ", ".join(self.leaders),
-            )
+            what = f"the {role.name} is annotated on a link that does not exist."
+            raise broken(where, what, repr(choice.link), ", ".join(self.leaders))
         grasp = choice.grasp
         if choice.frame == "link":
             grasp = self.to_object @ self.found.poses[choice.link] @ grasp
@@ -209,7 +190,7 @@ class _Assembly:
                 f"the {role.name} is not where, or on what, a {self.annotation.category} has it.",
                 f"moves with {', '.join(sorted(carried)) or 'nothing'}, {max(away, 0):.2f} m outside of the object",
                 f"moves with {', '.join(role.joints)}, {NEAR} m outside at most",
-                hint=f"adamanip annotate {where.parent.name}",
+                hint=annotate_hint(where),
             )
         return part
 

@@ -51,17 +51,16 @@ def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
     """
     import trimesh
 
+    to_link, size = geometry.pose.copy(), geometry.size
     if geometry.kind == "mesh":
         parts = _mesh_parts(folder, geometry.mesh)
+        to_link[:3, :3] = to_link[:3, :3] * np.asarray(size)
     elif geometry.kind == "box":
-        parts = ((trimesh.creation.box(extents=geometry.size), None),)
+        parts = ((trimesh.creation.box(extents=size), None),)
     elif geometry.kind == "sphere":
-        parts = ((trimesh.creation.icosphere(subdivisions=2, radius=geometry.size[0]), None),)
+        parts = ((trimesh.creation.icosphere(subdivisions=2, radius=size[0]), None),)
     else:
-        parts = ((trimesh.creation.cylinder(radius=geometry.size[0], height=geometry.size[1], sections=32), None),)
-    to_link = geometry.pose.copy()
-    if geometry.kind == "mesh":
-        to_link[:3, :3] = to_link[:3, :3] * np.asarray(geometry.size)
+        parts = ((trimesh.creation.cylinder(radius=size[0], height=size[1], sections=32), None),)
     made = []
     for mesh, color in parts:
         faces = np.asarray(mesh.faces, np.int64)
@@ -77,34 +76,23 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
     import trimesh
 
     path = inside(folder, name)
-    if path.suffix.lower() not in MESH_KINDS or path.stat().st_size > MAX_BYTES:
-        raise broken(
-            path,
-            "not a mesh that can be read.",
-            f"{path.suffix}, {path.stat().st_size} bytes",
-            f"{', '.join(MESH_KINDS)} up to {MAX_BYTES} bytes",
-            hint="convert it to .obj",
-        )
+    kind, size = path.suffix.lower(), path.stat().st_size
+    if kind not in MESH_KINDS or size > MAX_BYTES:
+        allowed = f"{', '.join(MESH_KINDS)} up to {MAX_BYTES} bytes"
+        raise broken(path, "not a mesh that can be read.", f"{kind}, {size} bytes", allowed, hint="convert it to .obj")
     data = path.read_bytes()
-    unit = _collada_unit(path, data) if path.suffix.lower() == ".dae" else 1.0
+    unit = _collada_unit(path, data) if kind == ".dae" else 1.0
     try:
-        scene = trimesh.load_scene(
-            io.BytesIO(data), file_type=path.suffix[1:].lower(), resolver=resolver(folder, path.parent)
-        )
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=resolver(folder, path.parent))
         meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     except Exception as error:
-        raise broken(
-            path, "cannot be read as a mesh.", f"{type(error).__name__}: {error}", f"a valid {path.suffix} file"
-        ) from error
+        got = f"{type(error).__name__}: {error}"
+        raise broken(path, "cannot be read as a mesh.", got, f"a valid {kind} file") from error
     for mesh in meshes if unit != 1.0 else ():
         mesh.vertices = np.asarray(mesh.vertices) * unit
     if sum(len(mesh.faces) for mesh in meshes) > MAX_FACES or not all(np.isfinite(m.vertices).all() for m in meshes):
-        raise broken(
-            path,
-            "has too many faces, or vertices that are not finite.",
-            f"{len(meshes)} meshes",
-            f"finite vertices, {MAX_FACES} faces",
-        )
+        what = "has too many faces, or vertices that are not finite."
+        raise broken(path, what, f"{len(meshes)} meshes", f"finite vertices, {MAX_FACES} faces")
     if not meshes:
         logger.warning("%s has no triangles: left out", path)
     return tuple((mesh, _main_color(mesh)) for mesh in meshes)
@@ -120,13 +108,8 @@ def _collada_unit(path: Path, data: bytes) -> float:
     try:
         import collada  # noqa: F401
     except ModuleNotFoundError as error:
-        raise broken(
-            path,
-            "Collada needs a package that is not installed.",
-            "no module collada",
-            "pycollada",
-            hint="pip install 'lerobot_env_adamanip[assets]'",
-        ) from error
+        what, hint = "Collada needs a package that is not installed.", "pip install 'lerobot_env_adamanip[assets]'"
+        raise broken(path, what, "no module collada", "pycollada", hint=hint) from error
     return unit
 
 
@@ -201,7 +184,7 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
         import coacd
     except ModuleNotFoundError:
         logger.warning(
-            "a part is not convex and collides as its hull; pip install 'lerobot_env_adamanip[assets]' cuts it up"
+            "a part collides as its hull; pip install 'lerobot_env_adamanip[assets]' cuts it into convex ones"
         )
         return []
     try:
@@ -212,7 +195,13 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
         logger.warning("CoACD failed (%s): a part that is not convex collides as its hull", error)
         return []
     found = [np.asarray(part[0], np.float64) for part in parts]
-    _store(path, found)
+    content = io.BytesIO()
+    np.savez(cast(Any, content), *found)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content.getvalue())
+    except OSError as error:
+        logger.warning("convex parts are not kept: %s", error)
     return found
 
 
@@ -220,13 +209,3 @@ def cache_folder() -> Path:
     """Where convex parts are kept between runs."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "lerobot_adamanip" / "convex"
-
-
-def _store(path: Path, parts: list[NDArray[np.float64]]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        content = io.BytesIO()
-        np.savez(cast(Any, content), *parts)
-        write_atomically(path, content.getvalue())
-    except OSError as error:
-        logger.warning("convex parts are not kept: %s", error)

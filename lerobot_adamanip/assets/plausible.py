@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, PartChoice
-from lerobot_adamanip.assets.checked_xml import broken, warn_once
+from lerobot_adamanip.assets.checked_xml import annotate_hint, broken, warn_once
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame
 from lerobot_adamanip.assets.meshes import Surface
 from lerobot_adamanip.assets.paths import missing_file
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import Urdf
+from lerobot_adamanip.util.errors import listed
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,7 @@ def check_meshes(found: Posed, annotation: Annotation) -> None:
 
 def left_out(found: Posed) -> str:
     """Returns the meshes that a URDF names and its folder does not hold, for descriptions; an empty text if none."""
-    names = list(dict.fromkeys(name for missing in found.missing.values() for name in missing))
-    return ", ".join(map(repr, names[:5])) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return listed(list(dict.fromkeys(repr(name) for missing in found.missing.values() for name in missing)))
 
 
 def tell_left_out(found: Posed) -> None:
@@ -95,13 +95,9 @@ def _require_sizes(found: Posed, annotation: Annotation) -> None:
 
 def _require_size(urdf: Urdf, what: str, longest: float, least: float, most: float) -> None:
     if not least <= longest <= most:
-        raise broken(
-            urdf.path,
-            what,
-            f"{longest:.3g} m along its longest side",
-            f"{least:.2g} ... {most:.2g} m",
-            hint=f"see which unit its meshes state, or adamanip annotate {urdf.path.parent.name}, and set the scale",
-        )
+        got, allowed = f"{longest:.3g} m along its longest side", f"{least:.2g} ... {most:.2g} m"
+        hint = f"see which unit its meshes state, or {annotate_hint(urdf.path)}, and set the scale"
+        raise broken(urdf.path, what, got, allowed, hint=hint)
 
 
 def _longest(surfaces: Mapping[str, tuple[Surface, ...]], links: Iterable[str]) -> float:

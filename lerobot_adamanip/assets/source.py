@@ -15,7 +15,7 @@ from lerobot_adamanip.assets.checked_xml import warn_once
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import URDF_NAME
 from lerobot_adamanip.objects.base import ArticulatedObject
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
 
 PlacementCheck = Callable[[ArticulatedObject], str]
 """Says why an object cannot be placed before the arm; an empty text if it can. The simulator's package has one."""
@@ -57,12 +57,7 @@ def load_object(folder: str | Path, category: str, *, solid: bool = True) -> Art
 
     Joints and parts get the category's own names (`ROLES`); joints that play no role are frozen at zero. The grasp
     comes from ``adamanip.json`` or, if there is none, from AdaManip's or UniDoorManip's annotated point. What has not
-    changed on disk is not read again.
-
-    Args:
-        folder: of one object.
-        category: that it is of.
-        solid: with the shapes it collides as, which may take long to make.
+    changed on disk is not read again. Without ``solid``, it lacks the shapes it collides as, which may take long.
 
     Raises:
         ConfigurationError: anything is missing, broken, or not allowed; the message says what to do.
@@ -144,21 +139,16 @@ class AssetSource:
         return tuple(each.asset_id for each in found if each.usable) or self._usable(category, found)
 
     def folder(self, identifier: str) -> Path:
-        """Returns the folder of an object.
-
-        Raises:
-            ConfigurationError: the id is none, or there is no such folder.
-        """
+        """Returns the folder of an object; `ConfigurationError` if the id is none, or there is no such folder."""
         category, name = parse_asset_id(identifier)
         folders = _folders(Path(self.directory), category)
         for each in folders:
             if each.folder.name == name:
                 return each.folder
-        names = [each.folder.name for each in folders if each.usable]
         raise ConfigurationError(
             f"There is no object {identifier!r} under {self.directory}.",
             got=identifier,
-            allowed=", ".join(names[:10]) + (f", ... ({len(names)})" if len(names) > 10 else "") or "none",
+            allowed=listed([each.folder.name for each in folders if each.usable]) or "none",
             hint=f"the id {category}:<folder> of a folder with a {URDF_NAME}",
         )
 
@@ -201,11 +191,7 @@ class AssetSource:
         return bool(self._of_category(category))
 
     def check(self, category: str) -> tuple[AssetReport, ...]:
-        """Returns, per folder of a category, whether it can be used, and why not.
-
-        Raises:
-            ConfigurationError: no such directory, or no folder of that category in it.
-        """
+        """Returns, per folder of a category, whether it can be used, and why not; `ConfigurationError` without any."""
         return tuple(self._report(category, each) for each in self._found(category))
 
     def _report(self, category: str, found: AssetReport) -> AssetReport:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from lerobot_adamanip.assets.annotation.file import (
     PartChoice,
     read_annotation,
 )
-from lerobot_adamanip.assets.checked_xml import HUGE, broken
+from lerobot_adamanip.assets.checked_xml import HUGE, annotate_hint, broken
 from lerobot_adamanip.assets.roles import ROLES, JointRole, PartRole
 from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint
 from lerobot_adamanip.contract.rotations import transform
@@ -71,12 +71,8 @@ def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
     else:
         chosen = list(urdf.leading)[:2]
     if len(chosen) < 2:
-        raise broken(
-            urdf.path,
-            f"a {category} needs two joints that move.",
-            list(moving) or "none",
-            " and ".join(f"{r.name} ({r.kind})" for r in roles.joints),
-        )
+        needed = " and ".join(f"{r.name} ({r.kind})" for r in roles.joints)
+        raise broken(urdf.path, f"a {category} needs two joints that move.", list(moving) or "none", needed)
     for role, joint in zip(roles.joints, chosen, strict=True):
         check_kind(urdf, role, joint)
     return {role.name: default_choice(role, joint) for role, joint in zip(roles.joints, chosen, strict=True)}
@@ -86,13 +82,8 @@ def check_kind(urdf: Urdf, role: JointRole, joint: UrdfJoint) -> None:
     """Raises `ConfigurationError` if a joint does not move in the way its role needs."""
     kind = "revolute" if joint.kind == "continuous" else joint.kind
     if kind != role.kind:
-        raise broken(
-            urdf.path,
-            f"joint {joint.name!r} cannot be the {role.name}.",
-            joint.kind,
-            role.kind,
-            hint=f"adamanip annotate {urdf.path.parent.name}, and choose the joint",
-        )
+        what, hint = f"joint {joint.name!r} cannot be the {role.name}.", f"{annotate_hint(urdf.path)}, choose the joint"
+        raise broken(urdf.path, what, joint.kind, role.kind, hint=hint)
 
 
 def default_choice(role: JointRole, joint: UrdfJoint) -> JointChoice:
@@ -131,26 +122,19 @@ def read_point(path: Path) -> NDArray[np.float64]:
     """
     if path.stat().st_size > MAX_POINT_BYTES:
         raise broken(path, "too large for a point.", f"{path.stat().st_size} bytes", "3 numbers")
-    readers: dict[bool, Callable[[Path], Any]] = {True: _point_in_json, False: _point_in_array}
     try:
-        value = np.asarray(readers[path.suffix == ".json"](path), dtype=np.float64).reshape(-1)
+        value = np.asarray(_stored_point(path), dtype=np.float64).reshape(-1)
     except Exception as error:
-        raise broken(
-            path,
-            "holds no point that is safe to read.",
-            f"{type(error).__name__}: {error}"[:300],
-            "a tensor or an array of 3 numbers",
-        ) from error
+        got = f"{type(error).__name__}: {error}"[:300]
+        raise broken(path, "holds no point that is safe to read.", got, "a tensor or an array of 3 numbers") from error
     if value.shape != (3,) or not np.isfinite(value).all() or np.abs(value).max() > HUGE:
         raise broken(path, "not a point.", value[:6], "3 finite numbers [m]")
     return value
 
 
-def _point_in_json(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8"))["goal_pos"]
-
-
-def _point_in_array(path: Path) -> Any:
+def _stored_point(path: Path) -> Any:
+    if path.suffix == ".json":
+        return json.loads(path.read_text(encoding="utf-8"))["goal_pos"]
     with path.open("rb") as stream:
         if stream.read(6) == b"\x93NUMPY":
             return np.load(path, allow_pickle=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +21,11 @@ URDF_NAME = "mobility.urdf"
 """What every layout calls its description."""
 MAX_BYTES = 8_000_000
 MAX_LINKS = 1000
-RGBA = 4
+SIZES = {
+    "box": (3, "", ("size",)), "sphere": (1, "", ("radius",)), "cylinder": (2, "", ("radius", "length")),
+    "mesh": (3, "1 1 1", ("scale",)),
+}  # fmt: skip
+"""Of each shape: how many numbers, what stands where none are written, and the attributes that hold them."""
 
 
 @dataclass(frozen=True)
@@ -105,22 +108,19 @@ def read_urdf(path: Path) -> Urdf:
         ConfigurationError: no such file, not XML, with a document type (entities), or not one tree of links.
     """
     if not path.is_file():
-        raise broken(
-            path, "no such file.", "nothing", "a folder with a mobility.urdf in it", hint="the folder of one object"
-        )
+        raise broken(path, "no such file.", "nothing", f"a folder with a {URDF_NAME}", hint="the folder of one object")
     if path.stat().st_size > MAX_BYTES:
         raise broken(path, "too large.", f"{path.stat().st_size} bytes", f"{MAX_BYTES} bytes")
     robot = parse_xml(path, path.read_bytes())
     if robot.tag != "robot":
         raise broken(path, "not a URDF.", f"<{robot.tag}>", "<robot> as its root")
-    colors = {
-        str(m.get("name")): color
-        for m in robot.findall("material")
-        if (color := _color(path, m.find("color"))) is not None
-    }
+    colors = {str(m.get("name")): _color(path, m.find("color")) for m in robot.findall("material")}
     links = [_link(path, element, colors) for element in robot.findall("link")]
     joints = tuple(_joint(path, element) for element in robot.findall("joint"))
     return Urdf(path, {link.name: link for link in links}, joints, _checked_root(path, links, joints))
+
+
+Colors = dict[str, tuple[float, float, float] | None]
 
 
 def _origin(path: Path, element: Any, where: str) -> Pose:
@@ -138,7 +138,7 @@ def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
         return None
     written = element.get("rgba", "")
     try:
-        values = numbers(path, written, 4 if len(written.split()) == RGBA else 3, "a colour")
+        values = numbers(path, written, 4 if len(written.split()) == 4 else 3, "a colour")
     except ConfigurationError:
         warn_once(f"{path}: colour {written[:80]!r} left out: not 3 or 4 numbers")
         return None
@@ -154,7 +154,7 @@ def _name(path: Path, element: Any, what: str) -> str:
     return name
 
 
-def _link(path: Path, element: Any, colors: dict[str, tuple[float, float, float]]) -> UrdfLink:
+def _link(path: Path, element: Any, colors: Colors) -> UrdfLink:
     name = _name(path, element, "link")
 
     def all_of(tag: str) -> tuple[Geometry, ...]:
@@ -166,27 +166,18 @@ def _link(path: Path, element: Any, colors: dict[str, tuple[float, float, float]
     return UrdfLink(name, all_of("visual"), all_of("collision"), mass)
 
 
-def _geometry(path: Path, element: Any, link: str, colors: dict[str, tuple[float, float, float]]) -> Geometry:
+def _geometry(path: Path, element: Any, link: str, colors: Colors) -> Geometry:
     where = f"a {element.tag} of {link}"
     pose = _origin(path, element, where)
     color = None
     if (material := element.find("material")) is not None:
         color = _color(path, material.find("color")) or colors.get(material.get("name", ""))
     shape: Any = next(iter(element.findall("geometry/*")), None)
-    readers: dict[str, Callable[[], tuple[float, ...]]] = {
-        "box": lambda: numbers(path, shape.get("size", ""), 3, where),
-        "sphere": lambda: numbers(path, shape.get("radius", ""), 1, where),
-        "cylinder": lambda: numbers(path, f"{shape.get('radius', '')} {shape.get('length', '')}", 2, where),
-        "mesh": lambda: numbers(path, shape.get("scale", "1 1 1"), 3, where),
-    }
-    if shape is None or shape.tag not in readers:
-        raise broken(
-            path,
-            f"{where} has no shape that can be used.",
-            "nothing" if shape is None else shape.tag,
-            ", ".join(readers),
-        )
-    size = readers[shape.tag]()
+    if shape is None or shape.tag not in SIZES:
+        got = "nothing" if shape is None else shape.tag
+        raise broken(path, f"{where} has no shape that can be used.", got, ", ".join(SIZES))
+    count, default, attributes = SIZES[shape.tag]
+    size = numbers(path, " ".join(shape.get(name, default) for name in attributes), count, where)
     if (not all(value > 0 for value in size) and shape.tag != "mesh") or not all(size):
         raise broken(path, f"{where} has no extent.", size, "positive sizes")
     return Geometry(shape.tag, size, pose, shape.get("filename", ""), color)
@@ -218,35 +209,19 @@ def _joint(path: Path, element: Any) -> UrdfJoint:
 def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ...]) -> str:
     """Returns the name of the root, once it is certain that the links are one tree."""
     names = [link.name for link in links]
-    if not 0 < len(names) <= MAX_LINKS or len(set(names)) != len(names):
-        raise broken(
-            path,
-            "link names are not unique, or none or too many.",
-            f"{len(names)} links",
-            f"1 to {MAX_LINKS} links, each with a name of its own",
-        )
-    if len({joint.name for joint in joints}) != len(joints):
-        raise broken(
-            path, "joint names are not unique.", [joint.name for joint in joints], "a name of its own for each"
-        )
-    for joint in joints:
-        if joint.parent not in names or joint.child not in names:
-            raise broken(
-                path,
-                f"joint {joint.name!r} names a link that does not exist.",
-                f"{joint.parent!r} -> {joint.child!r}",
-                ", ".join(names[:20]),
-            )
     parents = {joint.child: joint.parent for joint in joints}
     roots = [name for name in names if name not in parents]
     reached = set(roots)
     while grown := {child for child, parent in parents.items() if parent in reached} - reached:
         reached |= grown
+    ends = [f"{joint.parent!r} -> {joint.child!r}" for joint in joints if not {joint.parent, joint.child} <= set(names)]
+    if not 0 < len(names) <= MAX_LINKS or len(set(names)) != len(names):
+        raise broken(path, "link names are not unique, or none or too many.", len(names), f"1 to {MAX_LINKS} names")
+    if len({joint.name for joint in joints}) != len(joints):
+        raise broken(path, "joint names are not unique.", [joint.name for joint in joints], "a name for each")
+    if ends:
+        raise broken(path, "a joint names a link that does not exist.", ends[0], ", ".join(names[:20]))
     if len(roots) != 1 or len(parents) != len(joints) or reached != set(names):
-        raise broken(
-            path,
-            "the links are not one tree.",
-            f"roots {roots}, {len(joints)} joints",
-            "one root, and one joint above every other link",
-        )
+        got = f"roots {roots}, {len(joints)} joints"
+        raise broken(path, "the links are not one tree.", got, "one root, and one joint above every other link")
     return roots[0]

@@ -9,8 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
+from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, shaded, uniform
 from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
 from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.fittings.leaves import LeafPlan, leaf_shapes
@@ -47,25 +49,30 @@ NOVEL_HANDLE_STYLES = ("paddle lever", "ball lever", "octagon knob", "cross bar"
 NOVEL_COLORS = ((0.62, 0.22, 0.34), (0.24, 0.10, 0.34), (0.62, 0.60, 0.16), (0.02, 0.22, 0.20), (0.74, 0.32, 0.10))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DoorDesign:
     """The parameters of one door [m]. Positions on the leaf: u from its hinge edge, v from its lower edge."""
 
-    plan: LeafPlan
-    hinge_side: int
-    handle: HandleDesign
-    backset: float
-    handle_v: float
-    keyhole: bool
-    extra: str
-    wall_side: float
-    wall_above: float
-    shift: float
-    depth: float
-    casing: float
-    finish: str
-    wall: Material
-    trim: Material
+    hinge_side: int = either_side()
+    color: NDArray[np.float64] = shaded(_LEAF_COLORS, 0.85, 1.15)
+    finish: str = chosen(FINISHES, p=(0.5, 0.25, 0.25))
+    trim: Material = computed(
+        lambda rng, d: Material(_WHITE if rng.random() < 0.55 else tuple(np.clip(0.8 * d.color, 0.02, 0.8)), 0.6)
+    )
+    plan: LeafPlan = computed(lambda rng, d: _draw_plan(rng, d.color))
+    # A lever at rest points to the hinges, as levers do, or hangs down, as on a cabin or a container.
+    rest: float = computed(lambda rng, d: -d.hinge_side * np.pi / 2 * (-1 if rng.random() < 0.8 else 0))
+    handle: HandleDesign = computed(lambda rng, d: draw_handle(rng, HANDLE_STYLES, d.rest, METALS))
+    backset: float = uniform(0.042, 0.050)
+    handle_v: float = computed(lambda rng, d: d.plan.height * rng.uniform(0.45, 0.52))
+    keyhole: bool = chance(0.6)
+    extra: str = chosen(EXTRAS)
+    wall_side: float = uniform(0.07, 0.12)
+    wall_above: float = uniform(0.05, 0.11)
+    shift: float = uniform(0.02, 0.045)
+    depth: float = uniform(0.09, 0.13)
+    casing: float = uniform(0.030, 0.048)
+    wall: Material = computed(lambda rng, d: Material(_WALLS[d.finish][rng.integers(len(_WALLS[d.finish]))], 0.9))
 
     def on_leaf(self, u: float, v: float) -> tuple[float, float]:
         """Returns (y, z) in the leaf link's frame, whose origin is the hinge axis at the leaf's lower edge."""
@@ -79,13 +86,12 @@ class DoorDesign:
 
 def draw_design(rng: np.random.Generator) -> DoorDesign:
     """Draws the parameters of one door."""
-    hinge_side = int(rng.choice([-1, 1]))
-    color = np.asarray(_LEAF_COLORS[rng.integers(len(_LEAF_COLORS))]) * rng.uniform(0.85, 1.15)
-    finish = str(rng.choice(FINISHES, p=(0.5, 0.25, 0.25)))
-    walls = _WALLS[finish]
-    trim = Material(_WHITE, 0.6) if rng.random() < 0.55 else Material(tuple(np.clip(0.8 * color, 0.02, 0.8)), 0.6)
+    return draw(DoorDesign, rng)
+
+
+def _draw_plan(rng: np.random.Generator, color: NDArray[np.float64]) -> LeafPlan:
     style, height = str(rng.choice(STYLES)), rng.uniform(0.84, 1.08)
-    plan = LeafPlan(
+    return LeafPlan(
         width=rng.uniform(0.36, 0.43),
         height=height,
         thickness=THICKNESS,
@@ -93,25 +99,6 @@ def draw_design(rng: np.random.Generator) -> DoorDesign:
         stile=rng.uniform(0.075, 0.088),
         paint=Material(tuple(np.clip(color, 0.02, 0.85)), rng.uniform(0.4, 0.7)),
         seed=int(rng.integers(1 << 16)),
-    )
-    # A lever at rest points to the hinges, as levers do, or hangs down, as on a cabin or a container.
-    rest = -hinge_side * np.pi / 2 * (-1 if rng.random() < 0.8 else 0)
-    return DoorDesign(
-        plan=plan,
-        hinge_side=hinge_side,
-        handle=draw_handle(rng, HANDLE_STYLES, rest, METALS),
-        backset=rng.uniform(0.042, 0.050),
-        handle_v=height * rng.uniform(0.45, 0.52),
-        keyhole=bool(rng.random() < 0.6),
-        extra=str(rng.choice(EXTRAS)),
-        wall_side=rng.uniform(0.07, 0.12),
-        wall_above=rng.uniform(0.05, 0.11),
-        shift=rng.uniform(0.02, 0.045),
-        depth=rng.uniform(0.09, 0.13),
-        casing=rng.uniform(0.030, 0.048),
-        finish=finish,
-        wall=Material(walls[rng.integers(len(walls))], 0.9),
-        trim=trim,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
+from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, picked, uniform
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, dot, mark, prism, rod
 
 Range = tuple[float, float]
@@ -28,11 +29,9 @@ _BODY_COLORS = (
     (0.05, 0.08, 0.16), (0.30, 0.05, 0.05), (0.62, 0.64, 0.65), (0.20, 0.16, 0.11),
 )  # fmt: skip
 _METALS = (
-    Material((0.75, 0.75, 0.76), 0.25, 0.9),
-    Material((0.72, 0.55, 0.22), 0.3, 0.9),
-    Material((0.30, 0.30, 0.31), 0.4, 0.8),
-    Material((0.09, 0.09, 0.09), 0.5, 0.2),
-)
+    Material((0.75, 0.75, 0.76), 0.25, 0.9), Material((0.72, 0.55, 0.22), 0.3, 0.9),
+    Material((0.30, 0.30, 0.31), 0.4, 0.8), Material((0.09, 0.09, 0.09), 0.5, 0.2),
+)  # fmt: skip
 HANDLE_STYLES = ("round bar", "flat bar", "arch")
 KNOB_STYLES = ("thumb turn", "octagon", "pointer")
 PANEL_STYLES = ("keypad", "dial", "plate")
@@ -44,28 +43,36 @@ NOVEL_KNOB_STYLES = ("hexagon", "cross")
 NOVEL_COLORS = ((0.62, 0.30, 0.05), (0.02, 0.28, 0.30), (0.44, 0.20, 0.34), (0.70, 0.58, 0.16), (0.34, 0.46, 0.24))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SafeDesign:
-    """The parameters of one safe [m, rad]. Positions on the door: u from the hinge, v from the bottom, as fractions."""
+    """The parameters of one safe [m, rad].
 
-    width: float
-    height: float
-    depth: float
-    hinge_side: int
-    handle_style: str
-    handle_uv: Range
-    handle_length: float
-    handle_radius: float
-    knob_style: str
-    knob_uv: Range
-    knob_radius: float
-    knob_range: float
-    panel_style: str
-    body: Material
-    door: Material
-    metal: Material
-    feet: bool
-    trim: bool
+    ``layout``: of handle and knob on the door, u from the hinge, v from the bottom, as fractions.
+    """
+
+    width: float = uniform(0.34, 0.46)
+    height: float = uniform(0.32, 0.48)
+    color: tuple[float, float, float] = picked(_BODY_COLORS)
+    shade: float = uniform(0.75, 1.5)
+    layout: tuple[Range, Range] = computed(
+        lambda rng, d: _draw_layout(rng, d.width - 2 * WALL, d.height - 2 * WALL, LAYOUT, MIN_PART_DISTANCE)
+    )
+    depth: float = uniform(0.28, 0.40)
+    hinge_side: int = either_side()
+    handle_style: str = chosen(HANDLE_STYLES)
+    handle_length: float = uniform(0.10, 0.14)
+    handle_radius: float = uniform(0.008, 0.011)
+    knob_style: str = chosen(KNOB_STYLES)
+    knob_radius: float = uniform(0.021, 0.027)
+    knob_range: float = uniform(np.deg2rad(60), np.deg2rad(95))
+    panel_style: str = chosen(PANEL_STYLES)
+    body: Material = computed(lambda rng, d: Material(d.color, rng.uniform(0.4, 0.8), 0.2))
+    door: Material = computed(
+        lambda rng, d: Material(tuple(np.clip(np.asarray(d.color) * d.shade, 0.02, 0.8)), rng.uniform(0.35, 0.7), 0.3)
+    )
+    metal: Material = picked(_METALS)
+    feet: bool = chance(0.5)
+    trim: bool = chance(0.6)
 
     @property
     def door_width(self) -> float:
@@ -84,30 +91,7 @@ class SafeDesign:
 
 def draw_design(rng: np.random.Generator) -> SafeDesign:
     """Draws the parameters of one safe. Handle and knob are placed so that a hand at one clears the other."""
-    width, height = rng.uniform(0.34, 0.46), rng.uniform(0.32, 0.48)
-    body_color = np.asarray(_BODY_COLORS[rng.integers(len(_BODY_COLORS))])
-    shade = rng.uniform(0.75, 1.5)
-    layout = _draw_layout(rng, width - 2 * WALL, height - 2 * WALL, LAYOUT, MIN_PART_DISTANCE)
-    return SafeDesign(
-        width=width,
-        height=height,
-        depth=rng.uniform(0.28, 0.40),
-        hinge_side=int(rng.choice([-1, 1])),
-        handle_style=str(rng.choice(HANDLE_STYLES)),
-        handle_uv=layout[0],
-        handle_length=rng.uniform(0.10, 0.14),
-        handle_radius=rng.uniform(0.008, 0.011),
-        knob_style=str(rng.choice(KNOB_STYLES)),
-        knob_uv=layout[1],
-        knob_radius=rng.uniform(0.021, 0.027),
-        knob_range=rng.uniform(np.deg2rad(60), np.deg2rad(95)),
-        panel_style=str(rng.choice(PANEL_STYLES)),
-        body=Material(tuple(body_color), rng.uniform(0.4, 0.8), 0.2),
-        door=Material(tuple(np.clip(body_color * shade, 0.02, 0.8)), rng.uniform(0.35, 0.7), 0.3),
-        metal=_METALS[rng.integers(len(_METALS))],
-        feet=bool(rng.random() < 0.5),
-        trim=bool(rng.random() < 0.6),
-    )
+    return draw(SafeDesign, rng)
 
 
 def _draw_layout(
@@ -136,8 +120,7 @@ def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
         handle_style=str(rng.choice(NOVEL_HANDLE_STYLES)),
         knob_style=str(rng.choice(NOVEL_KNOB_STYLES)),
         handle_length=rng.uniform(0.11, 0.14) if tall else rng.uniform(0.09, 0.11),
-        handle_uv=layout[0],
-        knob_uv=layout[1],
+        layout=layout,
         body=Material(tuple(color), base.body.roughness, 0.2),
         door=Material(tuple(door), base.door.roughness, 0.3),
     )
@@ -148,8 +131,8 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
     foot = 0.015 if design.feet else 0.0
     origin = np.asarray((0.0, design.hinge_side * (design.width / 2 - WALL), foot + design.height / 2))
     links = _links(design, foot, origin)
-    knob_y, knob_z = design.on_door(design.knob_uv)
-    handle_y, handle_z = design.on_door(design.handle_uv)
+    knob_y, knob_z = design.on_door(design.layout[1])
+    handle_y, handle_z = design.on_door(design.layout[0])
     parts = (
         annotate(links, "leaf", "handle", facing(origin + np.array((GRASP_REACH, handle_y, handle_z)))),
         annotate(links, "knob", "knob", facing(origin + np.array((GRASP_REACH, knob_y, knob_z)))),
@@ -163,12 +146,12 @@ def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
 def _links(design: SafeDesign, foot: float, hinge: NDArray[np.float64]) -> tuple[Link, ...]:
     door_axis = (0.0, 0.0, float(design.hinge_side))
     door_origin = (float(hinge[0]), float(hinge[1]), float(hinge[2]))
-    knob_y, knob_z = design.on_door(design.knob_uv)
+    knob_y, knob_z = design.on_door(design.layout[1])
     turn = (-design.knob_range, design.knob_range)
     door = Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), damping=1.0)
     # Positive turns clockwise as seen by who stands in front: about -x, into the door.
     knob = Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), turn, damping=0.02)
-    door_shapes = _door_shapes(design) + _handle_shapes(design, *design.on_door(design.handle_uv))
+    door_shapes = _door_shapes(design) + _handle_shapes(design, *design.on_door(design.layout[0]))
     return (
         Link("body", _body_shapes(design, foot), mass=40.0),
         Link("leaf", door_shapes, mass=4.0, parent="body", joint=door),

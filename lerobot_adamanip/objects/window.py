@@ -8,8 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
+from lerobot_adamanip.objects.drawing import chosen, computed, draw, either_side, picked, shaded, uniform
 from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
 from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.fittings.leaves import Field, at_field, glazing
@@ -41,7 +43,7 @@ NOVEL_HANDLE_STYLES = ("paddle lever", "ball lever", "octagon knob", "cross bar"
 NOVEL_COLORS = ((0.62, 0.30, 0.06), (0.34, 0.10, 0.30), (0.56, 0.54, 0.12), (0.03, 0.30, 0.34), (0.70, 0.36, 0.42))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WindowDesign:
     """The parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
 
@@ -63,27 +65,30 @@ class WindowDesign:
         finish, wall, frame, board: looks.
     """
 
-    width: float
-    height: float
-    stile: float
-    hinge_side: int
-    layout: str
-    light: float
-    mullion: float
-    bars: tuple[int, int]
-    handle: HandleDesign
-    handle_v: float
-    wall_side: float
-    wall_above: float
-    wall_below: float
-    shift: float
-    depth: float
-    casing: float
-    sill: float
-    finish: str
-    wall: Material
-    frame: Material
-    board: Material
+    finish: str = chosen(FINISHES, p=(0.55, 0.2, 0.25))
+    color: NDArray[np.float64] = shaded(_FRAME_COLORS, 0.92, 1.05)
+    height: float = uniform(0.36, 0.52)
+    layout: str = chosen(LAYOUTS, p=(0.5, 0.25, 0.25))
+    light: float = computed(lambda rng, d: rng.uniform(*((0.08, 0.11) if d.layout == "side light" else (0.09, 0.14))))
+    width: float = uniform(0.30, 0.38)
+    stile: float = uniform(0.046, 0.056)
+    hinge_side: int = either_side()
+    mullion: float = uniform(0.024, 0.034)
+    bars: tuple[int, int] = picked(BARS)
+    handle: HandleDesign = computed(lambda rng, d: draw_handle(rng, HANDLE_STYLES, 0.0, METALS))
+    handle_v: float = computed(lambda rng, d: d.height * rng.uniform(0.44, 0.54))
+    wall_side: float = computed(
+        lambda rng, d: rng.uniform(*((0.03, 0.05) if d.layout == "side light" else (0.05, 0.10)))
+    )
+    wall_above: float = uniform(0.06, 0.11)
+    wall_below: float = uniform(0.12, 0.20)
+    shift: float = computed(lambda rng, d: 0.0 if d.layout == "side light" else rng.uniform(0.02, 0.05))
+    depth: float = uniform(0.09, 0.14)
+    casing: float = uniform(0.034, 0.050)
+    sill: float = uniform(0.020, 0.042)
+    wall: Material = computed(lambda rng, d: Material(_WALLS[d.finish][rng.integers(len(_WALLS[d.finish]))], 0.9))
+    frame: Material = computed(lambda rng, d: Material(tuple(np.clip(d.color, 0.02, 0.86)), rng.uniform(0.35, 0.65)))
+    board: Material = picked(_SILLS)
 
     @property
     def pivot(self) -> tuple[float, float]:
@@ -111,34 +116,7 @@ class WindowDesign:
 
 def draw_design(rng: np.random.Generator) -> WindowDesign:
     """Draws the parameters of one window."""
-    finish = str(rng.choice(FINISHES, p=(0.55, 0.2, 0.25)))
-    walls = _WALLS[finish]
-    color = np.asarray(_FRAME_COLORS[rng.integers(len(_FRAME_COLORS))]) * rng.uniform(0.92, 1.05)
-    height, layout = rng.uniform(0.36, 0.52), str(rng.choice(LAYOUTS, p=(0.5, 0.25, 0.25)))
-    light = rng.uniform(0.08, 0.11) if layout == "side light" else rng.uniform(0.09, 0.14)
-    return WindowDesign(
-        width=rng.uniform(0.30, 0.38),
-        height=height,
-        stile=rng.uniform(0.046, 0.056),
-        hinge_side=int(rng.choice([-1, 1])),
-        layout=layout,
-        light=light,
-        mullion=rng.uniform(0.024, 0.034),
-        bars=BARS[rng.integers(len(BARS))],
-        handle=draw_handle(rng, HANDLE_STYLES, 0.0, METALS),
-        handle_v=height * rng.uniform(0.44, 0.54),
-        wall_side=rng.uniform(0.03, 0.05) if layout == "side light" else rng.uniform(0.05, 0.10),
-        wall_above=rng.uniform(0.06, 0.11),
-        wall_below=rng.uniform(0.12, 0.20),
-        shift=0.0 if layout == "side light" else rng.uniform(0.02, 0.05),
-        depth=rng.uniform(0.09, 0.14),
-        casing=rng.uniform(0.034, 0.050),
-        sill=rng.uniform(0.020, 0.042),
-        finish=finish,
-        wall=Material(walls[rng.integers(len(walls))], 0.9),
-        frame=Material(tuple(np.clip(color, 0.02, 0.86)), rng.uniform(0.35, 0.65)),
-        board=_SILLS[rng.integers(len(_SILLS))],
-    )
+    return draw(WindowDesign, rng)
 
 
 def draw_novel_design(rng: np.random.Generator) -> WindowDesign:

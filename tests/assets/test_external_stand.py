@@ -23,11 +23,6 @@ PULL = (ReachRequirement("lever", ({"lever": 1.0}, {"lever": 1.0, "leaf": 0.77})
 RULE = ExternalStand(wide_farthest={"leaf": 0.5})
 
 
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
 @pytest.mark.parametrize(("width", "lever"), [(0.9, 1.0), (0.75, 1.1), (0.85, 0.8)])
 def test_a_full_size_door_stands_where_its_lever_is_at_hand_and_in_the_cloud(
     tmp_path: Path, width: float, lever: float

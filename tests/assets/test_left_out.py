@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, unidoormanip_door, write_box
+from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, write_box
 
 from lerobot_adamanip.assets import AssetSource, load_object
 from lerobot_adamanip.assets.annotation.session import Draft
@@ -25,11 +25,6 @@ from lerobot_env_adamanip.sim.triangles import shapes_triangles
 INCH = 0.0254
 DECOMPOSED = "tu\u0308r"
 """An umlaut as archives of macOS hold it: a letter and a combining mark."""
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def edited(folder: Path, *changes: tuple[str, str]) -> Path:
@@ -202,21 +197,6 @@ def test_a_name_that_cannot_be_an_id_costs_its_folder_alone(
         source.load(f"safe:{name}")
 
 
-def test_adamanip_objects_lists_a_bad_name_beside_the_good_ones(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from lerobot_adamanip.cli.main import main
-    from lerobot_adamanip.cli.objects import command
-
-    monkeypatch.setattr(command, "checked_source", AssetSource)  # without the simulator
-    for name in ("sa1", "sa2 (1)"):
-        adamanip_safe(tmp_path / "safe" / name)
-    assert main(["objects", "--assets", str(tmp_path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [each["object_id"] for each in told["objects"]] == ["safe:sa1"]
-    assert [each["object_id"] for each in told["unusable"]] == ["safe:sa2 (1)"]
-
-
 def test_links_have_ids_of_their_own(tmp_path: Path) -> None:
     adamanip_safe(tmp_path / "store" / "v2 (final)")
     (tmp_path / "safe").mkdir()
@@ -338,9 +318,3 @@ def test_no_case_leads_out_of_the_folder(tmp_path: Path) -> None:
     (folder / "out").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigurationError, match=r"missing|link out"):
         load_object(folder, "safe")
-
-
-def test_a_good_door_stays_good(tmp_path: Path) -> None:
-    pytest.importorskip("collada")
-    unidoormanip_door(tmp_path / "door" / "d1")
-    assert AssetSource(tmp_path).select("door", "all") == ("door:d1",)

@@ -16,11 +16,6 @@ NEAR = 0.035
 """Proposals are for a person to refine [m]."""
 
 
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
 @pytest.mark.parametrize("name", ["safe_002", "safe_013", "microwave_001", "microwave_004", "bottle_003"])
 def test_proposals_are_near_the_poses_we_know(tmp_path: Path, name: str) -> None:
     obj = make_object(name)

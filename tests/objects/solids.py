@@ -1,14 +1,12 @@
-"""Points in solids and in a hand: what meets what, independent of any simulator. As a program, prints digests."""
+"""Points in solids and in a hand: what meets what, independent of any simulator."""
 
 from __future__ import annotations
 
 import hashlib
-import sys
 from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.contract.rotations import rotated_about_line
 from lerobot_adamanip.objects import ArticulatedObject, Link, PartAnnotation, Shape
 
@@ -143,8 +141,3 @@ def digest(obj: ArticulatedObject) -> str:
         for motion in part.motions:
             add(motion.joint, motion.kind, motion.point, motion.axis)
     return made.hexdigest()
-
-
-if __name__ == "__main__":
-    for name in sys.argv[1:]:
-        print(name, digest(make_object(name)))

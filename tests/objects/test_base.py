@@ -20,7 +20,6 @@ from lerobot_adamanip.objects.base import (
     Motion,
     PartAnnotation,
     annotate,
-    any_roll,
     facing,
     from_above,
 )
@@ -164,12 +163,6 @@ def test_a_part_is_moved_as_its_links_are_root_first(leaf: float, lever: float) 
     np.testing.assert_allclose(moved, part.motion("leaf").applied(inner, leaf), atol=1e-9)
 
 
-def test_joints_that_are_not_named_stand_at_zero() -> None:
-    part = lever_part()
-    np.testing.assert_allclose(part.moved({}), part.grasp)
-    np.testing.assert_allclose(part.moved({"lever": 0.3}), part.moved({"lever": 0.3, "leaf": 0.0, "window": 2.0}))
-
-
 @many
 @given(seeds, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
 def test_a_part_in_another_frame_is_moved_there(seed: int, leaf: float, lever: float) -> None:
@@ -186,12 +179,6 @@ def test_a_roll_turns_the_fingers_about_the_approach_and_nothing_else(angle: flo
     np.testing.assert_allclose(rolled.grasp[:3, 2:], part.grasp[:3, 2:], atol=1e-12)
     assert angle_between(part.grasp[:3, :3], rolled.grasp[:3, :3]) == pytest.approx(abs(angle), abs=1e-6)
     assert rolled.motions is part.motions
-
-
-def test_anything_round_is_held_from_evenly_spaced_sides() -> None:
-    rolls = any_roll()
-    assert rolls[0] == 0.0
-    np.testing.assert_allclose(np.diff((*rolls, 2 * np.pi)), np.pi / 4)
 
 
 @many

@@ -49,11 +49,6 @@ def test_a_cross_section_keeps_its_width_and_depth(squareness: float) -> None:
     np.testing.assert_allclose(points[:, 2], 0.02)
 
 
-def test_colours_follow_the_height() -> None:
-    shapes = turned(PROFILE, lambda height: Material((height, 0.0, 0.0)))
-    assert [shape.material.color[0] for shape in shapes] == pytest.approx([0.025, 0.065] * 2)
-
-
 def test_a_picture_lies_on_the_surface_and_faces_outward() -> None:
     profile = (Ring(0.0, 0.03), Ring(0.1, 0.04))
     for curves in (patch(0.05, 0.02, 0.07), oval(0.04, 0.03, 0.05), oval(0.04, 0.03, 0.05, sharp=True)):

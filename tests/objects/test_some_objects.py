@@ -11,7 +11,6 @@ from solids import HALF_OPENING, box_points, contains, digest, filling, hand, na
 from test_every_object import objects
 
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.objects.fittings.handles import KNOBS
 from lerobot_adamanip.objects.lamp.generator import draw_design
 from lerobot_adamanip.objects.lamp.heads import HEADS
@@ -130,9 +129,3 @@ def test_how_far_a_key_goes_is_not_to_be_seen(module: str, hidden: str, values: 
 def test_a_missing_part_is_named_with_those_there_are() -> None:
     with pytest.raises(KeyError, match="handle"):
         make_object("safe_001").part("wheel")
-
-
-def test_an_annotation_in_another_frame_turns_with_it() -> None:
-    part = make_object("safe_004").part("handle")
-    frame = transform((0.6, 0.1, 0.3), rotation_about((0.2, 0.1, 1.0), 2.8))
-    np.testing.assert_allclose(part.in_frame(frame).moved({"door": 0.6}), frame @ part.moved({"door": 0.6}), atol=1e-12)

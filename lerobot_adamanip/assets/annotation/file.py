@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lerobot_adamanip.assets.checked_xml import HUGE, broken
+from lerobot_adamanip.assets.checked_xml import HUGE, annotate_hint, broken
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
@@ -68,7 +68,7 @@ def read_annotation(path: Path, category: str) -> Annotation:
     """Reads ``adamanip.json``; `ConfigurationError` if it is of another category or anything in it is wrong."""
 
     def wrong(what: str, got: object, allowed: str) -> Exception:
-        return broken(path, what, got, allowed, hint=f"adamanip annotate {path.parent.name}")
+        return broken(path, what, got, allowed, hint=annotate_hint(path))
 
     try:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -94,11 +94,8 @@ def read_annotation(path: Path, category: str) -> Annotation:
             pose_from_json(found["object_in_urdf"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise wrong(
-            "has a value that cannot be.",
-            f"{type(error).__name__}: {error}",
-            "finite numbers, (4, 4) rigid transforms, names",
-        ) from error
+        got = f"{type(error).__name__}: {error}"
+        raise wrong("has a value that cannot be.", got, "finite numbers, (4, 4) rigid transforms, names") from error
 
 
 def save_annotation(path: Path, annotation: Annotation) -> None:
@@ -124,11 +121,8 @@ def pose_from_json(value: Any) -> Pose:
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > HUGE:
         raise ValueError(f"not a finite (4, 4) transform: {value}")
     turn = pose[:3, :3]
-    if (
-        not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
-        or np.linalg.det(turn) < 0
-        or not np.allclose(pose[3], (0, 0, 0, 1))
-    ):
+    rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
+    if not rigid or not np.allclose(pose[3], (0, 0, 0, 1)):
         raise ValueError(f"not a rotation and a translation: {value}")
     u, _, v = np.linalg.svd(turn)
     return transform(pose[:3, 3], u @ v)

@@ -70,7 +70,8 @@ def propose_part(
         surfaces = list(found.visuals[link])  # a handle that is a link of its own
     to_object: Array = np.linalg.inv(frame).astype(np.float64)
     boxes = [_box(surface, to_object) for surface in surfaces]
-    lower, upper = _graspable(boxes, part) if boxes else _point_box(found.poses[link], to_object)
+    at = (to_object @ found.poses[link])[:3, 3]
+    lower, upper = _graspable(boxes, part) if boxes else (at, at)
     rolls = any_roll() if part.round else TWO_FINGERS
     return PartChoice(link, grasp_of_box(lower, upper, part), "object", rolls)
 
@@ -102,11 +103,6 @@ def _box(surface: Surface, to_object: Array) -> tuple[Array, Array]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _point_box(pose: Pose, to_object: Array) -> tuple[Array, Array]:
-    at = (to_object @ pose)[:3, 3]
-    return at, at
-
-
 def _kinds(role: JointRole) -> tuple[str, ...]:
     return ("revolute", "continuous") if role.kind == "revolute" else (role.kind,)
 
@@ -115,21 +111,12 @@ def _largest(found: Posed, role: JointRole, joints: Sequence[UrdfJoint]) -> Urdf
     """The joint of the role's kind that moves the most; one with a limit rather than one that turns for ever."""
     fitting = [joint for joint in joints if joint.kind in _kinds(role)]
     if not fitting:
-        raise broken(
-            found.urdf.path,
-            f"no joint can be the {role.name}.",
-            [f"{joint.name} ({joint.kind})" for joint in joints] or "none",
-            role.kind,
-            hint="another category",
-        )
+        got = [f"{joint.name} ({joint.kind})" for joint in joints] or "none"
+        raise broken(found.urdf.path, f"no joint can be the {role.name}.", got, role.kind, hint="another category")
 
     def moves(joint: UrdfJoint) -> float:
-        points = [
-            s.vertices
-            for name in found.urdf.links
-            if joint.child in _chain(found.urdf, name)
-            for s in found.visuals[name]
-        ]
+        moved = [name for name in found.urdf.links if joint.child in _chain(found.urdf, name)]
+        points = [surface.vertices for name in moved for surface in found.visuals[name]]
         return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
 
     return max(fitting, key=moves)

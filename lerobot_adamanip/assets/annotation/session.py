@@ -46,11 +46,11 @@ class Draft:
         """
         self.folder, self.category, self.path = folder, category, folder / ANNOTATION_NAME
         self.urdf: Urdf = read_urdf(folder / URDF_NAME)
-        self.annotation, self.origin = self._found()
+        self.annotation, self.origin = self._best_there_is()
         self.changed = False
         self._place()
 
-    def _found(self) -> tuple[Annotation, str]:
+    def _best_there_is(self) -> tuple[Annotation, str]:
         for name, origin in ((DRAFT_NAME, "changes that were not saved"), (ANNOTATION_NAME, "saved annotation")):
             if (self.folder / name).is_file():
                 return read_annotation(self.folder / name, self.category), origin

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material
+from lerobot_adamanip.objects.drawing import chosen, computed, draw, either_side, picked, uniform
 
 BODY_STYLES = ("box", "column", "rounded")
 PANEL_STYLES = ("gauge", "buttons", "dial", "display")
@@ -16,29 +17,21 @@ SPOUT_STYLES = ("double", "single", "bottomless")
 
 BLACK = Material((0.022, 0.022, 0.025), 0.5)
 _BODY_COLORS = (
-    Material((0.70, 0.71, 0.73), 0.25, 0.95),
-    Material((0.58, 0.59, 0.61), 0.38, 0.95),
-    Material((0.035, 0.036, 0.04), 0.4, 0.2),
-    Material((0.50, 0.02, 0.025), 0.28, 0.1),
-    Material((0.72, 0.66, 0.52), 0.35),
-    Material((0.36, 0.58, 0.52), 0.35),
-    Material((0.78, 0.78, 0.77), 0.35),
-    Material((0.06, 0.12, 0.24), 0.3, 0.1),
-    Material((0.12, 0.125, 0.13), 0.45, 0.4),
-)
+    Material((0.70, 0.71, 0.73), 0.25, 0.95), Material((0.58, 0.59, 0.61), 0.38, 0.95),
+    Material((0.035, 0.036, 0.04), 0.4, 0.2), Material((0.50, 0.02, 0.025), 0.28, 0.1),
+    Material((0.72, 0.66, 0.52), 0.35), Material((0.36, 0.58, 0.52), 0.35), Material((0.78, 0.78, 0.77), 0.35),
+    Material((0.06, 0.12, 0.24), 0.3, 0.1), Material((0.12, 0.125, 0.13), 0.45, 0.4),
+)  # fmt: skip
 _GRIPS = (
-    Material((0.02, 0.02, 0.022), 0.45),
-    Material((0.02, 0.02, 0.022), 0.45),
-    Material((0.23, 0.10, 0.035), 0.5),
-    Material((0.38, 0.22, 0.10), 0.5),
-    Material((0.70, 0.66, 0.55), 0.4),
-)
+    Material((0.02, 0.02, 0.022), 0.45), Material((0.02, 0.02, 0.022), 0.45), Material((0.23, 0.10, 0.035), 0.5),
+    Material((0.38, 0.22, 0.10), 0.5), Material((0.70, 0.66, 0.55), 0.4),
+)  # fmt: skip
 
 NOVEL_PANEL_STYLES = ("twin gauge", "slot")
 NOVEL_COLORS = ((0.72, 0.30, 0.04), (0.30, 0.05, 0.20), (0.10, 0.28, 0.10), (0.72, 0.54, 0.10), (0.20, 0.36, 0.56))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CoffeeMakerDesign:
     """The parameters of one machine [m]. ``x`` values are measured from the group's axis, forwards.
 
@@ -55,27 +48,29 @@ class CoffeeMakerDesign:
         wand_side: side of the steam wand, -1 or 1.
     """
 
-    width: float
-    height: float
-    depth: float
-    tray_height: float
-    group_z: float
-    axis_x: float
-    head_x: float
-    column_x: float
-    grip_radius: float
-    handle_length: float
-    handle_half: tuple[float, float]
-    wand_side: int
-    body_style: str
-    panel_style: str
-    top_style: str
-    handle_style: str
-    spout_style: str
-    body: Material
-    base: Material
-    chrome: Material
-    grip: Material
+    body_style: str = chosen(BODY_STYLES)
+    tray_height: float = uniform(0.045, 0.062)
+    group_z: float = computed(lambda rng, d: d.tray_height + rng.uniform(0.145, 0.165))
+    grip_radius: float = uniform(0.155, 0.175)
+    body: Material = picked(_BODY_COLORS)
+    base: Material = computed(lambda rng, d: BLACK if rng.random() < 0.5 else d.body)
+    width: float = uniform(0.20, 0.30)
+    height: float = computed(lambda rng, d: d.group_z + rng.uniform(0.115, 0.155))
+    depth: float = uniform(0.25, 0.33)
+    axis_x: float = computed(lambda rng, d: -rng.uniform(0.055, 0.070))
+    head_x: float = computed(
+        lambda rng, d: -rng.uniform(*((0.058, 0.068) if d.body_style == "box" else (0.022, 0.034)))
+    )
+    column_x: float = computed(lambda rng, d: -rng.uniform(0.066, 0.078))
+    handle_length: float = computed(lambda rng, d: d.grip_radius + rng.uniform(0.040, 0.052))
+    handle_half: tuple[float, float] = computed(lambda rng, d: (rng.uniform(0.012, 0.015), rng.uniform(0.012, 0.0145)))
+    wand_side: int = either_side()
+    panel_style: str = chosen(PANEL_STYLES)
+    top_style: str = chosen(TOP_STYLES)
+    handle_style: str = chosen(HANDLE_STYLES)
+    spout_style: str = chosen(SPOUT_STYLES)
+    chrome: Material = computed(lambda rng, d: Material((0.80, 0.81, 0.83), rng.uniform(0.12, 0.25), 0.95))
+    grip: Material = picked(_GRIPS)
 
     @property
     def head_face(self) -> float:
@@ -85,35 +80,7 @@ class CoffeeMakerDesign:
 
 def draw_design(rng: np.random.Generator) -> CoffeeMakerDesign:
     """Draws the parameters of one machine. Nothing but group and tray comes farther forward than the group's axis."""
-    body_style = str(rng.choice(BODY_STYLES))
-    tray_height = rng.uniform(0.045, 0.062)
-    group_z = tray_height + rng.uniform(0.145, 0.165)
-    grip_radius = rng.uniform(0.155, 0.175)
-    body = _BODY_COLORS[rng.integers(len(_BODY_COLORS))]
-    dark_base = rng.random() < 0.5
-    return CoffeeMakerDesign(
-        width=rng.uniform(0.20, 0.30),
-        height=group_z + rng.uniform(0.115, 0.155),
-        depth=rng.uniform(0.25, 0.33),
-        tray_height=tray_height,
-        group_z=group_z,
-        axis_x=-rng.uniform(0.055, 0.070),
-        head_x=-rng.uniform(0.058, 0.068) if body_style == "box" else -rng.uniform(0.022, 0.034),
-        column_x=-rng.uniform(0.066, 0.078),
-        grip_radius=grip_radius,
-        handle_length=grip_radius + rng.uniform(0.040, 0.052),
-        handle_half=(rng.uniform(0.012, 0.015), rng.uniform(0.012, 0.0145)),
-        wand_side=int(rng.choice([-1, 1])),
-        body_style=body_style,
-        panel_style=str(rng.choice(PANEL_STYLES)),
-        top_style=str(rng.choice(TOP_STYLES)),
-        handle_style=str(rng.choice(HANDLE_STYLES)),
-        spout_style=str(rng.choice(SPOUT_STYLES)),
-        body=body,
-        base=BLACK if dark_base else body,
-        chrome=Material((0.80, 0.81, 0.83), rng.uniform(0.12, 0.25), 0.95),
-        grip=_GRIPS[rng.integers(len(_GRIPS))],
-    )
+    return draw(CoffeeMakerDesign, rng)
 
 
 def draw_novel_design(rng: np.random.Generator) -> CoffeeMakerDesign:

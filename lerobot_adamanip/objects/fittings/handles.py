@@ -23,11 +23,9 @@ KNOBS = ("ball knob", "drum knob", "tulip knob", "octagon knob")
 CENTRED = ("T bar", "olive", "cross bar")
 PLATES = ("round rose", "square rose", "long plate")
 METALS = (
-    Material((0.76, 0.76, 0.77), 0.28, 0.9),
-    Material((0.74, 0.56, 0.22), 0.28, 0.9),
-    Material((0.34, 0.25, 0.17), 0.45, 0.8),
-    Material((0.05, 0.05, 0.055), 0.5, 0.2),
-)
+    Material((0.76, 0.76, 0.77), 0.28, 0.9), Material((0.74, 0.56, 0.22), 0.28, 0.9),
+    Material((0.34, 0.25, 0.17), 0.45, 0.8), Material((0.05, 0.05, 0.055), 0.5, 0.2),
+)  # fmt: skip
 DARK = Material((0.02, 0.02, 0.02), 0.7)
 MASS = 0.06
 """Of what turns [kg]."""

@@ -18,11 +18,9 @@ HAND_CLEARANCE = 0.135
 """Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
 BRASS = Material((0.72, 0.53, 0.20), 0.3, 0.9)
 METALS = (
-    Material((0.72, 0.72, 0.73), 0.28, 0.9),
-    Material((0.045, 0.045, 0.048), 0.5, 0.2),
-    BRASS,
+    Material((0.72, 0.72, 0.73), 0.28, 0.9), Material((0.045, 0.045, 0.048), 0.5, 0.2), BRASS,
     Material((0.62, 0.33, 0.20), 0.35, 0.85),
-)
+)  # fmt: skip
 PAINTS = (
     Material((0.78, 0.78, 0.77), 0.5), Material((0.06, 0.062, 0.066), 0.5), Material((0.50, 0.06, 0.05), 0.4),
     Material((0.10, 0.22, 0.33), 0.45), Material((0.28, 0.40, 0.33), 0.5), Material((0.74, 0.50, 0.13), 0.5),

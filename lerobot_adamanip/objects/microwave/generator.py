@@ -5,14 +5,25 @@ Sizes follow countertop ovens of 17 to 28 litres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.drawing import chosen, computed, draw, uniform
 from lerobot_adamanip.objects.geometry.rounded import plate
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, dot, mark, prism, rod
-from lerobot_adamanip.objects.microwave.looks import BLACK, LOOKS, Face, Look, door_front, handle_shapes, panel_shapes
+from lerobot_adamanip.objects.microwave.looks import (
+    BLACK,
+    CHROME,
+    LOOKS,
+    STEEL,
+    Face,
+    Look,
+    door_front,
+    handle_shapes,
+    panel_shapes,
+)
 
 WALL = 0.018
 DOOR_THICKNESS = 0.030
@@ -29,9 +40,23 @@ SPRING, SPRING_REST = 250.0, -0.01
 """Stiffness of the button's spring [N/m], and where it is slack [m]: it presses the button out with 2.5 N."""
 HANDLE_STYLES = ("round bar", "flat bar", "bow", "pull")
 BUTTON_STYLES = ("bar", "round", "square")
+NOVEL_HANDLE_STYLES = ("fin", "ball bar")
 
 
-@dataclass(frozen=True)
+def _porthole(name: str, color: tuple[float, float, float], panel: Material, controls: str) -> Look:
+    paint = Material(color, 0.35)
+    return Look(name, paint, paint, panel, CHROME, STEEL, CHROME, "porthole", controls)
+
+
+NOVEL_LOOKS = (
+    _porthole("orange", (0.70, 0.24, 0.03), Material((0.70, 0.24, 0.03), 0.35), "dials"),
+    _porthole("navy and steel", (0.02, 0.05, 0.16), STEEL, "keypad"),
+    _porthole("pink", (0.74, 0.34, 0.40), Material((0.80, 0.80, 0.79), 0.4), "retro"),
+    _porthole("olive and black", (0.20, 0.24, 0.06), BLACK, "touch"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
 class MicrowaveDesign:
     """The parameters of one microwave [m].
 
@@ -44,23 +69,25 @@ class MicrowaveDesign:
         button_out: how far the face stands out of the panel; less than `button_travel` by a millimetre or so.
     """
 
-    width: float
-    depth: float
-    height: float
-    foot: float
-    hinge_side: int
-    panel: float
-    handle_style: str
-    handle_inset: float
-    handle_z: float
-    handle_length: float
-    handle_radius: float
-    button_style: str
-    button_z: float
-    button_half: tuple[float, float]
-    button_travel: float
-    button_out: float
-    look: Look
+    width: float = computed(lambda rng, d: rng.uniform(*((0.38, 0.43) if rng.random() < 0.35 else (0.43, 0.49))))
+    height: float = computed(lambda rng, d: float(np.clip(d.width * rng.uniform(0.53, 0.62), 0.225, 0.295)))
+    button_travel: float = uniform(0.012, 0.016)
+    button_style: str = chosen(BUTTON_STYLES, p=(0.5, 0.25, 0.25))
+    panel: float = computed(lambda rng, d: float(np.clip(d.width * rng.uniform(0.23, 0.27), 0.098, 0.122)))
+    button_half: tuple[float, float] = computed(lambda rng, d: _draw_button_half(rng, d.button_style, d.panel))
+    handle_length: float = computed(lambda rng, d: rng.uniform(0.13, 0.70 * d.height))
+    depth: float = computed(lambda rng, d: d.width * rng.uniform(0.70, 0.80))
+    foot: float = uniform(0.010, 0.018)
+    hinge_side: int = computed(lambda rng, d: 1 if rng.random() < 0.14 else -1)
+    handle_style: str = chosen(HANDLE_STYLES)
+    handle_inset: float = uniform(0.026, 0.036)
+    handle_z: float = computed(
+        lambda rng, d: d.height / 2 + rng.uniform(0.0, min(0.02, (d.height - d.handle_length) / 2 - 0.02))
+    )
+    handle_radius: float = uniform(0.008, 0.011)
+    button_z: float = computed(lambda rng, d: d.button_half[1] + rng.uniform(0.022, 0.030))
+    button_out: float = computed(lambda rng, d: d.button_travel - rng.uniform(0.0, 0.002))
+    look: Look = computed(lambda rng, d: LOOKS[rng.integers(len(LOOKS))].varied(rng))
 
     @property
     def door_width(self) -> float:
@@ -84,33 +111,37 @@ class MicrowaveDesign:
 
 def draw_design(rng: np.random.Generator) -> MicrowaveDesign:
     """Draws one oven: compact or full size, handle within reach of the hinge, button below it in the panel."""
-    width = rng.uniform(0.38, 0.43) if rng.random() < 0.35 else rng.uniform(0.43, 0.49)
-    height = float(np.clip(width * rng.uniform(0.53, 0.62), 0.225, 0.295))
-    travel = rng.uniform(0.012, 0.016)
-    style = str(rng.choice(BUTTON_STYLES, p=(0.5, 0.25, 0.25)))
-    panel = float(np.clip(width * rng.uniform(0.23, 0.27), 0.098, 0.122))
-    half_y = {"bar": rng.uniform(0.028, 0.036), "round": rng.uniform(0.018, 0.023), "square": rng.uniform(0.017, 0.021)}
-    half_z = {"bar": rng.uniform(0.014, 0.018), "round": half_y["round"], "square": half_y["square"]}
-    length = rng.uniform(0.13, 0.70 * height)
-    return MicrowaveDesign(
+    return draw(MicrowaveDesign, rng)
+
+
+def draw_novel_design(rng: np.random.Generator) -> MicrowaveDesign:
+    """Draws a small or a large oven of new proportions, with new handle, button and window."""
+    base = draw_design(rng)
+    width = rng.uniform(0.35, 0.375) if rng.random() < 0.5 else rng.uniform(0.495, 0.52)
+    height = rng.uniform(0.30, 0.335)
+    panel = float(np.clip(width * rng.uniform(0.24, 0.27), 0.094, 0.130))
+    half, length = rng.uniform(0.019, 0.023), rng.uniform(0.12, 0.19)
+    return replace(
+        base,
         width=width,
-        depth=width * rng.uniform(0.70, 0.80),
         height=height,
-        foot=rng.uniform(0.010, 0.018),
-        hinge_side=1 if rng.random() < 0.14 else -1,
+        depth=width * rng.uniform(0.66, 0.76),
         panel=panel,
-        handle_style=str(rng.choice(HANDLE_STYLES)),
-        handle_inset=rng.uniform(0.026, 0.036),
-        handle_z=height / 2 + rng.uniform(0.0, min(0.02, (height - length) / 2 - 0.02)),
+        hinge_side=int(rng.choice([-1, 1])),
+        handle_style=str(rng.choice(NOVEL_HANDLE_STYLES)),
         handle_length=length,
-        handle_radius=rng.uniform(0.008, 0.011),
-        button_style=style,
-        button_z=half_z[style] + rng.uniform(0.022, 0.030),
-        button_half=(min(half_y[style], panel / 2 - 0.014), half_z[style]),
-        button_travel=travel,
-        button_out=travel - rng.uniform(0.0, 0.002),
-        look=LOOKS[rng.integers(len(LOOKS))].varied(rng),
+        handle_z=height / 2 + rng.uniform(0.0, 0.02),
+        button_style="octagon",
+        button_half=(half, half),
+        button_z=half + rng.uniform(0.024, 0.034),
+        look=NOVEL_LOOKS[rng.integers(len(NOVEL_LOOKS))].varied(rng),
     )
+
+
+def _draw_button_half(rng: np.random.Generator, style: str, panel: float) -> tuple[float, float]:
+    wide, round_, square = rng.uniform(0.028, 0.036), rng.uniform(0.018, 0.023), rng.uniform(0.017, 0.021)
+    half_y, half_z = {"bar": (wide, rng.uniform(0.014, 0.018)), "round": (round_,) * 2, "square": (square,) * 2}[style]
+    return min(half_y, panel / 2 - 0.014), half_z
 
 
 def build_microwave(object_id: str, design: MicrowaveDesign) -> ArticulatedObject:

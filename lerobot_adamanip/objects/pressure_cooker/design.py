@@ -7,20 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material
+from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, picked, uniform
 
 _STEELS = (
-    Material((0.80, 0.81, 0.83), 0.25, 0.7),
-    Material((0.66, 0.67, 0.69), 0.32, 0.75),
+    Material((0.80, 0.81, 0.83), 0.25, 0.7), Material((0.66, 0.67, 0.69), 0.32, 0.75),
     Material((0.76, 0.75, 0.72), 0.42, 0.7),
-)
+)  # fmt: skip
 _ENAMELS = (
-    Material((0.50, 0.02, 0.025), 0.25, 0.1),
-    Material((0.03, 0.08, 0.22), 0.25, 0.1),
-    Material((0.04, 0.20, 0.12), 0.25, 0.1),
-    Material((0.60, 0.20, 0.02), 0.25, 0.1),
-    Material((0.70, 0.68, 0.60), 0.25, 0.1),
-    Material((0.07, 0.07, 0.075), 0.35, 0.2),
-)
+    Material((0.50, 0.02, 0.025), 0.25, 0.1), Material((0.03, 0.08, 0.22), 0.25, 0.1),
+    Material((0.04, 0.20, 0.12), 0.25, 0.1), Material((0.60, 0.20, 0.02), 0.25, 0.1),
+    Material((0.70, 0.68, 0.60), 0.25, 0.1), Material((0.07, 0.07, 0.075), 0.35, 0.2),
+)  # fmt: skip
 _PLASTICS = tuple(
     Material(color, 0.45)
     for color in ((0.018, 0.018, 0.02), (0.05, 0.05, 0.055), (0.11, 0.02, 0.015), (0.09, 0.05, 0.03))
@@ -39,27 +36,31 @@ NOVEL_VALVE_STYLES = ("bell", "twin")
 NOVEL_COLORS = ((0.02, 0.30, 0.34), (0.55, 0.30, 0.42), (0.36, 0.17, 0.06), (0.55, 0.50, 0.06), (0.20, 0.10, 0.34))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PressureCookerDesign:
     """The parameters of one cooker [m]."""
 
-    radius: float
-    height: float
-    body_style: str
-    lid_style: str
-    lid_rise: float
-    valve_style: str
-    handle_style: str
-    handle_reach: float
-    handle_length: float
-    handle_half: tuple[float, float]
-    helper_loop: bool
-    band: bool
-    body: Material
-    lid: Material
-    steel: Material
-    plastic: Material
-    accent: Material
+    radius: float = uniform(0.092, 0.124)
+    handle_reach: float = uniform(0.066, 0.078)
+    steel: Material = picked(_STEELS)
+    enamel: Material = picked(_ENAMELS)
+    coloured: bool = chance(0.45)
+    height: float = computed(lambda rng, d: float(np.clip(2 * d.radius * rng.uniform(0.58, 0.88), 0.12, 0.185)))
+    body_style: str = chosen(BODY_STYLES)
+    lid_style: str = chosen(LID_STYLES)
+    lid_rise: float = uniform(0.024, 0.042)
+    valve_style: str = chosen(VALVE_STYLES)
+    handle_style: str = chosen(HANDLE_STYLES)
+    handle_length: float = computed(lambda rng, d: d.handle_reach + rng.uniform(0.045, 0.075))
+    handle_half: tuple[float, float] = computed(
+        lambda rng, d: (rng.uniform(0.011, 0.0145), rng.uniform(0.0105, 0.0135))
+    )
+    helper_loop: bool = chance(0.75)
+    band: bool = chance(0.5)
+    body: Material = computed(lambda rng, d: d.enamel if d.coloured else d.steel)
+    lid: Material = computed(lambda rng, d: d.steel if not d.coloured or rng.random() < 0.7 else d.enamel)
+    plastic: Material = picked(_PLASTICS)
+    accent: Material = picked(_ACCENTS)
 
     @property
     def axis_x(self) -> float:
@@ -79,30 +80,7 @@ class PressureCookerDesign:
 
 def draw_design(rng: np.random.Generator) -> PressureCookerDesign:
     """Draws the parameters of one cooker. The grip is far enough out for a hand to clear the dome."""
-    radius = rng.uniform(0.092, 0.124)
-    reach = rng.uniform(0.066, 0.078)
-    steel = _STEELS[rng.integers(len(_STEELS))]
-    enamel = _ENAMELS[rng.integers(len(_ENAMELS))]
-    coloured = rng.random() < 0.45
-    return PressureCookerDesign(
-        radius=radius,
-        height=float(np.clip(2 * radius * rng.uniform(0.58, 0.88), 0.12, 0.185)),
-        body_style=str(rng.choice(BODY_STYLES)),
-        lid_style=str(rng.choice(LID_STYLES)),
-        lid_rise=rng.uniform(0.024, 0.042),
-        valve_style=str(rng.choice(VALVE_STYLES)),
-        handle_style=str(rng.choice(HANDLE_STYLES)),
-        handle_reach=reach,
-        handle_length=reach + rng.uniform(0.045, 0.075),
-        handle_half=(rng.uniform(0.011, 0.0145), rng.uniform(0.0105, 0.0135)),
-        helper_loop=bool(rng.random() < 0.75),
-        band=bool(rng.random() < 0.5),
-        body=enamel if coloured else steel,
-        lid=steel if not coloured or rng.random() < 0.7 else enamel,
-        steel=steel,
-        plastic=_PLASTICS[rng.integers(len(_PLASTICS))],
-        accent=_ACCENTS[rng.integers(len(_ACCENTS))],
-    )
+    return draw(PressureCookerDesign, rng)
 
 
 def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:

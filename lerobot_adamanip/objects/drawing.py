@@ -1,0 +1,53 @@
+"""Designs that are drawn: each field of a dataclass says from what, and fields are drawn in the order they stand in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import field, fields
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+
+def draw[Design](design: Callable[..., Design], rng: np.random.Generator) -> Design:
+    """Draws the fields of a dataclass."""
+    values = SimpleNamespace()
+    for each in fields(design):  # type: ignore[arg-type]
+        setattr(values, each.name, each.metadata["draw"](rng, values))
+    return design(**vars(values))
+
+
+def computed(draw_value: Callable[[np.random.Generator, Any], object]) -> Any:
+    """A field drawn by a function of the generator and of the fields above, which it has as attributes."""
+    return field(metadata={"draw": draw_value})
+
+
+def uniform(low: float, high: float) -> Any:
+    """A number from a range."""
+    return computed(lambda rng, _: rng.uniform(low, high))
+
+
+def chosen(words: Sequence[str], p: Sequence[float] | None = None) -> Any:
+    """A word, with probabilities ``p`` if they differ."""
+    return computed(lambda rng, _: str(rng.choice(words, p=p)))
+
+
+def picked(values: Sequence[object]) -> Any:
+    """One of some values that are no words."""
+    return computed(lambda rng, _: values[int(rng.integers(len(values)))])
+
+
+def shaded(colors: Sequence[Sequence[float]], low: float, high: float) -> Any:
+    """One of some colours (3,), times a brightness from a range."""
+    return computed(lambda rng, _: np.asarray(colors[int(rng.integers(len(colors)))]) * rng.uniform(low, high))
+
+
+def chance(share: float) -> Any:
+    """True with this probability."""
+    return computed(lambda rng, _: bool(rng.random() < share))
+
+
+def either_side() -> Any:
+    """-1 or 1."""
+    return computed(lambda rng, _: int(rng.choice([-1, 1])))
