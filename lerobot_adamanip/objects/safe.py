@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
 from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, picked, uniform
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, disk, dot, mark, prism, rod
+from lerobot_adamanip.objects.geometry.shapes import ball_bar, box, chamfered_box, disk, dot, mark, prism, rod
 
 Range = tuple[float, float]
 
@@ -223,10 +223,8 @@ def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
     if design.handle_style == "fin":
         return (chamfered_box((x / 2, y, z), (x / 2 + 0.008, radius, half), 0.003, metal), *foot_plates)
     if design.handle_style == "ball bar":
-        tips = [np.array([x, y, z + s * half]) for s in (-1, 1)]
-        balls = tuple(rod(tip, tip - (0, 0, 5e-4), 1.6 * radius, metal) for tip in tips)
-        stems = tuple(rod((0.0, y, tip[2]), tip, radius * 0.8, metal) for tip in tips)
-        return (rod(tips[0], tips[1], radius * 0.9, metal), *balls, *stems, *foot_plates)
+        radii = (radius * 0.9, 1.6 * radius, radius * 0.8)
+        return (*ball_bar((x, y, z), half, radii, metal), *foot_plates)
     if design.handle_style == "flat bar":
         bar = chamfered_box((x, y, z), (radius * 0.7, radius, half + radius), 0.002, metal)
         post = (x / 2, radius * 0.7, radius * 0.7)

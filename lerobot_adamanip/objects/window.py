@@ -48,21 +48,13 @@ class WindowDesign:
     """The parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
 
     Attributes:
-        width, height: of the sash.
-        stile: width of its members.
+        width, height: of the sash, whose members are ``stile`` wide.
         hinge_side: +1 if hinged at +y.
-        layout: one of `LAYOUTS`.
-        light: width of a side light, or height of a transom.
-        mullion: width of what parts a fixed light from the sash.
+        light: width of a side light, or height of a transom; ``mullion`` is what parts it from the sash.
         bars: upright and level glazing bars.
-        handle: see `HandleDesign`.
-        handle_v: of the pivot.
-        wall_side, wall_above, wall_below: of the wall around the casing.
         shift: of the opening off the wall's middle, towards the hinges.
-        depth: of the wall.
         casing: width of the outer frame.
         sill: how far it stands out.
-        finish, wall, frame, board: looks.
     """
 
     finish: str = chosen(FINISHES, p=(0.55, 0.2, 0.25))

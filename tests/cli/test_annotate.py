@@ -77,20 +77,16 @@ def test_work_is_never_lost(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_kept_but_not_saved(tmp_path: Path) -> None:
     folder = partnet_safe(tmp_path / "101564")
     draft = Draft(folder, "safe")
+    before = draft.annotation
+    with pytest.raises(ConfigurationError, match="two of its own"):
+        draft.set_joint(KNOB, "joint_0")
+    assert draft.annotation.joints == before.joints, "joints that clash change nothing"
     draft.set_grasp("knob", transform((2.0, 0.0, 0.0)))
     assert "outside" in draft.problem()
     with pytest.raises(ConfigurationError, match="knob"):
         draft.save()
     assert not (folder / "adamanip.json").exists()
     assert (folder / DRAFT_NAME).exists()
-
-
-def test_joints_that_clash_change_nothing(tmp_path: Path) -> None:
-    draft = Draft(partnet_safe(tmp_path / "101564"), "safe")
-    before = draft.annotation
-    with pytest.raises(ConfigurationError, match="two of its own"):
-        draft.set_joint(KNOB, "joint_0")
-    assert draft.annotation.joints == before.joints
 
 
 def test_a_broken_annotation_is_not_overwritten(tmp_path: Path) -> None:

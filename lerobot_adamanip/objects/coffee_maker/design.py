@@ -36,7 +36,6 @@ class CoffeeMakerDesign:
     """The parameters of one machine [m]. ``x`` values are measured from the group's axis, forwards.
 
     Attributes:
-        width, height, depth: of the housing.
         tray_height: of the base with the drip tray.
         group_z: height of the group head's lower face.
         axis_x: where the group's axis is, behind the tray's front.
@@ -45,7 +44,6 @@ class CoffeeMakerDesign:
         grip_radius: of the grip, from the axis.
         handle_length: from the axis to the handle's end.
         handle_half: half width and height of the handle.
-        wand_side: side of the steam wand, -1 or 1.
     """
 
     body_style: str = chosen(BODY_STYLES)

@@ -14,19 +14,15 @@ WHITE = Material((0.85, 0.85, 0.83), 0.4)
 RED = Material((0.65, 0.03, 0.02), 0.4)
 GROUP_RADIUS = 0.039
 _CORNERS = {
-    "box": (0.010, 0.004),
-    "column": (0.016, 0.006),
-    "rounded": (0.048, 0.020),
-    "slim": (0.003, 0.0015),
+    "box": (0.010, 0.004), "column": (0.016, 0.006), "rounded": (0.048, 0.020), "slim": (0.003, 0.0015),
     "barrel": (0.09, 0.012),
-}
+}  # fmt: skip
 """Radius of the vertical edges and bevel of the horizontal ones [m]."""
 
 
 def machine_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
     """Everything that stays where it is."""
-    shapes = [*_base(design), *_housing(design), *_group(design), *_panel(design), *_wand(design), *_top(design)]
-    return tuple(shapes)
+    return tuple(shape for build in (_base, _housing, _group, _panel, _wand, _top) for shape in build(design))
 
 
 def _slab(
@@ -119,17 +115,9 @@ def _panel(design: CoffeeMakerDesign) -> list[Shape]:
     z = (design.group_z + 0.062 + design.height - 0.016) / 2
     side = design.width / 2 - 0.048
     away = -design.wand_side * side
-    builders = {
-        "gauge": _gauge_panel,
-        "buttons": _button_panel,
-        "dial": _dial_panel,
-        "display": _display_panel,
-        "twin gauge": _twin_gauge_panel,
-        "slot": _slot_panel,
-    }
     plate_z = design.group_z + 0.052 if design.body_style != "box" else design.height - 0.020
     plate = mark((face + 0.001, side * design.wand_side * 0.9, plate_z), (0.001, 0.017, 0.0035), design.chrome)
-    return [*builders[design.panel_style](design, face, z, away), plate]
+    return [*_PANELS[design.panel_style](design, face, z, away), plate]
 
 
 def _gauge(face: float, y: float, z: float, radius: float, chrome: Material) -> list[Shape]:
@@ -147,10 +135,10 @@ def _gauge(face: float, y: float, z: float, radius: float, chrome: Material) -> 
 
 def _gauge_panel(design: CoffeeMakerDesign, face: float, z: float, away: float) -> list[Shape]:
     shapes = _gauge(face, 0.0, z, 0.022, design.chrome)
-    for k, material in enumerate((BLACK, BLACK)):
+    for k, light in enumerate((WHITE, RED)):
         y = away - np.sign(away) * 0.026 * k
-        shapes.append(mark((face + 0.002, y, z), (0.003, 0.009, 0.014), material))
-        shapes.append(mark((face + 0.005, y, z + 0.006), (0.001, 0.006, 0.004), RED if k else WHITE))
+        shapes.append(mark((face + 0.002, y, z), (0.003, 0.009, 0.014), BLACK))
+        shapes.append(mark((face + 0.005, y, z + 0.006), (0.001, 0.006, 0.004), light))
     knob = dot((face + 0.010, -away, z), 0.017, 0.010, BLACK)
     return [*shapes, knob, dot((face + 0.020, -away, z), 0.010, 0.001, design.chrome)]
 
@@ -200,6 +188,12 @@ def _display_panel(design: CoffeeMakerDesign, face: float, z: float, away: float
         shapes.append(dot((face + 0.007, y, z), 0.015, 0.007, design.chrome))
         shapes.append(dot((face + 0.014, y, z), 0.011, 0.0008, BLACK))
     return shapes
+
+
+_PANELS = {
+    "gauge": _gauge_panel, "buttons": _button_panel, "dial": _dial_panel, "display": _display_panel,
+    "twin gauge": _twin_gauge_panel, "slot": _slot_panel,
+}  # fmt: skip
 
 
 def _wand(design: CoffeeMakerDesign) -> list[Shape]:

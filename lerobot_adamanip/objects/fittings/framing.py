@@ -21,9 +21,7 @@ class Surround:
     """A piece of wall [m]. Its front is the plane x = 0, y is 0 in its middle, z is up from the floor.
 
     Attributes:
-        width: of the wall.
-        height: of the wall.
-        depth: of the wall.
+        width, height, depth: of the wall.
         left, right: y of the opening's edges.
         bottom, top: z of the opening's edges; a bottom of 0 leaves no wall below.
         casing: width of the casing around the opening.

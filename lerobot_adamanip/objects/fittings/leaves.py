@@ -66,20 +66,13 @@ def _fields(plan: LeafPlan) -> list[Field]:
     low, mid, high = 1.3 * s, 0.48 * h, h - s
     rows = {
         "one panel": [(low, high)],
-        "two panels": [(low, mid - rail), (mid + rail, high)],
-        "four panels": [(low, mid - rail), (mid + rail, high)],
         "six panels": [(low, mid - rail), (mid + rail, 0.79 * h), (0.79 * h + 0.045, high)],
-        "half glazed": [(low, mid - rail), (mid + rail, high)],
-        "louvres": [(low, mid - rail), (mid + rail, high)],
         "ladder": [(low, 0.24 * h), (0.24 * h + 0.05, mid - rail), (mid + rail, 0.75 * h), (0.75 * h + 0.05, high)],
         "eight panels": [
-            (low, 0.24 * h),
-            (0.24 * h + 0.04, mid - rail),
-            (mid + rail, 0.75 * h),
-            (0.75 * h + 0.04, high),
+            (low, 0.24 * h), (0.24 * h + 0.04, mid - rail), (mid + rail, 0.75 * h), (0.75 * h + 0.04, high),
         ],
         "high window": [(low, mid - rail), (0.70 * h, high)],
-    }[plan.style]
+    }.get(plan.style, [(low, mid - rail), (mid + rail, high)])  # fmt: skip
     return [(u0, u1, v0, v1) for v0, v1 in rows for u0, u1 in columns]
 
 

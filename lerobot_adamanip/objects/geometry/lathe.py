@@ -94,15 +94,12 @@ def turned(
         sides: of the polygon that stands for a ring.
         collides: solid, or decoration.
     """
+    slices = [(*pair, sides, False) for pair in itertools.pairwise(rings) if pair[1].height - pair[0].height > 1e-6]
+    slices += [(*pair, SOLID_SIDES, True) for pair in _inscribed(rings)] if collides else []
     shapes = []
-    for lower, upper in itertools.pairwise(rings):
-        if upper.height - lower.height > 1e-6:
-            material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
-            shapes.append(_frustum(lower, upper, sides, material, axis, collides=False))
-    if collides:
-        for lower, upper in _inscribed(rings):
-            material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
-            shapes.append(_frustum(lower, upper, SOLID_SIDES, material, axis, collides=True))
+    for lower, upper, count, solid in slices:
+        material = paint((lower.height + upper.height) / 2) if callable(paint) else paint
+        shapes.append(_frustum(lower, upper, count, material, axis, collides=solid))
     return tuple(shapes)
 
 

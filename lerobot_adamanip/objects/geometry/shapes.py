@@ -75,6 +75,18 @@ def rod(start: ArrayLike, end: ArrayLike, radius: float, material: Material, *, 
     return Shape("capsule" if round_ends else "cylinder", (radius, length / 2), pose, material)
 
 
+def ball_bar(
+    grip: Sequence[float], half: float, radii: tuple[float, float, float], material: Material
+) -> tuple[Shape, ...]:
+    """An upright handle in front of x = 0, with a ball at each end: ``radii`` of bar, balls and stems [m]."""
+    x, y, z = grip
+    bar, ball, stem = radii
+    tips = [np.array([x, y, z + side * half]) for side in (-1, 1)]
+    balls = [rod(tip, tip - (0, 0, 5e-4), ball, material) for tip in tips]
+    stems = [rod((0.0, y, tip[2]), tip, stem, material) for tip in tips]
+    return (rod(tips[0], tips[1], bar, material), *balls, *stems)
+
+
 def disk(
     center: ArrayLike, radius: float, half_thickness: float, material: Material, *, collides: bool = True
 ) -> Shape:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.rounded import plate
-from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, dot, mark, rod
+from lerobot_adamanip.objects.geometry.shapes import ball_bar, box, chamfered_box, dot, mark, rod
 
 BLACK = Material((0.012, 0.012, 0.014), 0.35)
 GLASS = Material((0.010, 0.011, 0.013), 0.12)
@@ -259,7 +259,7 @@ def handle_shapes(
     if style == "fin":
         return (chamfered_box((x / 2, y, z), (x / 2 + 0.008, radius, half), 0.003, material),)
     if style == "ball bar":
-        return _ball_bar(grip, half, radius, material)
+        return ball_bar(grip, half, (radius, 1.5 * radius, 0.75 * radius), material)
     if style == "pull":
         bar = plate((x, y, z), (0.010, radius, half), radius, material, bevel=0.003)
         posts = [box((x / 2, y, z + s * (half - 0.020)), (x / 2, radius, 0.018), material) for s in (-1, 1)]
@@ -271,14 +271,6 @@ def handle_shapes(
         rod((0.0, y, z + s * (half - 0.014)), (x, y, z + s * (half - 0.014)), 0.7 * radius, material) for s in (-1, 1)
     ]
     return (rod(ends[0], ends[1], radius, material, round_ends=False), *posts)
-
-
-def _ball_bar(grip: tuple[float, float, float], half: float, radius: float, material: Material) -> tuple[Shape, ...]:
-    x, y, z = grip
-    tips = [np.array([x, y, z + s * half]) for s in (-1, 1)]
-    balls = [rod(tip, tip - (0, 0, 5e-4), 1.5 * radius, material) for tip in tips]
-    stems = [rod((0.0, y, tip[2]), tip, 0.75 * radius, material) for tip in tips]
-    return (rod(tips[0], tips[1], radius, material), *balls, *stems)
 
 
 def _bow(grip: tuple[float, float, float], half: float, radius: float, material: Material) -> tuple[Shape, ...]:
