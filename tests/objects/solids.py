@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.contract.rotations import rotated_about_line
-from lerobot_adamanip.objects import ArticulatedObject, Link, PartAnnotation, Shape
+from lerobot_adamanip.objects import ArticulatedObject, Link, Shape
 
 HALF_OPENING = 0.04
 """Of open fingers [m]."""
@@ -101,43 +101,24 @@ def hand(pose: np.ndarray, half_opening: float = HALF_OPENING, retreat: float = 
     return np.concatenate(points) @ pose[:3, :3].T + pose[:3, 3]
 
 
-def moved(points: np.ndarray, part: PartAnnotation, positions: dict[str, float]) -> np.ndarray:
-    """Points (N, 3) of the object's frame, carried along by the joints of a part."""
-    pose = np.eye(4)
-    for motion in reversed(part.motions):
-        if motion.kind == "revolute":
-            pose = rotated_about_line(pose, motion.point, motion.axis, positions.get(motion.joint, 0.0))
-        else:
-            pose[:3, 3] += positions.get(motion.joint, 0.0) * motion.axis
-    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
-
-
 def digest(obj: ArticulatedObject) -> str:
     """A digest of all that an object consists of, to 10 micrometres: equal wherever it is made."""
     made = hashlib.sha256()
 
-    def add(*values: object) -> None:
-        for value in values:
-            if isinstance(value, str | bool | int) or value is None:
-                made.update(f"{value};".encode())
-            else:
-                # Off the round numbers that people write: there a last bit would tip the scale.
-                made.update(np.floor(1e5 * np.asarray(value, np.float64) + 0.2371).astype(np.int64).tobytes())
+    def add(value: Any) -> None:
+        if isinstance(value, Shape):
+            corners = None if value.vertices is None else np.sort(value.vertices, axis=0)
+            value = replace(value, faces=None, vertices=corners)
+        if is_dataclass(value):
+            value = tuple(getattr(value, each.name) for each in fields(value))
+        if isinstance(value, tuple):
+            for each in value:
+                add(each)
+        elif isinstance(value, str | bool | int) or value is None:
+            made.update(f"{value};".encode())
+        else:
+            # Off the round numbers that people write: there a last bit would tip the scale.
+            made.update(np.floor(1e5 * np.asarray(value, np.float64) + 0.2371).astype(np.int64).tobytes())
 
-    add(obj.object_id, obj.category, obj.size, obj.description, True)
-    for link in obj.links:
-        add(link.name, link.mass, link.parent)
-        if link.joint is not None:
-            joint = link.joint
-            add(joint.name, joint.kind, joint.axis, joint.origin, joint.limits, joint.damping, joint.stiffness)
-            add(joint.rest)
-        for shape in link.shapes:
-            add(shape.kind, shape.size, shape.pose_in_link, shape.collides, shape.visible)
-            add(shape.material.color, shape.material.roughness, shape.material.metallic)
-            if shape.vertices is not None:
-                add(len(shape.vertices), np.sort(shape.vertices, axis=0))
-    for part in obj.parts:
-        add(part.name, part.grasp, part.rolls)
-        for motion in part.motions:
-            add(motion.joint, motion.kind, motion.point, motion.axis)
+    add(obj)
     return made.hexdigest()
