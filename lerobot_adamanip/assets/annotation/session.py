@@ -63,15 +63,14 @@ class Draft:
         """Poses the URDF, and expresses what is given in links' frames in the object frame."""
         self.posed: Posed = posed(self.urdf, self.annotation)
         frame = object_frame(self.posed, self.annotation)
-        parts = {}
-        for name, part in self.annotation.parts.items():
-            if part.frame == "link":
-                grasp = np.linalg.inv(frame) @ self.posed.poses[part.link] @ part.grasp
-                part = PartChoice(part.link, grasp, "object", part.rolls)  # noqa: PLW2901
-            parts[name] = part
-        self.annotation = replace(self.annotation, parts=parts, object_in_urdf=frame)
 
-    # What is shown -----------------------------------------------------------------------------------------------
+        def in_object(part: PartChoice) -> PartChoice:
+            if part.frame == "object":
+                return part
+            return replace(part, grasp=np.linalg.inv(frame) @ self.posed.poses[part.link] @ part.grasp, frame="object")
+
+        parts = {name: in_object(part) for name, part in self.annotation.parts.items()}
+        self.annotation = replace(self.annotation, parts=parts, object_in_urdf=frame)
 
     def object(self) -> ArticulatedObject:
         """Returns the object as it would be, without collision shapes; `ConfigurationError` if the joints clash."""
@@ -80,12 +79,13 @@ class Draft:
     def problem(self) -> str:
         """Returns what keeps the annotation from being used; an empty text if nothing does."""
         try:
-            assemble(self.urdf, self.annotation, self.posed, solid=False)
+            self._check()
         except ConfigurationError as error:
             return str(error)
         return ""
 
-    # Changes -----------------------------------------------------------------------------------------------------
+    def _check(self) -> None:
+        assemble(self.urdf, self.annotation, self.posed, solid=False)
 
     def set_joint(self, role: JointRole, joint: str) -> None:
         """Chooses the joint of a role, with the limits the URDF gives it."""
@@ -128,21 +128,14 @@ class Draft:
 
     def set_scale(self, scale: float) -> None:
         """Sets the metres per unit of the URDF; everything grows with it."""
-        ratio = scale / self.annotation.scale
-
-        def scaled(pose: Pose) -> Pose:
-            grown = pose.copy()
-            grown[:3, 3] *= ratio
-            return grown
-
-        parts = {k: replace(part, grasp=scaled(part.grasp)) for k, part in self.annotation.parts.items()}
+        grown = np.ones((4, 4))
+        grown[:3, 3] = scale / self.annotation.scale
+        parts = {k: replace(part, grasp=part.grasp * grown) for k, part in self.annotation.parts.items()}
         assert self.annotation.object_in_urdf is not None
-        frame = scaled(self.annotation.object_in_urdf)
+        frame = self.annotation.object_in_urdf * grown
         self.annotation = replace(self.annotation, parts=parts, scale=scale, object_in_urdf=frame)
         self._place()
         self.changed = True
-
-    # Files -------------------------------------------------------------------------------------------------------
 
     def autosave(self) -> None:
         """Keeps changes in a file beside the annotation, until they are saved."""
@@ -157,7 +150,7 @@ class Draft:
             ConfigurationError: the object could not be used with it; the changes are kept as a draft.
         """
         try:
-            assemble(self.urdf, self.annotation, self.posed, solid=False)
+            self._check()
         except ConfigurationError:
             self.autosave()
             raise

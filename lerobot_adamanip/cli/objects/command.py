@@ -79,18 +79,15 @@ class Objects:
         """Returns the objects, and which external assets cannot be used."""
         from lerobot_adamanip.catalog import make_object, parse_object_selection
 
-        wanted = CATEGORIES if self.category == ALL else (self.category,)
+        wanted = tuple(CATEGORIES) if self.category == ALL else (self.category,)
         if self.assets is None:
             return [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)], []
         source = checked_source(self.assets)
-        reports = [report for each in wanted for report in self._reports(source, each)]
+        if self.category == ALL and self.assets.is_dir():
+            wanted = tuple(each for each in wanted if source.holds(each))
+        reports = [report for each in wanted for report in source.check(each)]
         usable = [source.load(report.asset_id, solid=False) for report in reports if report.usable]
         return usable, [report for report in reports if not report.usable]
-
-    def _reports(self, source: AssetSource, category: str) -> tuple[AssetReport, ...]:
-        if self.category == ALL and self.assets is not None and self.assets.is_dir() and not source.holds(category):
-            return ()
-        return source.check(category)
 
     def _portraits(self, chosen: list[ArticulatedObject]) -> list[Thumbnail]:
         from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail
