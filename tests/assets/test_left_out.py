@@ -94,6 +94,13 @@ def test_a_part_that_matters_must_have_a_mesh_left(tmp_path: Path, make: Callabl
         load_object(folder, "safe")
 
 
+def test_what_has_a_gap_as_a_solid_collides_as_it_is_seen(tmp_path: Path) -> None:
+    solid = '<collision><origin xyz="0 0 0"/><geometry><mesh filename="{}"'
+    folder = edited(adamanip_safe(tmp_path / "sa1"), (solid.format("knob.obj"), solid.format("gone.obj")))
+    knob = next(link for link in load_object(folder, "safe").links if link.name == "link_2")
+    assert any(shape.collides for shape in knob.shapes)
+
+
 # Units and sizes -----------------------------------------------------------------------------------------------------
 
 
@@ -199,6 +206,14 @@ def test_an_id_stands_for_one_folder(tmp_path: Path) -> None:
     assert source.ids("coffee_maker") == ("coffee_maker:c1",)
     assert source.folder("coffee_maker:c1") == tmp_path / ours / "c1"
     assert sum("same name" in each.problem for each in source.check("coffee_maker")) == 1
+
+
+def test_a_folder_that_is_named_by_dots_has_its_own_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = adamanip_safe(tmp_path / "sa1")
+    (folder / "inner").mkdir()
+    monkeypatch.chdir(folder)
+    for written in (".", "inner/..", "../sa1"):
+        assert load_object(Path(written), "safe").object_id == "safe:sa1"
 
 
 # Colours, joints that follow others, paths ---------------------------------------------------------------------------
