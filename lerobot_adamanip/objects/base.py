@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -217,30 +217,6 @@ class ArticulatedObject:
     def joint(self, name: str) -> Joint:
         """Returns a joint by name."""
         return next(link.joint for link in self.links if link.joint is not None and link.joint.name == name)
-
-
-type Draw[Design] = Callable[[np.random.Generator], Design]
-
-
-def makers[Design](
-    category: str,
-    stream: int,
-    draw: Draw[Design],
-    novel: Draw[Design],
-    build: Callable[[str, Design], ArticulatedObject],
-) -> tuple[Callable[[int], ArticulatedObject], ...]:
-    """Returns what builds a category's objects by number: the seen and unseen ones, and the novel ones.
-
-    ``draw`` and ``novel`` get a generator that is seeded by ``stream``, the category's own, and the number.
-    """
-
-    def make(number: int) -> ArticulatedObject:
-        return build(f"{category}_{number:03d}", draw(np.random.default_rng([number, stream])))
-
-    def make_novel(number: int) -> ArticulatedObject:
-        return build(f"{category}_n{number:03d}", novel(np.random.default_rng([number, stream, 1])))
-
-    return make, make_novel
 
 
 def annotate(

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
-from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, shaded, uniform
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, makers, shaded, uniform
 from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
 from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.fittings.leaves import LeafPlan, leaf_shapes
@@ -84,11 +84,6 @@ class DoorDesign:
         return self.on_leaf(self.plan.width - self.backset, self.handle_v)
 
 
-def draw_design(rng: np.random.Generator) -> DoorDesign:
-    """Draws the parameters of one door."""
-    return draw(DoorDesign, rng)
-
-
 def _draw_plan(rng: np.random.Generator, color: NDArray[np.float64]) -> LeafPlan:
     style, height = str(rng.choice(STYLES)), rng.uniform(0.84, 1.08)
     return LeafPlan(
@@ -104,7 +99,7 @@ def _draw_plan(rng: np.random.Generator, color: NDArray[np.float64]) -> LeafPlan
 
 def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
     """Draws a door narrower and lower, or wider and taller, than any seen one, leaf and handle in new styles."""
-    base = draw_design(rng)
+    base = draw(DoorDesign, rng)
     small = rng.random() < 0.5
     color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))]) * rng.uniform(0.85, 1.1)
     height = rng.uniform(0.74, 0.82) if small else rng.uniform(1.10, 1.20)
@@ -224,4 +219,4 @@ def _extra(design: DoorDesign) -> tuple[Shape, ...]:
     return ()
 
 
-make_door, make_novel_door = makers("door", 0xD008, draw_design, draw_novel_design, build_door)
+make_door, make_novel_door = makers("door", 0xD008, DoorDesign, draw_novel_design, build_door)

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_adamanip.objects.base import ArticulatedObject
+
 
 def draw[Design](design: Callable[..., Design], rng: np.random.Generator) -> Design:
     """Draws the fields of a dataclass."""
@@ -51,3 +53,24 @@ def chance(share: float) -> Any:
 def either_side() -> Any:
     """-1 or 1."""
     return computed(lambda rng, _: int(rng.choice([-1, 1])))
+
+
+def makers[Design](
+    category: str,
+    stream: int,
+    design: Callable[..., Design],
+    draw_novel: Callable[[np.random.Generator], Design],
+    build: Callable[[str, Design], ArticulatedObject],
+) -> tuple[Callable[[int], ArticulatedObject], Callable[[int], ArticulatedObject]]:
+    """Returns what builds a category's objects by number: the seen and unseen ones, and the novel ones.
+
+    They are drawn by a generator that is seeded by the number and by ``stream``, the category's own.
+    """
+
+    def make(number: int) -> ArticulatedObject:
+        return build(f"{category}_{number:03d}", draw(design, np.random.default_rng([number, stream])))
+
+    def make_novel(number: int) -> ArticulatedObject:
+        return build(f"{category}_n{number:03d}", draw_novel(np.random.default_rng([number, stream, 1])))
+
+    return make, make_novel

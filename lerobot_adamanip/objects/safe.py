@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
-from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, picked, uniform
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, either_side, makers, picked, uniform
 from lerobot_adamanip.objects.geometry.shapes import ball_bar, box, chamfered_box, disk, dot, mark, prism, rod
 
 Range = tuple[float, float]
@@ -89,11 +89,6 @@ class SafeDesign:
         return -self.hinge_side * uv[0] * self.door_width, (uv[1] - 0.5) * self.door_height
 
 
-def draw_design(rng: np.random.Generator) -> SafeDesign:
-    """Draws the parameters of one safe. Handle and knob are placed so that a hand at one clears the other."""
-    return draw(SafeDesign, rng)
-
-
 def _draw_layout(
     rng: np.random.Generator, width: float, height: float, ranges: Sequence[Range], apart: float
 ) -> tuple[Range, Range]:
@@ -106,7 +101,7 @@ def _draw_layout(
 
 def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
     """Draws a safe narrower and taller, or wider and lower, than any seen one, handle and knob in new styles."""
-    base = draw_design(rng)
+    base = draw(SafeDesign, rng)
     tall = rng.random() < 0.5
     width = rng.uniform(0.29, 0.33) if tall else rng.uniform(0.47, 0.50)
     height = rng.uniform(0.49, 0.56) if tall else rng.uniform(0.27, 0.31)
@@ -265,4 +260,4 @@ def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
     return (*shapes, mark((tip, 0, up), (0.0012, 0.0018, radius * 0.22), white))
 
 
-make_safe, make_novel_safe = makers("safe", 0x5AFE, draw_design, draw_novel_design, build_safe)
+make_safe, make_novel_safe = makers("safe", 0x5AFE, SafeDesign, draw_novel_design, build_safe)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing, makers
-from lerobot_adamanip.objects.drawing import chosen, computed, draw, either_side, picked, shaded, uniform
+from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, facing
+from lerobot_adamanip.objects.drawing import chosen, computed, draw, either_side, makers, picked, shaded, uniform
 from lerobot_adamanip.objects.fittings.framing import FINISHES, GAP, Surround, knuckles
 from lerobot_adamanip.objects.fittings.handles import METALS, HandleDesign, draw_handle, handle_link, plate_shapes
 from lerobot_adamanip.objects.fittings.leaves import Field, at_field, glazing
@@ -106,14 +106,9 @@ class WindowDesign:
         return left, right, top
 
 
-def draw_design(rng: np.random.Generator) -> WindowDesign:
-    """Draws the parameters of one window."""
-    return draw(WindowDesign, rng)
-
-
 def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
     """Draws a window narrower and taller, or wider and lower, than any seen one, bars and handle in new styles."""
-    base = draw_design(rng)
+    base = draw(WindowDesign, rng)
     tall = rng.random() < 0.5
     height = rng.uniform(0.54, 0.62) if tall else rng.uniform(0.29, 0.34)
     color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))]) * rng.uniform(0.9, 1.1)
@@ -218,4 +213,4 @@ def _sash_shapes(design: WindowDesign) -> tuple[Shape, ...]:
     return tuple(shapes + glazing(glass, design.hinge_side, THICKNESS, design.frame, bars=design.bars))
 
 
-make_window, make_novel_window = makers("window", 0x51D0, draw_design, draw_novel_design, build_window)
+make_window, make_novel_window = makers("window", 0x51D0, WindowDesign, draw_novel_design, build_window)

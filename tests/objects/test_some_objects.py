@@ -11,8 +11,9 @@ from solids import HALF_OPENING, box_points, contains, digest, filling, hand, na
 from test_every_object import objects
 
 from lerobot_adamanip.catalog import make_object
+from lerobot_adamanip.objects.drawing import draw
 from lerobot_adamanip.objects.fittings.handles import KNOBS
-from lerobot_adamanip.objects.lamp.generator import draw_design
+from lerobot_adamanip.objects.lamp.generator import LampDesign
 from lerobot_adamanip.objects.lamp.heads import HEADS
 
 
@@ -67,7 +68,7 @@ def test_a_hand_above_a_lamp_s_switch_has_room_and_a_spring_carries_the_switch()
 
 
 def test_every_kind_of_lamp_head_gets_drawn() -> None:
-    assert {draw_design(np.random.default_rng(seed)).head.style for seed in range(200)} == set(HEADS)
+    assert {draw(LampDesign, np.random.default_rng(seed)).head.style for seed in range(200)} == set(HEADS)
 
 
 def test_a_closed_hand_pushes_a_microwave_s_button_home_and_a_spring_presses_it_out() -> None:
@@ -120,7 +121,8 @@ def test_a_coffee_maker_s_decoration_too_stays_out_of_the_hand_s_way() -> None:
 def test_how_far_a_key_goes_is_not_to_be_seen(module: str, hidden: str, values: tuple[float, float]) -> None:
     category = module.partition(".")[0]
     generator = importlib.import_module(f"lerobot_adamanip.objects.{module}")
-    design, build = generator.draw_design(np.random.default_rng(7)), getattr(generator, f"build_{category}")
+    design = draw(getattr(generator, f"{category.capitalize()}Design"), np.random.default_rng(7))
+    build = getattr(generator, f"build_{category}")
     one, other = (build(f"{category}_007", replace(design, **{hidden: value})) for value in values)
     shown = [digest(replace(obj, links=tuple(replace(link, joint=None) for link in obj.links))) for obj in (one, other)]
     assert shown[0] == shown[1]

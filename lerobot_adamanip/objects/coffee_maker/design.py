@@ -34,6 +34,7 @@ NOVEL_COLORS = ((0.72, 0.30, 0.04), (0.30, 0.05, 0.20), (0.10, 0.28, 0.10), (0.7
 @dataclass(frozen=True, kw_only=True)
 class CoffeeMakerDesign:
     """The parameters of one machine [m]. ``x`` values are measured from the group's axis, forwards.
+    Nothing but group and tray comes farther forward than that axis.
 
     Attributes:
         tray_height: of the base with the drip tray.
@@ -76,14 +77,9 @@ class CoffeeMakerDesign:
         return self.axis_x + self.head_x
 
 
-def draw_design(rng: np.random.Generator) -> CoffeeMakerDesign:
-    """Draws the parameters of one machine. Nothing but group and tray comes farther forward than the group's axis."""
-    return draw(CoffeeMakerDesign, rng)
-
-
 def draw_novel_design(rng: np.random.Generator) -> CoffeeMakerDesign:
     """Draws a machine slimmer, or wider and lower, than any seen one, in new styles all over."""
-    base = draw_design(rng)
+    base = draw(CoffeeMakerDesign, rng)
     slim = rng.random() < 0.5
     body = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], rng.uniform(0.25, 0.45), 0.1)
     return replace(

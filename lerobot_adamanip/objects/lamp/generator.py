@@ -21,6 +21,7 @@ from lerobot_adamanip.objects.base import (
     any_roll,
     from_above,
 )
+from lerobot_adamanip.objects.drawing import chosen, computed, uniform
 from lerobot_adamanip.objects.geometry.rounded import revolved, slab
 from lerobot_adamanip.objects.geometry.shapes import box, mark, rod, without_collision
 from lerobot_adamanip.objects.lamp.heads import BRASS, HAND_CLEARANCE, HEADS, METALS, PAINTS, WIDE, WOODS, Head, Place
@@ -35,7 +36,7 @@ SPRING, SPRING_REST = 150.0, -0.012
 """The button's spring [N/m], slack above its rest position [m]: it carries the cap with 1.8 N and brings it back."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LampDesign:
     """The parameters of one lamp [m, rad].
 
@@ -49,17 +50,22 @@ class LampDesign:
         turn_range: of the switch as a knob, to either side.
     """
 
-    bearing: float
-    distance: float
-    head: Head
-    base_style: str
-    thickness: float
-    base: Material
-    knob_style: str
-    knob_radius: float
-    knob: Material
-    travel: float
-    turn_range: float
+    drawn: tuple[float, Head] = computed(
+        lambda rng, _: _draw_bearing(rng, Head.drawn(rng, str(rng.choice(list(HEADS)))))
+    )
+    bearing: float = computed(lambda rng, d: d.drawn[0])
+    head: Head = computed(lambda rng, d: d.drawn[1])
+    base_style: str = chosen(BASE_STYLES)
+    base: Material = computed(lambda rng, d: _draw_base(rng, d.base_style, d.head.metal))
+    distance: float = computed(lambda rng, d: d.head.clear_distance(HAND_CLEARANCE) + rng.uniform(0.0, 0.012))
+    thickness: float = computed(
+        lambda rng, d: rng.uniform(*((0.026, 0.036) if d.base_style == "block" else (0.013, 0.020)))
+    )
+    knob_style: str = chosen(KNOB_STYLES)
+    knob_radius: float = uniform(0.011, 0.020)
+    knob: Material = computed(lambda rng, d: (*METALS, BRASS, d.head.metal, PAINTS[0], WOODS[0])[rng.integers(8)])
+    travel: float = uniform(0.020, 0.024)
+    turn_range: float = uniform(1.25, 1.57)
 
     @property
     def knob_margin(self) -> float:
@@ -76,32 +82,19 @@ class LampDesign:
         return Place(shift, shift + foot, away, (upper - lower) / 2, self.thickness)
 
 
-def draw_design(rng: np.random.Generator) -> LampDesign:
-    """Draws one lamp: the head first, as it decides how far from the switch the stem has to stand."""
-    head = Head.drawn(rng, str(rng.choice(list(HEADS))))
+def _draw_bearing(rng: np.random.Generator, head: Head) -> tuple[float, Head]:
     bearing = rng.uniform(-0.4, 0.4)
     if rng.random() < 0.4 and head.style not in WIDE:
         bearing = rng.choice([-1, 1]) * rng.uniform(1.15, 1.5)
         # An arm beside the switch reaches back: in front of it is the robot's own.
         head = replace(head, side=int(np.sign(bearing)))
-    base_style = str(rng.choice(BASE_STYLES))
-    wooden = base_style in ("plate", "block") and rng.random() < 0.35
-    paints = (head.metal, head.metal, *PAINTS)
-    base = WOODS[rng.integers(len(WOODS))] if wooden else paints[rng.integers(len(paints))]
-    knobs = (*METALS, BRASS, head.metal, PAINTS[0], WOODS[0])
-    return LampDesign(
-        bearing=float(bearing),
-        distance=head.clear_distance(HAND_CLEARANCE) + rng.uniform(0.0, 0.012),
-        head=head,
-        base_style=base_style,
-        thickness=rng.uniform(0.026, 0.036) if base_style == "block" else rng.uniform(0.013, 0.020),
-        base=base,
-        knob_style=str(rng.choice(KNOB_STYLES)),
-        knob_radius=rng.uniform(0.011, 0.020),
-        knob=knobs[rng.integers(len(knobs))],
-        travel=rng.uniform(0.020, 0.024),
-        turn_range=rng.uniform(1.25, 1.57),
-    )
+    return float(bearing), head
+
+
+def _draw_base(rng: np.random.Generator, style: str, metal: Material) -> Material:
+    wooden = style in ("plate", "block") and rng.random() < 0.35
+    looks = WOODS if wooden else (metal, metal, *PAINTS)
+    return looks[rng.integers(len(looks))]
 
 
 def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
+from lerobot_adamanip.objects.drawing import draw
 from lerobot_adamanip.objects.geometry.rounded import revolved
 from lerobot_adamanip.objects.geometry.shapes import rod
-from lerobot_adamanip.objects.lamp.generator import LampDesign, draw_design
+from lerobot_adamanip.objects.lamp.generator import LampDesign
 from lerobot_adamanip.objects.lamp.heads import HAND_CLEARANCE, METALS, Head, Place
 
 RADII = {"pagoda": (0.060, 0.072), "stack": (0.046, 0.056), "candle": (0.046, 0.056), "tulip": (0.050, 0.062)}
@@ -73,7 +74,7 @@ class NovelHead(Head):
 
 def draw_novel_design(rng: np.random.Generator) -> LampDesign:
     """Draws a lamp with a head, a base and a switch in new styles."""
-    base = draw_design(rng)
+    base = draw(LampDesign, rng)
     style = str(rng.choice(list(RADII)))
     shade = Material(_COLORS[rng.integers(len(_COLORS))], 0.4)
     head = NovelHead(

@@ -109,14 +109,9 @@ class MicrowaveDesign:
         return self.y(self.width - self.panel / 2)
 
 
-def draw_design(rng: np.random.Generator) -> MicrowaveDesign:
-    """Draws one oven: compact or full size, handle within reach of the hinge, button below it in the panel."""
-    return draw(MicrowaveDesign, rng)
-
-
 def draw_novel_design(rng: np.random.Generator) -> MicrowaveDesign:
     """Draws a small or a large oven of new proportions, with new handle, button and window."""
-    base = draw_design(rng)
+    base = draw(MicrowaveDesign, rng)
     width = rng.uniform(0.35, 0.375) if rng.random() < 0.5 else rng.uniform(0.495, 0.52)
     height = rng.uniform(0.30, 0.335)
     panel = float(np.clip(width * rng.uniform(0.24, 0.27), 0.094, 0.130))

@@ -38,7 +38,7 @@ NOVEL_COLORS = ((0.02, 0.30, 0.34), (0.55, 0.30, 0.42), (0.36, 0.17, 0.06), (0.5
 
 @dataclass(frozen=True, kw_only=True)
 class PressureCookerDesign:
-    """The parameters of one cooker [m]."""
+    """The parameters of one cooker [m]. The grip is far enough out for a hand to clear the dome."""
 
     radius: float = uniform(0.092, 0.124)
     handle_reach: float = uniform(0.066, 0.078)
@@ -78,14 +78,9 @@ class PressureCookerDesign:
         return self.radius + self.handle_reach
 
 
-def draw_design(rng: np.random.Generator) -> PressureCookerDesign:
-    """Draws the parameters of one cooker. The grip is far enough out for a hand to clear the dome."""
-    return draw(PressureCookerDesign, rng)
-
-
 def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:
     """Draws a cooker wider and lower, or slimmer and taller, than any seen one, in new styles all over."""
-    base = draw_design(rng)
+    base = draw(PressureCookerDesign, rng)
     wide = rng.random() < 0.5
     radius = rng.uniform(0.126, 0.134) if wide else rng.uniform(0.082, 0.090)
     color = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], 0.25, 0.1)
