@@ -1,7 +1,6 @@
 """Generator of coffee makers."""
 
-from lerobot_adamanip.objects.coffee_maker.design import CoffeeMakerDesign, draw_novel_design
-from lerobot_adamanip.objects.coffee_maker.generator import build_coffee_maker
+from lerobot_adamanip.objects.coffee_maker.generator import CoffeeMakerDesign, build_coffee_maker, draw_novel_design
 from lerobot_adamanip.objects.drawing import makers
 
 make_coffee_maker, make_novel_coffee_maker = makers(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from lerobot_adamanip.objects.base import Material, Shape
-from lerobot_adamanip.objects.coffee_maker.design import BLACK, CoffeeMakerDesign
 from lerobot_adamanip.objects.geometry.rounded import revolved, round_cornered, upright
 from lerobot_adamanip.objects.geometry.shapes import disk, dot, mark, rod
 
+if TYPE_CHECKING:
+    from lerobot_adamanip.objects.coffee_maker.generator import CoffeeMakerDesign
+
+BLACK = Material((0.022, 0.022, 0.025), 0.5)
 GLASS = Material((0.01, 0.012, 0.015), 0.12)
 WHITE = Material((0.85, 0.85, 0.83), 0.4)
 RED = Material((0.65, 0.03, 0.02), 0.4)

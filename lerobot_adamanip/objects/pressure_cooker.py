@@ -5,13 +5,15 @@ The lid's handle stands over the pot's, as on a closed cooker, and turns either 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Shape, annotate, from_above
+from lerobot_adamanip.objects.drawing import chance, chosen, computed, draw, makers, picked, uniform
 from lerobot_adamanip.objects.geometry.rounded import SMOOTH, bar, revolved, upright
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark, rod
-from lerobot_adamanip.objects.pressure_cooker.design import PressureCookerDesign
 
 LID_RANGE = 0.824
 """Nominal turn of the lid to either side [rad] (paper code)."""
@@ -22,12 +24,93 @@ GAP = 0.0015
 LOOP_DEPTH = 0.045
 HANDLE_GAP = 0.010
 """Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
+_STEELS = (
+    Material((0.80, 0.81, 0.83), 0.25, 0.7), Material((0.66, 0.67, 0.69), 0.32, 0.75),
+    Material((0.76, 0.75, 0.72), 0.42, 0.7),
+)  # fmt: skip
+_ENAMELS = (
+    Material((0.50, 0.02, 0.025), 0.25, 0.1), Material((0.03, 0.08, 0.22), 0.25, 0.1),
+    Material((0.04, 0.20, 0.12), 0.25, 0.1), Material((0.60, 0.20, 0.02), 0.25, 0.1),
+    Material((0.70, 0.68, 0.60), 0.25, 0.1), Material((0.07, 0.07, 0.075), 0.35, 0.2),
+)  # fmt: skip
+_PLASTICS = tuple(
+    Material(color, 0.45)
+    for color in ((0.018, 0.018, 0.02), (0.05, 0.05, 0.055), (0.11, 0.02, 0.015), (0.09, 0.05, 0.03))
+)
+_ACCENTS = tuple(
+    Material(color, 0.35) for color in ((0.65, 0.05, 0.02), (0.75, 0.38, 0.02), (0.05, 0.30, 0.10), (0.60, 0.60, 0.62))
+)
+BODY_STYLES = ("straight", "bellied", "tapered")
+LID_STYLES = ("dome", "stepped", "flat")
+VALVE_STYLES = ("weight", "indicator", "dial")
+HANDLE_STYLES = ("straight", "tapered", "moulded")
+
+NOVEL_BODY_STYLES = ("bowl", "chamfered")
+NOVEL_LID_STYLES = ("cone", "plateau")
+NOVEL_VALVE_STYLES = ("bell", "twin")
+NOVEL_COLORS = ((0.02, 0.30, 0.34), (0.55, 0.30, 0.42), (0.36, 0.17, 0.06), (0.55, 0.50, 0.06), (0.20, 0.10, 0.34))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressureCookerDesign:
+    """The parameters of one cooker [m]. The grip is far enough out for a hand to clear the dome."""
+
+    radius: float = uniform(0.092, 0.124)
+    handle_reach: float = uniform(0.066, 0.078)
+    steel: Material = picked(_STEELS)
+    enamel: Material = picked(_ENAMELS)
+    coloured: bool = chance(0.45)
+    height: float = computed(lambda rng, d: float(np.clip(2 * d.radius * rng.uniform(0.58, 0.88), 0.12, 0.185)))
+    body_style: str = chosen(BODY_STYLES)
+    lid_style: str = chosen(LID_STYLES)
+    lid_rise: float = uniform(0.024, 0.042)
+    valve_style: str = chosen(VALVE_STYLES)
+    handle_style: str = chosen(HANDLE_STYLES)
+    handle_length: float = computed(lambda rng, d: d.handle_reach + rng.uniform(0.045, 0.075))
+    handle_half: tuple[float, float] = computed(
+        lambda rng, d: (rng.uniform(0.011, 0.0145), rng.uniform(0.0105, 0.0135))
+    )
+    helper_loop: bool = chance(0.75)
+    band: bool = chance(0.5)
+    body: Material = computed(lambda rng, d: d.enamel if d.coloured else d.steel)
+    lid: Material = computed(lambda rng, d: d.steel if not d.coloured or rng.random() < 0.7 else d.enamel)
+    plastic: Material = picked(_PLASTICS)
+    accent: Material = picked(_ACCENTS)
+
+    @property
+    def axis_x(self) -> float:
+        """Where the pot's axis is: a radius behind its front [m]."""
+        return -self.radius
+
+    @property
+    def handle_z(self) -> float:
+        """Height of the lid handle's middle [m]."""
+        return self.height + 0.002 + self.handle_half[1]
+
+
+def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:
+    """Draws a cooker wider and lower, or slimmer and taller, than any seen one, in new styles all over."""
+    base = draw(PressureCookerDesign, rng)
+    wide = rng.random() < 0.5
+    radius = rng.uniform(0.126, 0.134) if wide else rng.uniform(0.082, 0.090)
+    color = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], 0.25, 0.1)
+    return replace(
+        base,
+        radius=radius,
+        height=rng.uniform(0.098, 0.116) if wide else rng.uniform(0.188, 0.21),
+        body_style=str(rng.choice(NOVEL_BODY_STYLES)),
+        lid_style=str(rng.choice(NOVEL_LID_STYLES)),
+        lid_rise=rng.uniform(0.026, 0.038),
+        valve_style=str(rng.choice(NOVEL_VALVE_STYLES)),
+        handle_style="banded",
+        body=color,
+        lid=color if rng.random() < 0.5 else base.steel,
+    )
 
 
 def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> ArticulatedObject:
     """Builds the links and the annotation of a design: joints ``lift`` and ``lid``, part ``handle`` (the lid's)."""
-    rim = (design.axis_x, 0.0, design.height)
-    up = (0.0, 0.0, 1.0)
+    rim, up = (design.axis_x, 0.0, design.height), (0.0, 0.0, 1.0)
     # An arm reaching down gives by half a millimetre per newton: a lid of sheet aluminium, as light as real ones are.
     lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), damping=8.0)
     lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), damping=0.15)
@@ -36,7 +119,7 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
         Link("seal", seal_shapes(design), mass=0.05, parent="pot", joint=lift),
         Link("lid", lid_shapes(design), mass=0.4, parent="seal", joint=lid),
     )
-    grip = (design.axis_x + design.grip_radius, 0.0, design.handle_z + 0.002)
+    grip = (design.axis_x + (design.radius + design.handle_reach), 0.0, design.handle_z + 0.002)
     depth = 2 * design.radius + (LOOP_DEPTH if design.helper_loop else 0.0)
     return ArticulatedObject(
         object_id,
@@ -69,8 +152,7 @@ def pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
         revolved(axis, [(r + 0.0015, h - 0.012), (r + 0.0015, h - 0.0005)], design.steel, sides=SMOOTH, collides=False),
     ]
     if design.band:
-        level = 0.68 * h
-        band = [(r + 0.001, level), (r + 0.001, level + 0.004)]
+        band = [(r + 0.001, 0.68 * h), (r + 0.001, 0.68 * h + 0.004)]
         shapes.append(revolved(axis, band, design.steel, sides=SMOOTH, collides=False))
     shapes += _pot_handle_shapes(design)
     if design.helper_loop:
@@ -110,8 +192,7 @@ def seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
 
 def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     """The lid about its axis, z from the rim."""
-    r, rise = design.radius + 0.004, design.lid_rise
-    edge = 0.011
+    r, rise, edge = design.radius + 0.004, design.lid_rise, 0.011
     outlines = {
         "dome": [(r, edge)] + [(r * np.sin(a), edge + (rise - edge) * np.cos(a)) for a in np.linspace(1.25, 0.12, 6)],
         "stepped": [(r, edge), (r - 0.004, edge + 0.003), (0.80 * r, rise - 0.005), (0.74 * r, rise - 0.001),
@@ -134,18 +215,13 @@ def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     return tuple(shapes + _valve_shapes(design, top) + _lid_handle_shapes(design, edge, top))
 
 
-def _safety_plug(design: PressureCookerDesign, low: float) -> list[Shape]:
-    """The small plug beside the valve; it stands at the height ``low`` [m]."""
-    along, side = 0.05 * design.radius, -0.42 * design.radius
-    return [
+def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
+    black, white, steel = Material((0.02, 0.02, 0.022), 0.5), Material((0.9, 0.9, 0.9), 0.5), design.steel
+    low, along, side = top - 0.004, 0.05 * design.radius, -0.42 * design.radius
+    shapes = [  # of the safety plug, beside the valve
         upright((along, side, low), 0.009, 0.007, design.accent),
         upright((along, side, low + 0.007), 0.0045, 0.002, design.steel, collides=False),
     ]
-
-
-def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
-    black, steel = Material((0.02, 0.02, 0.022), 0.5), design.steel
-    shapes = _safety_plug(design, top - 0.004)
     if design.valve_style == "bell":
         shapes += [
             upright((0, 0, top), 0.006, 0.008, steel),
@@ -167,10 +243,7 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
         shapes += [
             revolved((0, 0, top - 0.002), [(0.026, 0), (0.024, 0.007), (0.018, 0.009)], black),
             upright((0, 0, top + 0.014), 0.0075, 0.008, design.accent),
-            *(
-                upright((0, 0, top + z), 0.0078, 0.0009, Material((0.9, 0.9, 0.9), 0.5), collides=False)
-                for z in (0.012, 0.017)
-            ),
+            *(upright((0, 0, top + z), 0.0078, 0.0009, white, collides=False) for z in (0.012, 0.017)),
         ]
     else:
         shapes += [
@@ -185,8 +258,7 @@ def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) ->
     """The upper handle: a bracket on the dome and the grip beyond the rim."""
     r, z = design.radius, design.handle_z - design.height
     half_width, half_height = design.handle_half
-    start = r + 0.007
-    shapes = _grip_shapes(design, (start, r + design.handle_length), z, design.handle_half)
+    shapes = _grip_shapes(design, (r + 0.007, r + design.handle_length), z, design.handle_half)
     saddle = [(0.62 * r, top - 0.001, 0.8 * half_width, 0.004), (0.70 * r, top + 0.001, half_width, 0.006),
               (r + 0.012, z, half_width + 0.001, half_height)]  # fmt: skip
     shapes.append(bar(saddle, design.plastic, squareness=0.5, collides=False))
@@ -204,8 +276,7 @@ def _grip_shapes(
 ) -> list[Shape]:
     """A handle along x between two ``ends``: parallel sides where fingers close, shape where they do not."""
     (start, end), (w, h), plastic = ends, half, design.plastic
-    tail = end - 0.022
-    low = z - droop
+    tail, low = end - 0.022, z - droop
     if design.handle_style == "straight":
         stations = [(start, z, w, h), (tail, z, w, h), (end - 0.003, low, w, 0.9 * h), (end, low, 0.8 * w, 0.7 * h)]
         return [bar(stations, plastic, squareness=0.45), _eyelet(design, end, low)]
@@ -221,3 +292,8 @@ def _grip_shapes(
     hump = [(start, z, w + 0.004, h), (start + 0.018, z, w + 0.005, h), (start + 0.030, z, w, 0.9 * h)]
     bulb = [(tail, z, w, 0.85 * h), (end - 0.006, low, w + 0.003, h), (end + 0.002, low, 0.8 * w, 0.75 * h)]
     return [bar(each, plastic, squareness=0.7) for each in (grip, hump, bulb)]
+
+
+make_pressure_cooker, make_novel_pressure_cooker = makers(
+    "pressure_cooker", 0xC270, PressureCookerDesign, draw_novel_design, build_pressure_cooker
+)
