@@ -64,7 +64,7 @@ def _fields(plan: LeafPlan) -> list[Field]:
     if plan.style in ("four panels", "six panels", "eight panels"):
         columns = [(left, middle - 0.022), (middle + 0.022, right)]
     low, mid, high = 1.3 * s, 0.48 * h, h - s
-    rows = {
+    special = {
         "one panel": [(low, high)],
         "six panels": [(low, mid - rail), (mid + rail, 0.79 * h), (0.79 * h + 0.045, high)],
         "ladder": [(low, 0.24 * h), (0.24 * h + 0.05, mid - rail), (mid + rail, 0.75 * h), (0.75 * h + 0.05, high)],
@@ -72,7 +72,8 @@ def _fields(plan: LeafPlan) -> list[Field]:
             (low, 0.24 * h), (0.24 * h + 0.04, mid - rail), (mid + rail, 0.75 * h), (0.75 * h + 0.04, high),
         ],
         "high window": [(low, mid - rail), (0.70 * h, high)],
-    }.get(plan.style, [(low, mid - rail), (mid + rail, high)])  # fmt: skip
+    }  # fmt: skip
+    rows = special.get(plan.style, [(low, mid - rail), (mid + rail, high)])
     return [(u0, u1, v0, v1) for v0, v1 in rows for u0, u1 in columns]
 
 
