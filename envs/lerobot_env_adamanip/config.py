@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
+from lerobot_adamanip.contract.cameras import CAMERAS, image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.schema import (
@@ -26,7 +27,6 @@ from lerobot_adamanip.contract.schema import (
 from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
-from lerobot_env_adamanip.cameras import CAMERAS
 from lerobot_env_adamanip.sim.render_device import observes_images
 
 if TYPE_CHECKING:
@@ -114,8 +114,8 @@ class AdaManipEnvConfig(EnvConfig):
             "point_cloud": (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD),
         }
         if self.observe_images is not False:
-            for name, view in CAMERAS.items():
-                table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), view.column)
+            for name in CAMERAS:
+                table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 

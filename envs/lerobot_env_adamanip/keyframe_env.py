@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
@@ -23,7 +24,6 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
 from lerobot_adamanip.util.fingerprint import versions
-from lerobot_env_adamanip.cameras import CAMERAS, FRONT
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 from lerobot_env_adamanip.simulator import make_task, sensors_name
@@ -199,14 +199,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Returns the positions of all joints, (13,), see `schema.JOINT_NAMES`: for records."""
         return self._running().views.joints()
 
-    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Returns the picture (H, W, 3) with all ``joints`` (13,) as given, at rest; raises `SimulatorError`.
+    def pictures_at(self, joints: NDArray[np.float32]) -> dict[str, NDArray[np.uint8]]:
+        """Returns each camera's picture (H, W, 3) with all ``joints`` (13,) as given, at rest; raises `SimulatorError`.
 
         The episode cannot be continued after that.
         """
         views = self._running().views
         views.set_joints(joints)
-        return views.image()
+        return {name: views.image(name) for name in CAMERAS}
 
     def fingerprint(self) -> dict[str, str]:
         """Returns hashes of the code that decides episodes, versions, and what makes observations.

@@ -17,6 +17,7 @@ from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.record import EnvFactory
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import (
@@ -245,8 +246,9 @@ def _with_images(env: SimulatedEnvironment, stored: _Stored, row: dict[str, Any]
     overrides = {} if record["hidden_overrides"] is None else {"hidden_overrides": record["hidden_overrides"]}
     env.reset(seed=record["seed"], options={"object_id": record["object_id"], **overrides})
     _require_same_scene(env, record, columns[schema.JOINTS][0])
-    images = np.stack([env.picture_at(joints) for joints in columns[schema.JOINTS]])
-    return RecordedEpisode({**columns, schema.FRONT_IMAGE: images}, record)
+    pictures = [env.pictures_at(joints) for joints in columns[schema.JOINTS]]
+    images = {image_column(name): np.stack([each[name] for each in pictures]) for name in pictures[0]}
+    return RecordedEpisode({**columns, **images}, record)
 
 
 def _record(row: dict[str, Any], stored: _Stored, fingerprint: str) -> dict[str, Any]:
@@ -263,7 +265,7 @@ def _record(row: dict[str, Any], stored: _Stored, fingerprint: str) -> dict[str,
 def _columns(stored: _Stored, row: dict[str, Any]) -> tuple[str, dict[str, NDArray[Any]]]:
     """Returns an episode's task and columns."""
     part = stored.source.rows(row)
-    features = schema.dataset_features(stored.manifest.spec.environment.num_points, images=False)
+    features = schema.dataset_features(stored.manifest.spec.environment.num_points, cameras=())
     columns = {
         key: _array(part[key]).astype(feature["dtype"], copy=False).reshape(len(part), *feature["shape"])
         for key, feature in features.items()

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.observation import Observation, observation_columns
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -102,5 +102,5 @@ def _batch(observation: Observation, instruction: str) -> dict[str, Any]:
     batch: dict[str, Any] = {"task": [instruction]}
     for key, value in observation_columns(observation).items():
         tensor = torch.from_numpy(value)[None]
-        batch[key] = tensor.permute(0, 3, 1, 2).float() / 255 if key == schema.FRONT_IMAGE else tensor
+        batch[key] = tensor.permute(0, 3, 1, 2).float() / 255 if is_image_column(key) else tensor
     return batch

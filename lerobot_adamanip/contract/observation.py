@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import Cloud, Workspace, farthest_point_order
 from lerobot_adamanip.contract.rotations import pose_vector
 
 Observation = Mapping[str, Any]
 """As the environments return it: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and
-``pixels["front"]`` (H, W, 3) where images are observed."""
+``pixels``, camera -> (H, W, 3), where images are observed."""
 
 
 class RepeatedPointsWarning(UserWarning):
@@ -45,10 +46,9 @@ def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np
 
 def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
     """Returns the dataset columns of one Gym observation: copies, so that the environment may reuse its buffers."""
-    pixels = observation.get("pixels", {})
     return {
         schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32).reshape(-1),
         schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),
         schema.EFFORT: np.array(observation["effort"], dtype=np.float32),
-        **({schema.FRONT_IMAGE: np.array(pixels["front"], dtype=np.uint8)} if "front" in pixels else {}),
+        **{image_column(name): np.array(image, np.uint8) for name, image in observation.get("pixels", {}).items()},
     }

@@ -7,15 +7,18 @@ LeRobot makes every such column a policy input.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
+
 POINT_CLOUD = "observation.point_cloud"
 STATE = "observation.state"
 EFFORT = "observation.effort"
-FRONT_IMAGE = "observation.images.front"
+FRONT_IMAGE = image_column(FRONT)
 ACTION = "action"
 PHASE = "complementary_info.phase"
 TRIAL = "complementary_info.trial"
@@ -74,7 +77,7 @@ FIXED_RANGE_DIMS = (*range(3, 9), GRIPPER_DIM)
 
 
 def dataset_features(
-    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, images: bool = True
+    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = CAMERAS
 ) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 
@@ -83,15 +86,15 @@ def dataset_features(
 
     Args:
         num_points: points per cloud, N.
-        image_size: height and width of the front image [px].
-        images: whether there is a column of them.
+        image_size: height and width of images [px].
+        cameras: names of those whose images have a column each.
     """
     image = {"dtype": "video", "shape": (image_size, image_size, 3), "names": ["height", "width", "channels"]}
     return {
         POINT_CLOUD: {"dtype": "float32", "shape": (3 * num_points,), "names": None},
         STATE: {"dtype": "float32", "shape": (STATE_DIM,), "names": list(STATE_NAMES)},
         EFFORT: {"dtype": "float32", "shape": (NUM_JOINTS,), "names": list(EFFORT_NAMES)},
-        **({FRONT_IMAGE: image} if images else {}),
+        **{image_column(name): dict(image) for name in cameras},
         ACTION: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
         **{key: {"dtype": dtype, "shape": (1,), "names": None} for key, dtype in LABEL_DTYPES.items()},
         EXECUTED: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},

@@ -15,11 +15,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
-_PNG = f"{schema.FRONT_IMAGE}.png"
-_PNG_ENDS = f"{schema.FRONT_IMAGE}.png_ends"
+_PNG, _PNG_ENDS = ".png", ".png_ends"
+"""Added to the name of a column of images: files one after the other, and where each of them ends."""
 _RECORD = "record"
 
 
@@ -42,10 +43,10 @@ class RecordedEpisode:
 def shard_bytes(episode: RecordedEpisode) -> bytes:
     """Returns an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
     tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
-    if schema.FRONT_IMAGE in tensors:
-        images = [_png(image) for image in tensors.pop(schema.FRONT_IMAGE)]
-        tensors[_PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
-        tensors[_PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
+    for key in filter(is_image_column, episode.columns):
+        images = [_png(image) for image in tensors.pop(key)]
+        tensors[key + _PNG] = np.frombuffer(b"".join(images), dtype=np.uint8)
+        tensors[key + _PNG_ENDS] = np.cumsum([len(image) for image in images]).astype(np.int64)
     header = {_RECORD: json.dumps(episode.record, sort_keys=True)}
     content: bytes = save(tensors, metadata=header)
     return content
@@ -67,11 +68,11 @@ def read_shard(path: Path) -> RecordedEpisode:
         with safe_open(path, framework="numpy") as file:
             columns = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
             record = json.loads(file.metadata()[_RECORD])
-        if _PNG_ENDS in columns:
-            ends = columns.pop(_PNG_ENDS).tolist()
-            png = columns.pop(_PNG).tobytes()
+        for key in [name.removesuffix(_PNG_ENDS) for name in columns if name.endswith(_PNG_ENDS)]:
+            ends = columns.pop(key + _PNG_ENDS).tolist()
+            png = columns.pop(key + _PNG).tobytes()
             images = [_unpng(png[start:end]) for start, end in zip([0, *ends[:-1]], ends, strict=True)]
-            columns[schema.FRONT_IMAGE] = np.stack(images)
+            columns[key] = np.stack(images)
     except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
         raise DatasetError(
             "Cannot read a recorded episode.",

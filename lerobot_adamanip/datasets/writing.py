@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.statistics import write_episodes
@@ -26,6 +27,7 @@ def create_dataset(
     num_points: int,
     image_size: int | None,
     intrinsics: list[list[float]] | None,
+    cameras: Collection[str] = CAMERAS,
     workspace: Workspace | None = None,
 ) -> Any:
     """Returns an empty LeRobotDataset with the contract's columns.
@@ -34,14 +36,16 @@ def create_dataset(
         root: a folder that does not exist.
         repo_id: for LeRobot.
         num_points: points per cloud.
-        image_size: height and width of the front image [px]; None for no images.
+        image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera for that size [px], if known.
+        cameras: names of those that took the images, the front one among them.
         workspace: box of the clouds, where no manifest tells it and it is not the default one.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
-    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, images=image_size is not None)
+    size, seen = image_size or schema.IMAGE_SIZE, () if image_size is None else cameras
+    features = schema.dataset_features(num_points, size, cameras=seen)
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
     if image_size is not None:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}

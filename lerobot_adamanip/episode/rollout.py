@@ -81,8 +81,8 @@ class SimulatedEnvironment(KeyframeEnvironment, Protocol):
     def render(self) -> NDArray[np.uint8]:
         """Picture (H, W, 3) of this moment."""
 
-    def picture_at(self, joints: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say, at rest."""
+    def pictures_at(self, joints: NDArray[np.float32]) -> dict[str, NDArray[np.uint8]]:
+        """Each camera's picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say."""
 
 
 @dataclass(frozen=True)

@@ -244,6 +244,7 @@ def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id:
         repo_id,
         num_points=options.rows.num_points,
         image_size=options.rows.image_size,
+        cameras=(FRONT_CAMERA,),
         intrinsics=first["camera"]["intrinsics"],
         workspace=None if options.rows.workspace == DEFAULT_WORKSPACE else options.rows.workspace,
     )

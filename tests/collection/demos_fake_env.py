@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.episode.options import EnvironmentOptions
@@ -89,9 +90,12 @@ class FakeEnv:
         return moved
 
     def render(self) -> np.ndarray:
-        return self.picture_at(self.joints())
+        return self.pictures_at(self.joints())["front"]
 
-    def picture_at(self, joints: np.ndarray) -> np.ndarray:
+    def pictures_at(self, joints: np.ndarray) -> dict[str, np.ndarray]:
+        return {name: self.picture(joints) ^ np.uint8(255 * number) for number, name in enumerate(CAMERAS)}
+
+    def picture(self, joints: np.ndarray) -> np.ndarray:
         corner = np.array((100 * joints[0], 100 * joints[9], (self.seed or 0) % 251), np.uint8)
         return np.full((self.image_size, self.image_size, 3), corner, dtype=np.uint8)
 
@@ -112,7 +116,7 @@ class FakeEnv:
         state = self.generator.normal(size=schema.STATE_DIM).astype(np.float32)
         state[:3] = self.pose[:3, 3]
         return {
-            **({"pixels": {"front": self.render()}} if self.options.observe_images else {}),
+            **({"pixels": self.pictures_at(self.joints())} if self.options.observe_images else {}),
             "agent_pos": state,
             "effort": self.generator.normal(size=schema.NUM_JOINTS).astype(np.float32),
             "point_cloud": self.generator.normal(size=(self.num_points, 3)).astype(np.float32),

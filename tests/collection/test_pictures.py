@@ -17,6 +17,10 @@ from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
+from lerobot_adamanip.contract.observation import observation_columns
+from lerobot_adamanip.datasets.check.contract import check_features
+from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.reading import load_check, open_dataset
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -55,6 +59,22 @@ def test_pictures_added_later_make_the_dataset_that_has_them_from_the_start(
     assert said[0] == ("render", 1, 6)
     assert said[-1] == ("assemble", 6, 6)
     assert not (tmp_path / f"{out.name}.partial").exists()
+
+
+def test_a_second_camera_is_recorded_for_one_row_of_the_table(
+    tmp_path: Path, bare: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(CAMERAS, "side", CAMERAS[FRONT])
+    env = make_env(make_spec().environment_of("safe"))
+    observation, _ = env.reset(seed=1, options={"object_id": "safe_000"})
+    assert observation_columns(observation).keys() >= {schema.FRONT_IMAGE, image_column("side")}
+    add_pictures(bare, out := tmp_path / "dataset", make_env)
+    assert schema.dataset_features(8, 64).keys() < load_check(out)["features"].keys()
+    row = open_dataset(out, video_backend="pyav", return_uint8=True)[0]
+    assert abs(row[image_column("side")].float().mean() + row[schema.FRONT_IMAGE].float().mean() - 255) < 12
+    report = Report()
+    check_features(load_check(out)["features"], report, collected=True)
+    assert report.clean
 
 
 def test_after_an_interruption_it_goes_on(tmp_path: Path, bare: Path, finished: Path) -> None:

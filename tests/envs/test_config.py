@@ -17,6 +17,7 @@ from lerobot.envs.factory import make_env, make_env_config
 
 import lerobot_env_adamanip  # noqa: F401  (registers the types)
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.seeds import scene_seed
 from lerobot_adamanip.episode.options import EnvironmentOptions
@@ -113,10 +114,13 @@ def test_locked_is_true_false_or_left_to_the_draw(given: str | None, overrides: 
 
 
 @pytest.mark.parametrize("images", [True, False])
-def test_features_agree_with_map_space_and_dataset(images: bool) -> None:
+def test_features_agree_with_map_space_and_dataset(images: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CAMERAS, "side", CAMERAS[FRONT])
     config = AdaManipSafeEnvConfig(observe_images=images, num_points=256, image_size=96)
     assert set(config.features) == set(config.features_map)
-    assert ("pixels/front" in config.features) is images
+    assert {name for name in config.features if "pixels" in name} == (
+        {"pixels/front", "pixels/side"} if images else set()
+    )
     env = FlatCloud(KeyframeEnv(**config.gym_kwargs))
     dataset = schema.dataset_features(num_points=256, image_size=96)
     for key, feature in config.features.items():

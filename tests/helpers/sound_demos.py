@@ -41,13 +41,13 @@ class SoundEnv(demos_fake_env.FakeEnv):
         lower, upper = np.array(DEFAULT_WORKSPACE.lower), np.array(DEFAULT_WORKSPACE.upper)
         cloud = self.generator.uniform(lower, upper, (self.num_points, 3))
         return {
-            **({"pixels": {"front": self.render()}} if self.options.observe_images else {}),
+            **({"pixels": self.pictures_at(self.joints())} if self.options.observe_images else {}),
             "agent_pos": np.concatenate([pose, rest]).astype(np.float32),
             "effort": self.generator.normal(size=schema.NUM_JOINTS).astype(np.float32),
             "point_cloud": cloud.astype(np.float32),
         }
 
-    def picture_at(self, joints: np.ndarray) -> np.ndarray:
+    def picture(self, joints: np.ndarray) -> np.ndarray:
         colour = np.array(
             (40 + (self.seed or 0) % 151, 40 + (self.seed or 0) // 7 % 151, 90 + 10 * joints[0]), np.uint8
         )

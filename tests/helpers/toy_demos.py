@@ -115,7 +115,7 @@ def record_toy(root: Path, worlds: Sequence[KinematicWorld], expert: str) -> Pat
     """Records one episode in each world as a LeRobotDataset; returns its folder."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    features = schema.dataset_features(NUM_POINTS, images=False)
+    features = schema.dataset_features(NUM_POINTS, cameras=())
     dataset = LeRobotDataset.create(REPO_ID, schema.FPS, features, root=root, use_videos=False)
     for seed, world in enumerate(worlds):
         for row in toy_episode(world, expert, seed):

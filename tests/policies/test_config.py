@@ -115,7 +115,7 @@ def test_it_looks_at_cloud_and_state_alone(method: str) -> None:
 
 @every_method
 def test_ten_numbers_with_other_names_are_no_pose(method: str) -> None:
-    config, named = config_of(method, **features()), schema.dataset_features(160, images=False)
+    config, named = config_of(method, **features()), schema.dataset_features(160, cameras=())
     config.set_dataset_feature_metadata(named)
     assert config.has_pose_layout
     named[schema.ACTION]["names"] = [f"joint_{index}.pos" for index in range(10)]

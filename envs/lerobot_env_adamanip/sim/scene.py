@@ -16,8 +16,8 @@ from mani_skill.utils.building.ground import build_ground
 from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.objects import ArticulatedObject, Material, Shape
-from lerobot_env_adamanip.cameras import CAMERAS, FRONT
 from lerobot_env_adamanip.sim.articulation import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
 
 PERSON_VIEW = 512

@@ -12,9 +12,9 @@ import numpy as np
 from mani_skill.sensors.camera import CameraConfig
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
-from lerobot_env_adamanip.cameras import FRONT
 from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
 from lerobot_env_adamanip.sim.picture_scene import PictureScene
 from lerobot_env_adamanip.sim.ray_camera import Body, RaycastSensor, shaded_picture, visible_bodies

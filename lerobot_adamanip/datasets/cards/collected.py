@@ -10,6 +10,7 @@ from typing import Any
 from lerobot_adamanip.assets import is_asset_id
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.attempts import (
     SUCCESS,
@@ -92,7 +93,7 @@ def common_fields(info: dict[str, Any], name: str, repo_id: str, episodes: int) 
         "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
     }
     columns = [
-        f"| `{key}` | {'video, ' if feature['dtype'] == 'video' else ''}{tuple(feature['shape'])} | {COLUMNS[key]} |"
+        f"| `{key}` | {'video, ' if feature['dtype'] == 'video' else ''}{tuple(feature['shape'])} | {_meaning(key)} |"
         for key, feature in info["features"].items()
         if key not in OF_LEROBOT
     ]
@@ -133,6 +134,10 @@ def _made(
         "fingerprint": ", ".join(parts.values()) if manifest is None else combined(manifest.fingerprint),
         "fingerprint_table": "\n".join(f"| {part} | `{value}` |" for part, value in sorted(parts.items())),
     }
+
+
+def _meaning(column: str) -> str:
+    return COLUMNS[schema.FRONT_IMAGE if is_image_column(column) else column]
 
 
 def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, object]:

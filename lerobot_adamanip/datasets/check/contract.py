@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.check.layout import INFO
 from lerobot_adamanip.hardware.features import is_dense, names_of
@@ -16,7 +17,6 @@ OF_LEROBOT: Mapping[str, str] = {
 """Columns that LeRobot adds to every dataset, and their dtypes."""
 REQUIRED = (schema.POINT_CLOUD, schema.STATE, schema.ACTION)
 """Columns of every dataset of ours; a robot's may lack others, a collection has all."""
-_IMAGES = "observation.images."
 
 
 def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *, collected: bool) -> None:
@@ -37,7 +37,7 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
             if found != right and not as_pictures and not (name == "names" and right is None):
                 report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}", INFO)
     for key in features:
-        if key.startswith("observation.") and key not in contract and not key.startswith(_IMAGES):
+        if key.startswith("observation.") and key not in contract and not is_image_column(key):
             report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
 
 
@@ -58,7 +58,8 @@ def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
     points = max(1, cloud[0] // 3) if cloud else schema.DEFAULT_NUM_POINTS
     size = image[0] if image else schema.IMAGE_SIZE
-    own = schema.dataset_features(points, size, images=schema.FRONT_IMAGE in features)
+    cameras = [name for name in CAMERAS if image_column(name) in features]
+    own = schema.dataset_features(points, size, cameras=cameras)
     return {**own, **{key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}}
 
 

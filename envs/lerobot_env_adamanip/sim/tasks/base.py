@@ -14,12 +14,12 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import get_object, select_objects
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
 from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
-from lerobot_env_adamanip.cameras import CAMERAS
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.contacts import HandTouch

@@ -1,11 +1,9 @@
-"""Cameras of the simulated environments: one row each. A second camera is a second row, here."""
+"""Cameras of the simulated environments: one row each, for observations and datasets alike."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-
-from lerobot_adamanip.contract.schema import FRONT_IMAGE
 
 
 @dataclass(frozen=True)
@@ -13,12 +11,10 @@ class CameraView:
     """A camera that stands still.
 
     Attributes:
-        column: of its pictures in datasets.
         eye, target: where it is and what it looks at, robot base frame [m]; both are drawn around these.
         field_of_view: [rad].
     """
 
-    column: str
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     field_of_view: float
@@ -28,6 +24,17 @@ FRONT = "front"
 """Camera whose depth makes the cloud, and which `render` shows."""
 CAMERAS = {
     # Third person, beside and above the arm (paper: one camera adjacent to the robot).
-    FRONT: CameraView(FRONT_IMAGE, (0.0, -0.58, 1.16), (0.60, 0.02, 0.70), math.radians(52)),
+    FRONT: CameraView((0.0, -0.58, 1.16), (0.60, 0.02, 0.70), math.radians(52)),
 }
 """Name in observations (``pixels``) -> camera. A row's draws follow those of the rows before it."""
+_COLUMNS = "observation.images."
+
+
+def image_column(camera: str) -> str:
+    """Returns the dataset column of a camera's pictures."""
+    return f"{_COLUMNS}{camera}"
+
+
+def is_image_column(column: str) -> bool:
+    """Returns whether a dataset column holds a camera's pictures."""
+    return column.startswith(_COLUMNS)
