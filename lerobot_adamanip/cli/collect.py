@@ -90,10 +90,6 @@ class Collect:
     late_starts: float = DEFAULT_LATE_STARTS
     """Share of episodes that start where another hand has driven some key frames and lost its grip."""
 
-    dense: bool = False
-    """Record every control tick instead of key frames, without pictures: DIR is a recording like a robot's, beside
-    whose episodes meta/key_frames.jsonl says which key frames are in them. Late starts are left out."""
-
     keep_failed: bool = False
     """Keep failed episodes too, in a second dataset, DIR-failed."""
 
@@ -150,8 +146,6 @@ class Collect:
             require_hub_name(self.repo_id)
         require_repo_id(self.repo_id, suffix="-failed" if self.keep_failed else "")
         self._require_whole()
-        if self.dense:
-            return self._dense()
         from lerobot_adamanip.cli.collect_setup import begin
 
         options, spec = self.options(), self.spec()
@@ -169,16 +163,6 @@ class Collect:
             self._publish()
         rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
         print_result(self.json, {**dataclasses.asdict(summary), **rate}, self._text(summary))
-        return 0
-
-    def _dense(self) -> int:
-        from lerobot_adamanip.experts import make_expert
-        from lerobot_env_adamanip.dense import collect_dense
-
-        spec = dataclasses.replace(self.spec(), late_starts=0.0)
-        with show_progress(_STAGES) as progress:
-            count = collect_dense(self.root, spec, make_expert, max_attempts=self.max_attempts, progress=progress)
-        print_result(self.json, {"root": self.root, "episodes": count}, f"{count} episodes, {self.root}")
         return 0
 
     def _publish(self) -> None:
@@ -229,7 +213,7 @@ class Collect:
             seed=self.seed,
         )
         # Last: finding a renderer may take seconds.
-        images = resolve_images((self.root, *self.adopt), self.images, self.no_images or self.dense)
+        images = resolve_images((self.root, *self.adopt), self.images, self.no_images)
         return dataclasses.replace(spec, environment=environment.changed(observe_images=images))
 
     def options(self) -> CollectOptions:

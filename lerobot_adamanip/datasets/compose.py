@@ -23,7 +23,7 @@ from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.datasets.statistics import sort_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, workspace_info
-from lerobot_adamanip.hardware.features import CALIBRATIONS, KEY_FRAMES, SAFETY, is_dense
+from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import parse, read
@@ -155,7 +155,6 @@ def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     first = pieces[0][0]
     if is_dense(first.info["features"]):
         _copy(first.root, out, _OF_ROBOT)
-        _write_known_key_frames(out, pieces)
     if selection is not None:
         write_selection(out, selection)
         _copy(first.root, out, _OF_COLLECTION)
@@ -182,14 +181,6 @@ def _require_same_calibrations(sources: Sequence[Source]) -> None:
             allowed=f"recordings with the same {' and '.join(_OF_ROBOT)}",
             hint=f"adamanip keyframes {names} --out BOTH converts each with its own",
         )
-
-
-def _write_known_key_frames(out: Path, pieces: Pieces) -> None:
-    """Copies the line of each episode, if all have one."""
-    known = {source.root: (_content(source.root / KEY_FRAMES) or b"").splitlines() for source, _ in pieces}
-    if all(episode < len(known[source.root]) for source, episode in pieces):
-        lines = [known[source.root][episode] + b"\n" for source, episode in pieces]
-        files.write_atomically(out / KEY_FRAMES, b"".join(lines))
 
 
 def _copy(source: Path, out: Path, names: Sequence[str]) -> None:

@@ -127,7 +127,7 @@ def _recording(folder: Path, features: dict[str, Any]) -> DatasetError:
     name = as_typed(folder)
     hint = f"adamanip keyframes {name} --out {name}-keyframes"
     if not any(key.endswith(DEPTH_SUFFIX) for key in features):
-        hint = "adamanip collect without --dense: this recording has no depth to make clouds of"
+        hint = "lerobot-record with a camera that tells depth: this recording has none to make clouds of"
     return DatasetError(
         "This is a recording of ticks, not a dataset of key frames.",
         got=f"{name}, without {schema.POINT_CLOUD}",

@@ -31,8 +31,6 @@ CALIBRATIONS = "meta/calibrations.json"
 """Calibration file of a recording."""
 SAFETY = "meta/safety.json"
 """`SafetyLimits` of a recording."""
-KEY_FRAMES = "meta/key_frames.jsonl"
-"""Key frames of a simulated recording, a line for each episode."""
 
 
 def names_of(feature: Mapping[str, Any] | None) -> list[str]:

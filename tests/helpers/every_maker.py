@@ -22,7 +22,7 @@ from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 from lerobot_adamanip.recordings.rows import RowOptions
 
 POLICY = "0123456789abcdef" * 2
-TICKS_ALONE, RECORDING, ROLLOUT = "collect --dense", "lerobot-record", "lerobot-rollout"
+TICKS_ALONE, RECORDING, ROLLOUT = "lerobot-record without a camera", "lerobot-record", "lerobot-rollout"
 DENSE = (TICKS_ALONE, RECORDING, ROLLOUT)
 """Recordings of ticks, not of key frames. The twin's have the columns of `lerobot-record`."""
 
@@ -95,11 +95,11 @@ def _taken_over(seed: int) -> DenseEpisode:
 
 
 def _ticks_alone(root: Path) -> Path:
-    """As `adamanip collect --dense` writes it: no pictures."""
+    """As `lerobot-record` writes it without a camera."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     features = {key: feature for key, feature in dense_features().items() if key in (STATE, ACTION)}
-    dataset = LeRobotDataset.create("local/ticks", 50, features, root=root, robot_type="adamanip_dense")
+    dataset = LeRobotDataset.create("local/ticks", 50, features, root=root, robot_type="adamanip_franka")
     for seed in (5, 6):
         episode = dense_episode(seed=seed)
         for row, asked in zip(scalars(episode), episode.asked, strict=True):
