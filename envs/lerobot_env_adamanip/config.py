@@ -104,7 +104,8 @@ class AdaManipEnvConfig(EnvConfig):
             refuse_former_name("pose_preset", self.pose_preset)
             if self.mechanism_preset != self.mechanism_rules:  # trainings of version 0.2 have stored it
                 refuse_former_name("mechanism_preset", self.mechanism_preset)
-            self._check_options()
+            for group in self._groups().values():
+                self._options(**group)
         self.task = self.task or self.category
         size = self.image_size
         table: dict[str, tuple[FeatureType, tuple[int, ...], str]] = {
@@ -130,10 +131,6 @@ class AdaManipEnvConfig(EnvConfig):
         """The environment's options."""
         return self._options(self.category, observe_images=self._observes_images())
 
-    def _check_options(self) -> None:
-        """Raises `ConfigurationError` if a value cannot work."""
-        self._options(self.category)
-
     def _options(self, category: str, **others: Any) -> EnvironmentOptions:
         shared = [item.name for item in fields(EnvironmentOptions) if item.name not in ("category", "observe_images")]
         values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
@@ -148,10 +145,17 @@ class AdaManipEnvConfig(EnvConfig):
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
+        from lerobot_adamanip.evaluation.log import new_run_id
         from lerobot_env_adamanip.vector import make_vector_env
 
-        options = self._options(self.category, observe_images=self._observes_images(), run_id=self._new_run_id())
-        return {self.type: {0: make_vector_env(options, n_envs, use_async_envs)}}
+        run_id = new_run_id() if self.episode_log else None  # that all of them share in their log
+        common: dict[str, Any] = {"observe_images": self._observes_images(), "run_id": run_id}
+        options = {name: self._options(**group, **common) for name, group in self._groups().items()}
+        return {name: {0: make_vector_env(each, n_envs, use_async_envs)} for name, each in options.items()}
+
+    def _groups(self) -> dict[str, dict[str, Any]]:
+        """Returns name of a vector environment -> its own options."""
+        return {self.type: {"category": self.category}}
 
     def _observes_images(self) -> bool:
         """Returns whether pictures are observed; if not, they are removed from the features."""
@@ -160,12 +164,6 @@ class AdaManipEnvConfig(EnvConfig):
             for name in CAMERAS:
                 self.features.pop(f"pixels/{name}", None)
         return observed
-
-    def _new_run_id(self) -> str | None:
-        """Returns the id that all environments of an evaluation share in their log."""
-        from lerobot_adamanip.evaluation.log import new_run_id
-
-        return new_run_id() if self.episode_log else None
 
 
 @dataclass
@@ -270,10 +268,6 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
     # Which categories: names separated by commas, or all.
     categories: str = ALL
 
-    def _check_options(self) -> None:
-        for name in self.chosen():
-            self._options(name)
-
     def chosen(self) -> tuple[str, ...]:
         """Returns the names of the categories; raises `ConfigurationError` for one that there is not."""
         if self.categories == ALL:
@@ -288,10 +282,6 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
             )
         return names
 
-    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
-        """Returns ``{category: {0: vector environment}}``; one seed is another scene in each category."""
-        from lerobot_env_adamanip.vector import make_vector_env
-
-        common = {"observe_images": self._observes_images(), "run_id": self._new_run_id()}
-        options = [self._options(name, seed_offset=category_offset(name), **common) for name in self.chosen()]
-        return {each.category: {0: make_vector_env(each, n_envs, use_async_envs)} for each in options}
+    def _groups(self) -> dict[str, dict[str, Any]]:
+        """One seed is another scene in each category."""
+        return {name: {"category": name, "seed_offset": category_offset(name)} for name in self.chosen()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import check_clouds
@@ -20,7 +19,6 @@ from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINT
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim import renderer
 from lerobot_env_adamanip.sim.ray_camera import Body
-from lerobot_env_adamanip.sim.triangles import robot_triangles, shapes_triangles
 from lerobot_env_adamanip.simulator import make_task
 
 pytestmark = pytest.mark.sim
@@ -48,44 +46,6 @@ def test_rays_and_renderer_see_the_same(task: Any, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(Body, "pose", moved)
     assert not check_clouds.compare(task).passed, "half a centimetre is noticed"
-
-
-def test_our_triangles_are_what_is_rendered(task: Any) -> None:
-    """Link by link: the same corners and the same area, of object, plinth and arm."""
-    task.reset(seed=310)
-    ours = {body.entity.name: shapes_triangles(body.shapes) for body in task._objects.visible}
-    looks = {entity.name: look for look, entity in task.views.depth_scene._looks}
-    for name, triangles in {**ours, **robot_triangles(Path(task.agent.urdf_path))}.items():
-        theirs = rendered_triangles(looks[name])
-        assert len(theirs) >= len(triangles) > 0, name
-        for edge in (np.min, np.max):
-            np.testing.assert_allclose(edge(triangles, (0, 1)), edge(theirs, (0, 1)), atol=2e-6, err_msg=name)
-        np.testing.assert_allclose(area(triangles), area(theirs), rtol=1e-4, err_msg=name)
-
-
-def area(triangles: np.ndarray) -> float:
-    sides = triangles.astype(np.float64)
-    return float(np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1).sum() / 2)
-
-
-def rendered_triangles(entity: Any) -> np.ndarray:
-    """SAPIEN's triangles of an entity (N, 3, 3), in its frame: boxes and cylinders come as unit ones."""
-    import sapien
-
-    found = []
-    for shape in entity.find_component_by_type(sapien.render.RenderBodyComponent).render_shapes:
-        if isinstance(shape, sapien.render.RenderShapeTriangleMesh):
-            parts = [(part.vertices * shape.scale, part.triangles) for part in shape.parts]
-        else:
-            size = {
-                "RenderShapeBox": lambda s: s.half_size,
-                "RenderShapeCylinder": lambda s: (s.half_length, s.radius, s.radius),
-                "RenderShapeCapsule": lambda s: (1.0, 1.0, 1.0),
-            }[type(shape).__name__](shape)
-            parts = [(shape.get_vertices() * np.asarray(size), shape.get_triangles())]
-        pose = shape.local_pose.to_transformation_matrix()
-        found += [(corners @ pose[:3, :3].T + pose[:3, 3])[faces] for corners, faces in parts]
-    return np.concatenate(found)
 
 
 def test_pictures_are_those_of_plain_maniskill(task: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,24 +125,6 @@ def test_no_point_of_a_cloud_comes_twice(envs: Callable[[str], KeyframeEnv], cat
         assert len(np.unique(cloud, axis=0)) >= 0.995 * wanted
         vars(views).pop("rays")
         views.depth_size = 320  # as the paper's clouds have it
-
-
-def test_the_size_of_pictures_changes_neither_the_cloud_nor_what_they_show(envs: Callable[[str], KeyframeEnv]) -> None:
-    env = envs("pen")
-    env.reset(seed=3)
-    views = env._running().views
-    seen = {}
-    for size in (64, 400):
-        views.image_size = size
-        views._scenes.clear()
-        camera = views.camera_parameters()
-        assert (camera["width"], camera["height"]) == (size, size)
-        assert camera["intrinsics"][0][2] == pytest.approx(size / 2)
-        seen[size] = views.points(), views.image()
-    assert np.array_equal(seen[64][0], seen[400][0])
-    assert [image.shape for _, image in seen.values()] == [(64, 64, 3), (400, 400, 3)]
-    small, large = (image.astype(float).mean((0, 1)) for _, image in seen.values())
-    np.testing.assert_allclose(small, large, atol=2.0)
 
 
 def test_missing_points_are_repeated_and_told() -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import copy
 import dataclasses
 import logging
 from typing import Any
@@ -9,8 +8,6 @@ import draccus
 import numpy as np
 import pytest
 from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_help_text
-from lerobot.configs.default import DatasetConfig
-from lerobot.configs.train import TrainPipelineConfig
 from lerobot.configs.types import FeatureType
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env, make_env_config
@@ -40,14 +37,6 @@ def parsed(*arguments: str) -> EnvConfig:
     return made.env
 
 
-def test_registered_under_its_name() -> None:
-    config = make_env_config("adamanip_safe")
-    assert isinstance(config, AdaManipSafeEnvConfig)
-    assert config.type == "adamanip_safe"
-    assert config.task == "safe"
-    assert config.fps == schema.FPS
-
-
 def test_command_line_reaches_the_environment() -> None:
     config = parsed(
         "--env.objects=0:4",
@@ -59,6 +48,7 @@ def test_command_line_reaches_the_environment() -> None:
         "--env.render_backend=cpu",
     )
     assert isinstance(config, AdaManipSafeEnvConfig)
+    assert (config.type, config.task, config.fps) == ("adamanip_safe", "safe", schema.FPS)
     assert config.features["point_cloud"].shape == (1536,)
     env = KeyframeEnv(**config.gym_kwargs)
     assert env.observation_space["point_cloud"].shape == (512, 3)
@@ -212,30 +202,7 @@ def split_of_envs(config: AdaManipSafeEnvConfig) -> str:
         vector.close()
 
 
-def test_a_copy_of_a_trainings_environment_gets_no_test_scenes() -> None:
-    training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="local/none"), env=AdaManipSafeEnvConfig())
-
-    def train(cfg: TrainPipelineConfig) -> list[str]:
-        assert isinstance(cfg.env, AdaManipSafeEnvConfig)
-        made = (copy.copy(cfg.env), copy.deepcopy(cfg.env), dataclasses.replace(cfg.env))
-        return [split_of_envs(each) for each in made]
-
-    assert train(training) == ["validation"] * 3
-
-
-def test_a_pipeline_of_another_module_gets_no_test_scenes() -> None:
-    @dataclasses.dataclass
-    class TrainPipelineConfig:
-        env: EnvConfig
-
-    def train(cfg: TrainPipelineConfig) -> str:
-        return split_of_envs(cfg.env)
-
-    assert train(TrainPipelineConfig(AdaManipSafeEnvConfig())) == "validation"
-
-
 def test_a_script_gets_no_test_scenes_unless_it_asks() -> None:
-    assert split_of_envs(AdaManipSafeEnvConfig()) == "validation"
     assert split_of_envs(make_env_config("adamanip_safe", split="test")) == "test"
     assert {make_env_config(each).split for each in TYPES} == {"validation"}
     assert EnvironmentOptions().split == KeyframeEnv("safe").options.split == "validation"
@@ -256,17 +223,6 @@ def test_the_former_split_auto_is_an_error_that_says_what_to_type() -> None:
         draccus.utils.DecodingError, match=r"(?s)got: .*'auto'.*--env.split=validation .*--env.split=test"
     ):
         parsed("--env.split=auto")
-
-
-def test_lerobots_own_training_validates() -> None:
-    """As `lerobot-train` makes the environments of its periodic evaluation."""
-    from lerobot.scripts.lerobot_train import _make_eval_envs
-
-    training = TrainPipelineConfig(dataset=DatasetConfig(repo_id="local/none"), env=AdaManipSafeEnvConfig())
-    training.eval.batch_size = 1
-    with _make_eval_envs(training) as envs:
-        options = envs["adamanip_safe"][0].call("get_wrapper_attr", "options")[0]
-    assert options.split == "validation"
 
 
 def test_the_suites_categories_have_scenes_of_their_own() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from envs_helpers import SMALL, digest, expert_episode, stay
@@ -36,11 +35,6 @@ def config_of(env_type: str, **options: Any) -> Any:
 @pytest.fixture
 def env(env_type: str, envs: Any) -> Any:
     return envs(env_type.removeprefix("adamanip_"))
-
-
-def test_there_is_an_environment_for_every_category_and_one_for_all() -> None:
-    assert [f"adamanip_{name}" for name in sorted(CATEGORIES)] == SINGLE
-    assert "adamanip" in REGISTERED
 
 
 @every_environment
@@ -83,56 +77,6 @@ def test_the_adaptive_expert_ends_an_episode_with_success(env: KeyframeEnv, env_
     assert (record["success"], record["key_frames"]) == (True, len(phases))
     assert record["category"] == env_type.removeprefix("adamanip_")
     assert expert_episode(env, 17)[0] == hashes
-
-
-@some_at_once
-def test_resetting_one_of_two_leaves_the_other_alone_and_processes_change_nothing(env_type: str) -> None:
-    config = config_of(env_type, observe_images=False)
-    function = lambda: KeyframeEnv(**config.gym_kwargs)  # noqa: E731
-    mode = gym.vector.AutoresetMode.DISABLED
-    two = gym.vector.SyncVectorEnv([function] * 2, autoreset_mode=mode)
-    try:
-        seen = [rows(two.reset(seed=[1, 2])[0])]
-        actions = np.stack([each["agent_pos"][:10] for each in seen[0]])
-        seen.append(rows(two.step(actions)[0]))
-        seen.append(rows(two.reset(seed=[3, None], options={"reset_mask": np.array([True, False])})[0]))
-        seen.append(rows(two.step(actions)[0]))
-    finally:
-        two.close()
-    assert digest(seen[2][1]) == digest(seen[1][1])
-    assert digest(seen[2][0]) != digest(seen[1][0])
-    apart = gym.vector.AsyncVectorEnv([function], context="forkserver", autoreset_mode=mode)
-    try:
-        for k, batch in enumerate((apart.reset(seed=[2])[0], apart.step(actions[1:])[0])):
-            assert digest(rows(batch)[0]) == digest(seen[k][1])
-    finally:
-        apart.close()
-
-
-def rows(batch: dict[str, Any]) -> list[dict[str, Any]]:
-    """The observations of a batch, copied."""
-    return [{key: value[k].copy() for key, value in batch.items()} for k in range(len(batch["agent_pos"]))]
-
-
-def test_the_suite_is_rolled_out_in_every_category() -> None:
-    """One reset and one step of each, through LeRobot's machinery."""
-    made, seeds = make_env(config_of("adamanip", observe_images=False), n_envs=1), []
-    assert list(made) == list(CATEGORIES)
-    for name, group in made.items():
-        vector = group[0]
-        try:
-            observation, _ = vector.reset(seed=[1000], options={"lerobot_new_rollout": True})
-            assert observation["point_cloud"].shape == (1, 3 * SMALL["num_points"])
-            (record,) = vector.call("get_wrapper_attr", "episode_record")
-            assert record()["category"] == name
-            seeds.append(record()["seed"])
-            stepped, _, terminated, truncated, _ = vector.step(observation["agent_pos"][:, :10])
-            assert np.isfinite(stepped["agent_pos"]).all()
-            assert not terminated.any()
-            assert not truncated.any()
-        finally:
-            vector.close()
-    assert len(set(seeds)) == len(CATEGORIES)
 
 
 def test_the_suite_holds_every_category_and_starts_none() -> None:

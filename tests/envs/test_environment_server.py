@@ -1,7 +1,4 @@
-"""The factory for LeRobot's environment server, by a stand-in that asks what the server's backend asks.
-
-Read in branches of LeRobot's pull request: `sims/backend.py`, `sims/adapters.py` and `envs/sim_client.py`.
-"""
+"""The factory for LeRobot's environment server: its worlds are what the server's backend asks for."""
 
 from __future__ import annotations
 
@@ -25,59 +22,6 @@ from lerobot_env_adamanip.environment_server import create_adamanip_envs
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = "docs/upstream/environment_server.md"
-NAMES = {"agent_pos": "observation.state", "environment_state": "observation.environment_state"}
-
-
-class StandIn:
-    """Worlds of one task: resets by seed, steps what has not ended, keeps the last transition of what has."""
-
-    def __init__(self, task: str, num_envs: int, group: str | None = None, **kwargs: Any) -> None:
-        factories = create_adamanip_envs(task=task, n_envs=num_envs, env_cls=list, **kwargs)
-        self.group = group or next(iter(factories))
-        self.envs = [function() for function in factories[self.group][0]]
-        self.steps = [0] * num_envs
-
-    def canonical(self, observation: dict[str, Any]) -> dict[str, np.ndarray]:
-        """The observation under LeRobot's names: pictures as they are, everything else float32."""
-        pixels = observation["pixels"]
-        found = {f"observation.images.{name}": image for name, image in pixels.items()}
-        assert all(image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3 for image in found.values())
-        for key, value in observation.items():
-            if isinstance(value, np.ndarray):
-                found[NAMES.get(key, f"observation.{key}")] = value.astype(np.float32)
-        return found
-
-    def described(self) -> dict[str, tuple[int, ...]]:
-        """Shapes of a sampled observation, by name."""
-        return {key: value.shape for key, value in self.canonical(self.envs[0].observation_space.sample()).items()}
-
-    def reset(self, seeds: list[int]) -> None:
-        self.last = [
-            (self.canonical(env.reset(seed=seed)[0]), 0.0, False, False, False)
-            for env, seed in zip(self.envs, seeds, strict=True)
-        ]
-
-    def step(self, actions: np.ndarray) -> None:
-        for place, (env, action) in enumerate(zip(self.envs, actions, strict=True)):
-            if self.last[place][2] or self.last[place][3]:
-                continue
-            observation, reward, terminated, truncated, info = env.step(action)
-            assert set(info) == {"is_success"}
-            self.steps[place] += 1
-            late = self.steps[place] >= getattr(env, "_max_episode_steps", 500)
-            self.last[place] = (
-                self.canonical(observation), float(reward), terminated, truncated or late, info["is_success"]
-            )  # fmt: skip
-
-    def call(self, name: str) -> list[Any]:
-        if name == "render":
-            key = next(key for key, value in self.last[0][0].items() if value.dtype == np.uint8)
-            return [each[0][key] for each in self.last]
-        return [getattr(env, name) for env in self.envs]
-
-    def close(self) -> None:
-        for env in self.envs:
-            env.close()
 
 
 @pytest.mark.sim
@@ -85,26 +29,18 @@ class StandIn:
 def test_a_world_is_served_where_nothing_renders(tmp_path: Path) -> None:
     """One episode of two key frames, as the smoke test of the server's continuous integration runs it."""
     log = tmp_path / "served.jsonl"
-    sizes = {"num_points": 64, "image_size": 48, "max_key_frames": 2}
-    backend = StandIn("safe", 1, split="validation", episode_log=str(log), **sizes)
-    shapes = {
-        "observation.images.preview": (48, 48, 3),
-        "observation.point_cloud": (192,),
-        "observation.state": (schema.STATE_DIM,),
-        "observation.effort": (schema.NUM_JOINTS,),
-    }
-    assert backend.described() == shapes
-    backend.reset([5])
-    pictures = backend.call("render")
-    assert len(np.unique(pictures[0])) > 20, "a shaded picture, not a black one"
-    assert backend.call("task") == backend.call("task_description") == [CATEGORIES["safe"].instruction]
-    assert backend.call("_max_episode_steps") == [2]
-    still = backend.last[0][0]["observation.state"][None, : schema.ACTION_DIM]
-    for _ in range(4):
-        backend.step(still)
-    assert {key: value.shape for key, value in backend.last[0][0].items()} == shapes
-    assert (backend.steps, backend.last[0][2:]) == ([2], (False, True, False))
-    backend.close()
+    sizes = {"num_points": 64, "image_size": 48, "max_key_frames": 2, "split": "validation"}
+    (function,) = create_adamanip_envs("safe", 1, list, episode_log=str(log), **sizes)["safe"][0]
+    env = function()
+    assert env.task == env.task_description == CATEGORIES["safe"].instruction
+    assert env._max_episode_steps == 2
+    observation, _ = env.reset(seed=5)
+    assert env.observation_space.contains(observation)
+    assert observation["point_cloud"].shape == (192,)
+    assert len(np.unique(observation["pixels"]["preview"])) > 20, "a shaded picture, not a black one"
+    ends = [env.step(observation["agent_pos"][: schema.ACTION_DIM])[2:] for _ in range(2)]
+    assert ends == [(False, False, {"is_success": False}), (False, True, {"is_success": False})]
+    env.close()
     (record,) = read_log(log)  # what the server does not pass on: hidden state, tries, outcomes
     assert (record.given_seed, record.key_frames, record.split) == (5, 2, "validation")
     assert set(record.hidden_state) == {"direction", "knob_range", "locked"}

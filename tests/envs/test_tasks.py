@@ -1,4 +1,4 @@
-"""The ManiSkill task itself: plain use, the mechanism under force, and experts at work."""
+"""The ManiSkill task itself: plain use, and the mechanism under force."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ import torch
 
 from lerobot_adamanip.contract.keyframes import Goal
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_adamanip.experts import Outcome, Phase, make_expert
+from lerobot_adamanip.experts import Outcome, Phase
 from lerobot_adamanip.objects.safe import DOOR_UPPER
 from lerobot_adamanip.util.errors import ConfigurationError
 
 pytestmark = pytest.mark.sim
 SAFE = "AdaManip-Safe-v1"
-OPENED = np.pi / 7
 
 
 @pytest.fixture(scope="module")
@@ -32,45 +31,6 @@ def env() -> Iterator[Any]:
 
 def reset(env: Any, seed: int, *, object_id: str | None = None, **hidden: Any) -> None:
     env.reset(seed=seed, options={"object_id": object_id, "hidden_overrides": hidden})
-
-
-def play(env: Any, kind: str) -> list[tuple[Goal, Outcome, float]]:
-    """Runs an expert until the safe is open: goal, outcome and joint speed of each key frame."""
-    hidden = env.hidden_state() if kind == "static" else None
-    expert = make_expert("safe", kind, env.placement.annotations, generator=np.random.default_rng(0), hidden=hidden)
-    done, goal = [], next(expert)
-    while len(done) < 45:
-        felt = env.execute(goal.action())
-        assert felt.outcome is not None
-        done.append((goal, felt.outcome, float(np.abs(env.arm_state().qvel).max())))
-        if env.evaluate()["success"][0]:
-            break
-        try:
-            goal = expert.send(felt)
-        except StopIteration:
-            break
-    return done
-
-
-# Experts ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("locked", [True, False])
-@pytest.mark.parametrize("kind", ["adaptive", pytest.param("static", marks=pytest.mark.nightly)])
-def test_experts_open_seen_and_unseen_safes(env: Any, kind: str, locked: bool) -> None:
-    for number in (0, 21, 50):
-        reset(env, 900 + number, object_id=f"safe_{number:03d}", locked=locked)
-        frames = play(env, kind)
-        story = [(goal.phase.name, outcome.name) for goal, outcome, _ in frames]
-        assert env.joint_positions()["door"] > OPENED, (number, story)
-        tries = [outcome for goal, outcome, _ in frames if goal.phase is Phase.TRY]
-        turned = any(goal.phase is Phase.UNLOCK for goal, _, _ in frames)
-        assert turned is locked, (number, story)
-        if kind == "adaptive":
-            assert (tries[0] is Outcome.STALLED) is locked, (number, story)
-        # In free space the arm is where it was sent, and still, when the key frame is over.
-        free = [frame for frame in frames if frame[0].phase in (Phase.APPROACH, Phase.RELEASE)]
-        assert all(outcome is Outcome.REACHED and speed < 0.04 for _, outcome, speed in free), (number, story)
 
 
 # The mechanism under force ------------------------------------------------------------------------------------------
@@ -122,12 +82,7 @@ def test_the_knob_turns_one_way_to_its_end_and_frees_the_door(env: Any, directio
 
 @pytest.mark.parametrize(
     ("obs_mode", "control_mode"),
-    [
-        ("pointcloud", "pd_ee_delta_pose"),
-        ("rgb", "pd_joint_pos"),
-        ("state", "pd_ee_delta_pose"),
-        ("state", "pd_joint_pos"),
-    ],
+    [("pointcloud", "pd_ee_delta_pose"), ("rgb", "pd_joint_pos"), ("state", "pd_joint_pos")],
 )
 def test_plain_maniskill_use(env: Any, obs_mode: str, control_mode: str) -> None:
     made = gym.make(
@@ -142,8 +97,10 @@ def test_plain_maniskill_use(env: Any, obs_mode: str, control_mode: str) -> None
             assert float(reward) == 0.0
             assert not bool(terminated)
             assert not bool(truncated)
-        assert set(made.unwrapped.evaluate()) == {"success", "door", "knob"}
-        assert made.unwrapped.evaluate()["success"].shape == (1,)
+        task: Any = made.unwrapped
+        assert all(task.evaluate()[name].shape == (1,) for name in ("success", "door", "knob"))
+        task._objects.articulation.set_qpos(np.ones((1, 2), np.float32))
+        assert task.compute_sparse_reward(None, None, task.evaluate()).item() == 1.0
     finally:
         made.close()
 
@@ -162,14 +119,6 @@ def test_maniskills_state_is_the_arm_alone() -> None:
         np.testing.assert_allclose(seen[1][0, :7].numpy(), arm.qpos, atol=1e-6)
     finally:
         made.close()
-
-
-def test_sparse_reward_is_one_while_open(env: Any) -> None:
-    reset(env, 901, locked=False)
-    before = env.compute_sparse_reward(None, None, env.evaluate())
-    play(env, "adaptive")
-    after = env.compute_sparse_reward(None, None, env.evaluate())
-    assert (before.item(), after.item()) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("wrong", [{"num_envs": 2}, {"sim_backend": "gpu"}, {"poses": "x"}, {"objects": "x"}])

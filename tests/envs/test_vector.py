@@ -98,33 +98,3 @@ def test_one_process_or_two_give_the_same_rollout(plan: tuple[list[int], Tensor]
             assert torch.equal(value, other["observation"][key]), key
     for key in ("action", "reward", "success", "done"):
         assert torch.equal(sync[key], other[key]), key
-
-
-def test_an_ended_episode_waits_unchanged_for_the_others(plan: tuple[list[int], Tensor]) -> None:
-    seeds, actions = plan
-    vector = make_env(AdaManipSafeEnvConfig(episode_length=KEY_FRAMES, **OPTIONS), n_envs=2)["adamanip_safe"][0]
-    try:
-        vector.reset(seed=seeds, options={"lerobot_new_rollout": True})
-        ended, last = False, None
-        for action in actions.numpy():
-            observation, reward, terminated, _, info = vector.step(action)
-            if ended:
-                assert reward[0] == 0.0
-                assert last is not None
-                np.testing.assert_array_equal(observation["agent_pos"][0], last)
-                assert success_of(info)[0]
-            elif terminated[0]:
-                assert reward[0] == 1.0
-                ended, last = True, observation["agent_pos"][0].copy()
-        assert ended
-        assert terminated[1]
-        assert vector.call("_max_episode_steps") == (KEY_FRAMES,) * 2
-        assert vector.call("task_description") == ("Open the safe.",) * 2
-        assert vector.metadata["render_fps"] > 0
-    finally:
-        vector.close()
-
-
-def success_of(info: dict[str, Any]) -> Any:
-    """``is_success`` of each environment, wherever Gymnasium put it."""
-    return np.asarray(info["final_info"]["is_success"] if "final_info" in info else info["is_success"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -90,17 +89,6 @@ def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(category: str, locke
     assert episode.felt[first_pull].outcome is Outcome.REACHED
     assert episode.phases[first_pull + 1] is Phase.RELEASE, "an empty hand that got there has opened nothing"
     assert episode.opened > OPEN
-
-
-@fast
-@given(object_names("safe"), directions, seeds)
-def test_a_direction_that_failed_is_not_tried_again(name: str, direction: int, seed: int) -> None:
-    world = KinematicWorld(name, hidden("safe", True, direction))
-    turns = run(world, adaptive(world, seed)).turns()
-    signs, wrong = [sign for sign, _ in turns], [stalled for sign, stalled in turns if sign != direction]
-    assert wrong in ([], [True])
-    assert sum(a != b for a, b in pairwise(signs)) == len(wrong)
-    assert signs[-1] == direction
 
 
 @pytest.mark.parametrize("direction", [-1, 1])

@@ -10,7 +10,7 @@ from mani_skill.utils.structs import Articulation
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_with_x_along
-from lerobot_adamanip.objects import ArticulatedObject, Joint, Material, Shape
+from lerobot_adamanip.objects import ArticulatedObject, Joint, Shape
 from lerobot_env_adamanip.sim.mesh_files import mesh_file
 
 FRICTION = 1.2
@@ -41,7 +41,7 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
             if shape.visible and scene.can_render():
                 add_visual(made, shape)
             if shape.collides:
-                _add_collision(made, shape, material)
+                _add(made, "collision", "convex_collision_from_file", shape, material)
         made.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))
         if link.joint is not None:
             _set_joint(made, link.joint)
@@ -95,34 +95,19 @@ def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[
     ]
 
 
-def _render_material(material: Material) -> sapien.render.RenderMaterial:
-    made = sapien.render.RenderMaterial()
-    made.set_base_color([*material.color, 1.0])
-    made.set_roughness(material.roughness)
-    made.set_metallic(material.metallic)
-    return made
-
-
 def add_visual(link: Any, shape: Shape) -> None:
     """Lets a builder's link or actor look like ``shape``; fails where nothing can render."""
-    pose, material = sapien_pose(shape.pose_in_link), _render_material(shape.material)
-    if shape.kind == "box":
-        link.add_box_visual(pose, list(shape.size), material)
-    elif shape.kind == "cylinder":
-        link.add_cylinder_visual(pose, shape.size[0], shape.size[1], material)
-    elif shape.kind == "capsule":
-        link.add_capsule_visual(pose, shape.size[0], shape.size[1], material)
-    else:
-        link.add_visual_from_file(str(mesh_file(shape)), pose, material=material)
+    material = sapien.render.RenderMaterial()
+    material.set_base_color([*shape.material.color, 1.0])
+    material.set_roughness(shape.material.roughness)
+    material.set_metallic(shape.material.metallic)
+    _add(link, "visual", "visual_from_file", shape, material)
 
 
-def _add_collision(link: Any, shape: Shape, material: Any) -> None:
+def _add(link: Any, what: str, of_mesh: str, shape: Shape, material: Any) -> None:
     pose = sapien_pose(shape.pose_in_link)
-    if shape.kind == "box":
-        link.add_box_collision(pose, list(shape.size), material)
-    elif shape.kind == "capsule":
-        link.add_capsule_collision(pose, shape.size[0], shape.size[1], material)
-    elif shape.kind == "cylinder":
-        link.add_cylinder_collision(pose, shape.size[0], shape.size[1], material)
-    else:
-        link.add_convex_collision_from_file(str(mesh_file(shape)), pose=pose, material=material)
+    if shape.vertices is not None:
+        getattr(link, f"add_{of_mesh}")(str(mesh_file(shape)), pose=pose, material=material)
+    else:  # a box has half extents; a cylinder and a capsule a radius and half a length
+        size = (list(shape.size),) if shape.kind == "box" else shape.size
+        getattr(link, f"add_{shape.kind}_{what}")(pose, *size, material)

@@ -2,34 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from typing import Any, Protocol
-
-from numpy.typing import NDArray
+from collections.abc import Collection
+from typing import Any
 
 from lerobot_adamanip.mechanisms import Limits, Mechanism
-
-
-class LimitedJoint(Protocol):
-    """A joint whose limits can be set, as SAPIEN has it."""
-
-    @property
-    def name(self) -> str:
-        """Ends in ``_`` and the mechanism's name of the joint."""
-
-    def set_limits(self, limits: list[list[float]]) -> None:
-        """Takes ``[[lower, upper]]`` [rad or m]."""
-
-
-class LimitedArticulation(Protocol):
-    """The part of a `sapien.physx.PhysxArticulation` that a mechanism needs."""
-
-    @property
-    def active_joints(self) -> Sequence[LimitedJoint]:
-        """Joints that move, in the order of `get_qpos`."""
-
-    def get_qpos(self) -> NDArray[Any]:
-        """Returns the positions (J,) [rad or m]."""
 
 
 class MechanismDriver:
@@ -46,13 +22,11 @@ class MechanismDriver:
     Args:
         mechanism: the rules.
         state: this episode's hidden draw.
-        articulation: the object.
+        articulation: the object, a `sapien.physx.PhysxArticulation`.
         hold: off for the test that shows what it is good for.
     """
 
-    def __init__(
-        self, mechanism: Mechanism[Any], state: Any, articulation: LimitedArticulation, *, hold: bool = True
-    ) -> None:
+    def __init__(self, mechanism: Mechanism[Any], state: Any, articulation: Any, *, hold: bool = True) -> None:
         self.mechanism, self.state = mechanism, state
         self.detent = False
         self._articulation = articulation
@@ -100,6 +74,6 @@ class MechanismDriver:
         return self.mechanism.succeeded(self.joint_positions())
 
 
-def joint_name(joint: LimitedJoint) -> str:
+def joint_name(joint: Any) -> str:
     """Returns the mechanism's name of a joint: ManiSkill puts scene and object before it."""
-    return joint.name.rsplit("_", 1)[-1]
+    return str(joint.name).rsplit("_", 1)[-1]

@@ -72,7 +72,6 @@ Path = tuple[Mapping[str, float], ...]
 """Joint positions [rad or m] to visit one after the other, from rest."""
 
 
-@dataclass(frozen=True)
 class ReachRequirement:
     """What the arm must reach at a part: hold it, and take it along every one of ``paths``.
 
@@ -80,12 +79,8 @@ class ReachRequirement:
     >>> ReachRequirement("cap", ({"cap": 2.0}, {"cap": 2.0, "lift": 0.05}))  # turn, then lift
     """
 
-    part: str
-    paths: tuple[Path, ...]
-
     def __init__(self, part: str, *paths: Path) -> None:
-        object.__setattr__(self, "part", part)
-        object.__setattr__(self, "paths", paths)
+        self.part, self.paths = part, paths
 
 
 @dataclass(frozen=True)
@@ -202,16 +197,14 @@ def _hinge_y(part: PartAnnotation) -> float | None:
 
 
 def _capped(reaches: tuple[ReachRequirement, ...], farthest: Mapping[str, float]) -> tuple[ReachRequirement, ...]:
-    def leg(positions: Mapping[str, float]) -> dict[str, float]:
-        return {
-            name: float(np.clip(q, -farthest.get(name, np.inf), farthest.get(name, np.inf)))
-            for name, q in positions.items()
-        }
+    def capped(name: str, position: float) -> float:
+        most = farthest.get(name, np.inf)
+        return float(np.clip(position, -most, most))
 
     def path(legs: Path) -> Path:
-        return tuple(leg(positions) for positions in legs)
+        return tuple({name: capped(name, position) for name, position in leg.items()} for leg in legs)
 
-    return tuple(ReachRequirement(reach.part, *(path(legs) for legs in reach.paths)) for reach in reaches)
+    return tuple(ReachRequirement(reach.part, *map(path, reach.paths)) for reach in reaches)
 
 
 def _drawn_pose(rng: np.random.Generator, spread: Randomization, x: float, y: float, z: float) -> Array:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import numpy as np
 from mani_skill.agents.registration import register_agent
 from mani_skill.agents.robots.panda.panda import Panda
-from numpy.typing import NDArray
-
-from lerobot_adamanip.contract.schema import JOINT_NAMES
 
 
 @register_agent()
@@ -27,19 +23,3 @@ class AdaManipPanda(Panda):
     gripper_stiffness = 8e3
     gripper_damping = 3e2
     gripper_force_limit = 120
-
-
-def joint_snapshot(arm: Any, target: Any) -> NDArray[np.float32]:
-    """Returns the joint positions of two SAPIEN articulations, (13,), in the order of `schema.JOINT_NAMES`."""
-    found: NDArray[np.float32] = np.zeros(len(JOINT_NAMES), np.float32)
-    positions = np.concatenate([arm.get_qpos(), target.get_qpos()])
-    found[: len(positions)] = positions
-    return found
-
-
-def set_joints(arm: Any, target: Any, joints: NDArray[np.float32]) -> None:
-    """Puts two articulations where a `joint_snapshot` (13,) had them, at rest. No physics is stepped."""
-    ends = np.cumsum([arm.dof, target.dof])
-    for articulation, positions in zip((arm, target), np.split(joints, ends), strict=False):
-        articulation.set_qpos(positions)
-        articulation.set_qvel(np.zeros_like(positions))

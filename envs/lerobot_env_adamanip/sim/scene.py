@@ -63,9 +63,7 @@ class ObjectScene:
     def _build_plinth(self, scene: ManiSkillScene, least: float) -> Visible:
         depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
         shape = Shape("box", (max(depth, least), max(width, least), self.floor_z / 2), np.eye(4), _PLINTH)
-        builder = scene.create_actor_builder()
-        if scene.can_render():
-            add_visual(builder, shape)
+        builder = _builder(scene, shape)
         builder.add_box_collision(half_size=list(shape.size))
         builder.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         builder.initial_pose = sapien.Pose([2.0, 0, self.floor_z / 2])
@@ -86,11 +84,16 @@ class ObjectScene:
 def _build_column(scene: ManiSkillScene, height: float) -> Visible:
     """What the robot's base stands on, above lower ground: to be seen; nothing comes near it."""
     shape = Shape("box", (0.10, 0.10, height / 2), np.eye(4), _COLUMN, collides=False)
+    builder = _builder(scene, shape)
+    builder.initial_pose = sapien.Pose([-0.05, 0, -height / 2])
+    return Visible(builder.build_static(name="column")._objs[0], (shape,))
+
+
+def _builder(scene: ManiSkillScene, shape: Shape) -> Any:
     builder = scene.create_actor_builder()
     if scene.can_render():
         add_visual(builder, shape)
-    builder.initial_pose = sapien.Pose([-0.05, 0, -height / 2])
-    return Visible(builder.build_static(name="column")._objs[0], (shape,))
+    return builder
 
 
 def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
+from lerobot_adamanip.contract.schema import JOINT_NAMES
 from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
 from lerobot_env_adamanip.sim.picture_scene import PictureScene
 from lerobot_env_adamanip.sim.ray_camera import Body, RaycastSensor, shaded_picture, visible_bodies
-from lerobot_env_adamanip.sim.robot import joint_snapshot, set_joints
 from lerobot_env_adamanip.sim.scene import ObjectScene
 
 
@@ -67,6 +67,7 @@ class Views:
     workspace: Workspace
     render_backend: str
     cloud_source: str
+    _scenes: dict[str, PictureScene] = field(default_factory=dict)
 
     def points(self) -> Cloud:
         """Returns (M, 3) [m], robot base frame: what is seen now, at least of the workspace."""
@@ -92,10 +93,6 @@ class Views:
         """Rendered front camera of the size of `rays`."""
         return self._picture_scene(self.depth_size, FRONT)
 
-    @functools.cached_property
-    def _scenes(self) -> dict[str, PictureScene]:
-        return {}
-
     def _picture_scene(self, size: int, name: str) -> PictureScene:
         return PictureScene(
             self.objects.visible,
@@ -112,11 +109,15 @@ class Views:
 
     def joints(self) -> NDArray[np.float32]:
         """Returns the positions of all joints, (13,), see `lerobot_adamanip.contract.schema.JOINT_NAMES`."""
-        return joint_snapshot(self._robot, self.objects.articulation._objs[0])
+        positions = np.concatenate([each.get_qpos() for each in self._articulations])
+        return np.pad(positions, (0, len(JOINT_NAMES) - len(positions))).astype(np.float32)
 
     def set_joints(self, joints: NDArray[np.float32]) -> None:
         """Puts everything where ``joints`` (13,) had it, at rest. No physics is stepped."""
-        set_joints(self._robot, self.objects.articulation._objs[0], joints)
+        ends = np.cumsum([each.dof for each in self._articulations])
+        for articulation, positions in zip(self._articulations, np.split(joints, ends), strict=False):
+            articulation.set_qpos(positions)
+            articulation.set_qvel(np.zeros_like(positions))
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns the front camera's calibration for its picture, see `sim.camera.camera_parameters`."""
@@ -125,6 +126,10 @@ class Views:
     @property
     def _robot(self) -> Any:
         return self.agent.robot._objs[0]
+
+    @property
+    def _articulations(self) -> tuple[Any, Any]:
+        return self._robot, self.objects.articulation._objs[0]
 
     @property
     def _urdf(self) -> Path:
