@@ -22,18 +22,10 @@ if TYPE_CHECKING:  # the simulator is imported at the first reset
 
 
 class EpisodeMonitor:
-    """Labels and counts the key frames of one episode.
+    """Labels and counts the key frames of one episode, whose ``task`` has just been reset.
 
-    Args:
-        task: just reset.
-        annotations: of the parts, robot base frame, joints at zero.
-        seed: of the episode.
-        given_seed: that the evaluation gave.
-        provenance: of its record.
-
-    Attributes:
-        key_frames: so far.
-        success: whether a joint has been beyond its goal at the end of a key frame so far.
+    ``success`` holds once a joint has been beyond its goal at the end of a key frame. ``given_seed`` is the
+    evaluation's, ``seed`` the scene's.
     """
 
     def __init__(

@@ -72,10 +72,7 @@ class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
 class LazyAsyncVectorEnv:
     """A process per environment, started at first use and ended by `close`; it can be used again after that.
 
-    A suite therefore holds the processes of one category at a time.
-
-    Args:
-        makers: one per environment; picklable by cloudpickle.
+    A suite therefore holds the processes of one category at a time. ``makers`` are picklable by cloudpickle.
     """
 
     def __init__(self, makers: Sequence[Make]) -> None:

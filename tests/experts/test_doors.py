@@ -37,12 +37,6 @@ def test_it_pulls_first_and_unlocks_only_what_is_locked(
     assert episode.failed_pulls() == locked == (Phase.UNLOCK in episode.phases)
     assert episode.phases[:4] == [Phase.APPROACH, Phase.APPROACH, Phase.GRASP, Phase.TRY]
     assert episode.phases[-1] is Phase.OPEN
-    for before, goal in zip(episode.felt, episode.goals[1:], strict=False):
-        if category == "safe" and goal.phase in (Phase.RELEASE, Phase.APPROACH):
-            assert goal.gripper == 1.0
-        if goal.phase is Phase.GRASP or (goal.phase is Phase.RELEASE and goal.gripper == 1.0 and before.gripper < 0.5):
-            moved = np.linalg.norm(goal.tcp_in_base[:3, 3] - before.tcp_in_base[:3, 3])
-            assert moved < 1e-9, "fingers open and close where the hand is"
 
 
 @every_door

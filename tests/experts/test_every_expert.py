@@ -16,7 +16,7 @@ from lerobot_adamanip.catalog import seen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
-from lerobot_adamanip.experts import EXPERT_STRATEGIES, EXPERTS, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
+from lerobot_adamanip.experts import EXPERT_STRATEGIES, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -155,7 +155,6 @@ def test_fingers_open_and_close_where_the_hand_is(category: str, data: st.DataOb
             assert np.linalg.norm(goal.tcp_in_base[:3, 3] - before.tcp_in_base[:3, 3]) < 1e-9
 
 
-@every_category
 @pytest.mark.parametrize(
     "options",
     [
@@ -164,16 +163,11 @@ def test_fingers_open_and_close_where_the_hand_is(category: str, data: st.DataOb
         {"kind": "clairvoyant"},
     ],
 )  # fmt: skip
-def test_an_expert_with_the_wrong_knowledge_is_refused(category: str, options: dict[str, Any]) -> None:
-    parts = placed_parts(cached_object(seen_objects(category)[0]))
+def test_an_expert_with_the_wrong_knowledge_is_refused(options: dict[str, Any]) -> None:
+    parts = placed_parts(cached_object("door_000"))
     with pytest.raises(ConfigurationError) as caught:
-        make_expert(category, generator=np.random.default_rng(0), annotations=parts, **options)
+        make_expert("door", generator=np.random.default_rng(0), annotations=parts, **options)
     assert all(word in str(caught.value) for word in ("got:", "allowed:", "try:"))
-
-
-def test_every_category_s_sequence_is_told_in_words() -> None:
-    assert tuple(EXPERTS) == tuple(CATEGORIES)
-    assert all(len(expert.sequence) > 20 for expert in EXPERTS.values())
 
 
 @pytest.mark.parametrize("category", ["safe", "microwave", "window", "door"])

@@ -68,13 +68,9 @@ class _Push:
 
 
 class HandTouch:
-    """Finds what the hand touches and pushes.
+    """Finds what an arm's hand (`HAND_LINKS`) touches and pushes of a target.
 
-    Args:
-        system: physics of the scene.
-        arm: articulation whose `HAND_LINKS` feel.
-        target: articulation that is felt.
-        obj: its description; its joints' nominal limits are public, the same under every hidden state.
+    The nominal limits of the object's joints are public, the same under every hidden state.
     """
 
     def __init__(

@@ -25,16 +25,8 @@ from lerobot_env_adamanip.sim.triangles import robot_outlines
 class PictureScene:
     """The looks of the physics scene's bodies, at their poses of the moment. That scene has no renderer.
 
-    Args:
-        visible: all that can be seen but arm and ground.
-        robot: SAPIEN's articulation of the arm.
-        urdf: its description.
-        ground_z: height of the ground [m].
-        camera: that takes the pictures.
-        render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
-
-    Raises:
-        SimulatorError: nothing renders here.
+    Takes all that can be seen but arm and ground, SAPIEN's articulation of the arm, its description, and the ground's
+    height [m]. Raises `SimulatorError` if nothing renders here.
     """
 
     def __init__(

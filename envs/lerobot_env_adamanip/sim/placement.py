@@ -136,16 +136,7 @@ class Stand:
     ) -> Placement:
         """Draws poses around this stand until the arm reaches every part, held and moved.
 
-        Args:
-            rng: generator of this episode's layout.
-            obj: the object.
-            kinematics: of the arm.
-            spread: half widths.
-            tries: draws at most.
-            must_reach: whether unreachable draws are an error; else the last draw is returned.
-
-        Raises:
-            UnreachableError: none of the draws could be reached.
+        Raises `UnreachableError` if that is so of none of ``tries`` draws, and ``must_reach``; else returns the last.
         """
         for _ in range(tries):
             pose = _drawn_pose(rng, spread, self.x, self.y, self.floor_z)

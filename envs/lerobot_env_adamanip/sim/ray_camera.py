@@ -64,14 +64,7 @@ def _robot_meshes(urdf: Path) -> Mapping[str, LinkMesh]:
 
 
 class RaycastSensor:
-    """A depth camera of the workspace.
-
-    Args:
-        config: of the camera.
-        bodies: that rays can meet.
-        workspace: whose points are wanted.
-        beside: how far right and below its pixel's middle each ray goes [px].
-    """
+    """A depth camera of the workspace. Each ray goes ``beside`` its pixel's middle, right and below [px]."""
 
     def __init__(
         self,

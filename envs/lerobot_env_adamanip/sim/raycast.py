@@ -30,11 +30,7 @@ _SPLITS = 3
 
 
 class LinkMesh:
-    """A link's triangles in Embree.
-
-    Args:
-        triangles: (N, 3, 3) [m], link frame.
-    """
+    """A link's triangles (N, 3, 3) [m], link frame, in Embree."""
 
     def __init__(self, triangles: Triangles) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -101,13 +97,7 @@ class _View(NamedTuple):
 
 
 class RayScene:
-    """Depth of the workspace in one camera's picture, link by link. K rays are cast: those that can end in it.
-
-    Args:
-        camera: of one episode.
-        workspace: only rays that can end in it are cast.
-        beside: see `PinholeCamera.rays`.
-    """
+    """Depth of the workspace in one camera's picture, link by link. K rays are cast: those that can end in it."""
 
     def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
         self._camera = camera

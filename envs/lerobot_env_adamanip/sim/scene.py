@@ -34,14 +34,9 @@ class Visible:
 
 
 class ObjectScene:
-    """An object, and the plinth under it.
+    """An object on a surface at ``floor_z`` [m], and the plinth under it, ``plinth_least`` [m] or more to each side.
 
-    Args:
-        scene: ManiSkill's, to build in.
-        obj: what to build.
-        floor_z: height of the surface it stands on [m].
-        ground_z: height of the ground; below 0, the robot's base stands on a column [m].
-        plinth_least: half of the plinth's least width and depth [m].
+    Where the ground is below 0, the robot's base stands on a column.
     """
 
     def __init__(

@@ -24,23 +24,16 @@ from lerobot_env_adamanip.sim.scene import ObjectScene
 
 @dataclass(frozen=True)
 class SimObservation:
-    """One moment of the simulator.
-
-    Attributes:
-        images: camera -> (H, W, 3); empty if none was asked for.
-        points_in_base: (M, 3) [m], robot base frame, in scan order: what the front camera sees, at least of the
-            workspace.
-        qpos: (7,) arm joint positions [rad].
-        qvel: (7,) arm joint velocities [rad/s].
-        effort: (7,) external joint torque of the arm [N m].
-        feedback: of the latest key frame.
-    """
+    """One moment of the simulator."""
 
     images: dict[str, NDArray[np.uint8]]
+    """Camera -> (H, W, 3); empty if none was asked for."""
     points_in_base: Cloud
+    """(M, 3) [m], robot base frame, in scan order: what the front camera sees, at least of the workspace."""
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     effort: NDArray[np.float64]
+    """External joint torque of the arm (7,) [N m]; before it joint positions [rad] and velocities [rad/s]."""
     feedback: Feedback
 
 
@@ -48,15 +41,8 @@ class SimObservation:
 class Views:
     """The cameras of one episode.
 
-    Attributes:
-        objects: what stands before the arm.
-        agent: ManiSkill's, of the arm.
-        camera: (size [px], name) -> a camera's configuration.
-        image_size: of pictures [px].
-        depth_size: of the depth picture whose pixels are the points [px].
-        workspace: whose points are wanted.
-        render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
-        cloud_source: see `lerobot_adamanip.episode.options.CLOUD_SOURCES`.
+    ``camera`` maps a size [px] and a name to a configuration. Clouds are of the pixels of a depth picture of
+    ``depth_size`` [px]. ``render_backend`` and ``cloud_source`` are options of `EnvironmentOptions`.
     """
 
     objects: ObjectScene

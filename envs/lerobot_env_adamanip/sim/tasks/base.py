@@ -179,7 +179,6 @@ class AdaManipTask(BaseEnv):
         return [without_reflections(camera) for camera in cameras] if self.scene.can_render() else cameras
 
     def _camera(self, size: int, name: str) -> CameraConfig:
-        """One of this episode's cameras, for pictures of ``size`` [px]."""
         poses = scene.draw_cameras(self._stream(_CAMERA_STREAM), self.randomization.camera_position)
         return scene.camera_config(name, poses[name], size, self._shader)
 
