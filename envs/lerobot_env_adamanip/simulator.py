@@ -55,9 +55,6 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
 def placement_check(poses: str = "randomized") -> PlacementCheck:
     """Returns a function that says why an object cannot be placed before the arm, an empty text if it can.
 
-    Args:
-        poses: see `lerobot_adamanip.episode.options.POSES`.
-
     Raises:
         SimulatorError: the simulator is not installed.
     """

@@ -35,13 +35,9 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class FeltTry:
-    """One try, as its hand felt it.
+    """One try, as its hand felt it: the sign of the way a joint was sent, and where each stood [rad or m].
 
-    Attributes:
-        joint: that was tried.
-        sign: of the way it was sent.
-        before, after: joint -> where it stood [rad or m].
-        failed: whether the joint did not follow, see `KeyFrameLabels`.
+    It has ``failed`` if the joint did not follow, see `KeyFrameLabels`.
     """
 
     joint: str
@@ -53,22 +49,14 @@ class FeltTry:
 
 @dataclass(frozen=True)
 class Belief:
-    """What is known of an episode's hidden state. Nothing at the start.
-
-    Attributes:
-        tries: so far, in order.
-    """
+    """What is known of an episode's hidden state: the tries so far, in order. Nothing at the start."""
 
     tries: tuple[FeltTry, ...] = ()
 
     def after(self, labels: KeyFrameLabels, joints: tuple[str, ...], before: Positions, after: Positions) -> Belief:
-        """Returns the belief after one more key frame.
+        """Returns the belief after a key frame, which took joints from ``before`` to ``after`` [rad or m].
 
-        Args:
-            labels: of the key frame.
-            joints: of the mechanism, as ``labels.tried`` counts them.
-            before: where the joints stood when it began [rad or m].
-            after: where they stood when it ended.
+        ``joints`` are the mechanism's, as ``labels.tried`` counts them.
         """
         if labels.tried < 0:
             return self
@@ -90,12 +78,7 @@ class Belief:
         return False
 
     def blocked_ways(self, joint: str, rest: float) -> set[int]:
-        """Returns the signs in which a joint did not follow from where it rests, and never has.
-
-        Args:
-            joint: name.
-            rest: nearer to zero than this it stands at rest [rad or m].
-        """
+        """Returns the signs in which a joint did not follow from within ``rest`` [rad or m] of zero, and never has."""
         found = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
         return found - self._ways(joint, rest)
 

@@ -29,13 +29,9 @@ def pull_door(hand: Hand, handle: PartAnnotation, joint: str, tries: int = 1) ->
 
 
 def open_by_trial(hand: Hand, handle: PartAnnotation, unlock: Callable[[], Frames], *, unlock_first: bool) -> KeyFrames:
-    """Pulls the door; where that fails, unlocks it, and pulls again.
+    """Pulls the door; where that fails, does ``unlock`` until the hand is free again, and pulls again.
 
-    Args:
-        hand: that does it.
-        handle: of the door.
-        unlock: what is tried when a pull was blocked, until the hand is free again.
-        unlock_first: an expert that takes over after a failed pull begins with this.
+    An expert that takes over after a failed pull begins with ``unlock_first``.
     """
     unlocking = unlock_first and not hand.is_ajar(handle, "door")
     for number in range(MAX_ROUNDS + 1):

@@ -204,10 +204,7 @@ class Hand:
     def open(self, part: PartAnnotation, joint: str, path: Sequence[float]) -> Generator[Goal, Feedback, Opening]:
         """Takes a held part along until ``joint`` is open; about it again where the grip does not last.
 
-        Args:
-            part: held.
-            joint: that opens.
-            path: its positions [rad or m], rising, one key frame each; the first that lies ahead of it is the try.
+        ``path`` are its positions [rad or m], rising, one key frame each; the first that lies ahead of it is the try.
         """
         for grip in range(MAX_GRIPS):
             opening = yield from self._open_in_one_grip(part, joint, path)

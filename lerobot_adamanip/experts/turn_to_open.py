@@ -100,13 +100,7 @@ DOOR = TurnToOpen("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_firs
 
 
 class TurnToOpenExpert:
-    """One episode's expert.
-
-    Args:
-        style: of the category.
-        part: annotation of what is held, robot base frame.
-        hand: that holds it, and knows where its joints stand.
-    """
+    """One episode's expert: the hand holds the part, and knows where its joints stand."""
 
     def __init__(self, style: TurnToOpen, part: PartAnnotation, hand: Hand) -> None:
         self.style, self.part, self.hand = style, part, hand

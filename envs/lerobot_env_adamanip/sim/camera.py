@@ -28,10 +28,7 @@ _EDGE = 0.01
 class PinholeCamera:
     """A square camera with its principal point in the middle; x right, y up, it looks along -z.
 
-    Attributes:
-        pose: (4, 4) in the world.
-        size: pixels along a side.
-        focal: length [px].
+    It has a pose (4, 4) in the world, ``size`` pixels along a side, and a focal length [px].
     """
 
     pose: Pose
@@ -47,8 +44,7 @@ class PinholeCamera:
     def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
         """Returns the directions (size^2, 3) of all pixels in scan order, camera frame; of depth 1 each.
 
-        Args:
-            beside: how far right and below the pixel's middle [px].
+        ``beside`` is how far right and below the pixel's middle they go [px].
         """
         across, down = ((np.arange(self.size) + 0.5 - self.size / 2 + shift) / self.focal for shift in beside)
         columns, rows = np.meshgrid(across, -down)
@@ -57,9 +53,7 @@ class PinholeCamera:
     def may_see(self, points: NDArray[np.float64], pose: Pose) -> bool:
         """Returns False if a body lies beyond one of the picture's edges.
 
-        Args:
-            points: (N, 3) corners of its convex hull, in its own frame [m].
-            pose: of the body in the world (4, 4).
+        ``points`` (N, 3) are corners of its convex hull in its own frame [m], ``pose`` (4, 4) is its own in the world.
         """
         in_camera = self.world_to_camera @ pose
         x, y, z = (points @ in_camera[:3, :3].T + in_camera[:3, 3]).T
@@ -70,8 +64,7 @@ class PinholeCamera:
     def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
         """Returns the pixels that may see each of M boxes: (M, 4) of first row, first column, end row, end column.
 
-        Args:
-            corners_in_camera: (8 M, 3) [m], eight of each box after the other.
+        The boxes are given by their eight corners, one box after the other: (8 M, 3) [m], camera frame.
         """
         depth = -corners_in_camera[:, 2]
         # One pixel more on each side: rays pass through the middles of pixels.

@@ -21,12 +21,9 @@ much as the next: where there is no contact, they buy nothing."""
 
 
 class ControlTick:
-    """Drives the arm through one control tick.
+    """Drives an arm through one control tick, of ``steps`` physics steps.
 
-    Args:
-        system: physics of the scene.
-        arm: nine joints, the fingers last. Its solver iterations are those that contacts need.
-        steps: physics steps in a tick.
+    The arm has nine joints, the fingers last; its solver iterations are those that contacts need.
     """
 
     def __init__(self, system: sapien.physx.PhysxCpuSystem, arm: sapien.physx.PhysxArticulation, *, steps: int) -> None:

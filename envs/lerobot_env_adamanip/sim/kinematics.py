@@ -120,12 +120,7 @@ class ArmKinematics:
     ) -> IKResult:
         """Returns joint positions that bring the tool to ``goal`` (4, 4), from ``start`` (7,), never past a limit.
 
-        Args:
-            goal: pose in the base frame.
-            start: initial guess [rad].
-            iterations: steps at most; a warm start needs two or three.
-            pull: towards rest.
-            tolerance: position [m] and rotation [rad] error at which to stop.
+        A warm start needs two or three iterations. ``tolerance`` is the error [m, rad] at which to stop.
         """
         qpos, pulls = self._inside(start), pull.steps
         for _ in range(iterations):

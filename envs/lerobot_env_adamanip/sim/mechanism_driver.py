@@ -19,11 +19,8 @@ class MechanismDriver:
     in touching it, nor in closing the fingers on it. A *detent* holds the released ones, too, while a key frame does
     nothing but close the fingers: these close unevenly, and would move what is free before it is tried anew.
 
-    Args:
-        mechanism: the rules.
-        state: this episode's hidden draw.
-        articulation: the object, a `sapien.physx.PhysxArticulation`.
-        hold: off for the test that shows what it is good for.
+    ``state`` is this episode's hidden draw, ``articulation`` a `sapien.physx.PhysxArticulation`. The test that shows what
+    holding is good for turns off ``hold``.
     """
 
     def __init__(self, mechanism: Mechanism[Any], state: Any, articulation: Any, *, hold: bool = True) -> None:

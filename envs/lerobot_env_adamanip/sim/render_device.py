@@ -51,10 +51,7 @@ def can_render() -> bool:
 
 
 def observes_images(wanted: bool | None) -> bool:
-    """Returns whether observations hold pictures.
-
-    Args:
-        wanted: the option; None for pictures if something renders, and a warning if nothing does.
+    """Returns whether observations hold pictures: for None if something renders, with a warning if nothing does.
 
     Raises:
         SimulatorError: pictures are wanted, and nothing renders here.

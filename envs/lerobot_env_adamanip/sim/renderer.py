@@ -38,12 +38,7 @@ atexit.register(_kept.clear)
 
 
 def device_for(render_backend: str, options: Mapping[str, Any]) -> str:
-    """Returns the ``render_backend`` of ManiSkill's own scene: ``none`` unless plain ManiSkill shows something.
-
-    Args:
-        render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
-        options: of ManiSkill's environment.
-    """
+    """Returns the ``render_backend`` of ManiSkill's own scene: ``none`` unless plain ManiSkill shows something."""
     observed, shown = options.get("obs_mode"), options.get("render_mode") is not None
     looks = shown or not (observed is None or set(observed.split("+")) <= BLIND)
     if not looks and (observed == "none" or not can_render()):
@@ -64,11 +59,7 @@ def translate_renderer_errors() -> Iterator[None]:
 
 
 def empty_scene(render_backend: str = "auto") -> ManiSkillScene:
-    """Returns a scene that renders; see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
-
-    Raises:
-        SimulatorError: nothing renders here.
-    """
+    """Returns a scene that renders; raises `SimulatorError` if nothing does here."""
     if not has_vulkan_driver():  # SAPIEN would print errors of its own first
         raise no_vulkan_device("no Vulkan driver is installed")
     backend = parse_sim_and_render_backend("physx_cpu", MANISKILL_NAMES[resolve_render_backend(render_backend)])

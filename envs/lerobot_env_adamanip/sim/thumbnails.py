@@ -24,15 +24,9 @@ _FLOOR_COLOR = (0.60, 0.61, 0.63)
 
 
 def render_thumbnail(obj: ArticulatedObject, *, size: int = 256, open_fraction: float = 0.0) -> NDArray[np.uint8]:
-    """Returns a picture (size, size, 3) of an object.
+    """Returns a picture (size, size, 3) of an object; raises `SimulatorError` if nothing renders here.
 
-    Args:
-        obj: what to render_thumbnail.
-        size: of the picture [px].
-        open_fraction: of each door's and lid's range, how far it stands open; knobs stay where they are.
-
-    Raises:
-        SimulatorError: there is nothing to render with.
+    Doors and lids stand open by ``open_fraction`` of their range; knobs stay where they are.
     """
     scene = _studio(obj)
     articulation = build_object(scene, obj, np.eye(4))._objs[0]
