@@ -19,8 +19,8 @@ class MechanismDriver:
     in touching it, nor in closing the fingers on it. A *detent* holds the released ones, too, while a key frame does
     nothing but close the fingers: these close unevenly, and would move what is free before it is tried anew.
 
-    ``state`` is this episode's hidden draw, ``articulation`` a `sapien.physx.PhysxArticulation`. The test that shows what
-    holding is good for turns off ``hold``.
+    ``state`` is this episode's hidden draw, ``articulation`` a `sapien.physx.PhysxArticulation`. A test turns ``hold``
+    off, to show what it is good for.
     """
 
     def __init__(self, mechanism: Mechanism[Any], state: Any, articulation: Any, *, hold: bool = True) -> None:
