@@ -26,11 +26,11 @@ MUST_COVER = {
         "lerobot_adamanip.contract.seeds",
         "lerobot_adamanip.episode.options",
         "lerobot_adamanip.objects.lamp.novel",
-        "lerobot_env_adamanip.cloud_source",
+        "lerobot_env_adamanip.simulator",
         "lerobot_env_adamanip.episode_log",
         "lerobot_env_adamanip.sim.mechanism_driver",
     ),
-    EXPERTS: ("lerobot_adamanip.experts.microwave", "lerobot_adamanip.mechanisms.table"),
+    EXPERTS: ("lerobot_adamanip.experts.lamp", "lerobot_adamanip.mechanisms.table"),
     RECORDING: (
         "lerobot_adamanip.collection.corrections",
         "lerobot_adamanip.collection.late_starts",

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.mechanisms.base import Mechanism
-from lerobot_adamanip.mechanisms.lamp import LampMechanism
-from lerobot_adamanip.mechanisms.microwave import MicrowaveMechanism
-from lerobot_adamanip.mechanisms.safe import SafeMechanism
-from lerobot_adamanip.mechanisms.turn_to_open import TurnToOpenMechanism
+from lerobot_adamanip.mechanisms.families import (
+    LampMechanism,
+    MicrowaveMechanism,
+    SafeMechanism,
+    TurnToOpenMechanism,
+)
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the names of rules

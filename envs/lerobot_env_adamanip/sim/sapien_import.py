@@ -26,10 +26,16 @@ def import_sapien() -> None:
         with warnings.catch_warnings():
             # Physics needs no Vulkan library, and pictures without one fail with an error that says more.
             warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
+            modules: dict[str, Any] = sys.modules
+            before = {name: modules[name] for name in (KINEMATICS_LIBRARY,) if name in modules}
+            modules[KINEMATICS_LIBRARY] = None  # Python's mark of a module that cannot be imported
             try:
-                _import_sapien_without(KINEMATICS_LIBRARY)
+                import sapien  # noqa: F401
             except ImportError as error:
                 raise no_simulator(error) from error
+            finally:
+                del modules[KINEMATICS_LIBRARY]
+                modules.update(before)
     from sapien.wrapper.pinocchio_model import PinocchioModel
 
     if PinocchioModel.__module__ != "sapien.pysapien_pinocchio":
@@ -38,17 +44,3 @@ def import_sapien() -> None:
             "Import lerobot_env_adamanip's environments first, or pip uninstall pin.",
             KINEMATICS_LIBRARY,
         )
-
-
-def _import_sapien_without(name: str) -> None:
-    """Imports SAPIEN as if there were no package of this name."""
-    modules: dict[str, Any] = sys.modules
-    missing = object()
-    before = modules.get(name, missing)
-    modules[name] = None  # Python's mark of a module that cannot be imported
-    try:
-        import sapien  # noqa: F401
-    finally:
-        del modules[name]
-        if before is not missing:
-            modules[name] = before
