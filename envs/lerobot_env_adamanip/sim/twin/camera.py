@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.util.errors import SimulatorError
-from lerobot_env_adamanip.cameras import FRONT
 from lerobot_env_adamanip.sim.camera import camera_parameters, pinhole
 from lerobot_env_adamanip.sim.picture_scene import PictureScene
 from lerobot_env_adamanip.sim.ray_camera import RaycastSensor, shaded_picture
