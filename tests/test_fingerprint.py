@@ -26,7 +26,7 @@ MUST_COVER = {
         "lerobot_adamanip.contract.seeds",
         "lerobot_adamanip.episode.options",
         "lerobot_adamanip.objects.lamp.novel",
-        "lerobot_env_adamanip.simulator",
+        "lerobot_env_adamanip.cloud_source",
         "lerobot_env_adamanip.episode_log",
         "lerobot_env_adamanip.sim.mechanism_driver",
     ),

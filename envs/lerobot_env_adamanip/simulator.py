@@ -5,34 +5,17 @@ from __future__ import annotations
 import functools
 import importlib.metadata
 import importlib.util
-import logging
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 
 from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
-from lerobot_adamanip.util.errors import require_choice
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
-
-_logger = logging.getLogger(__name__)
-
-
-def resolve_cloud_source(wanted: str) -> str:
-    """Returns ``raycast`` or ``render``: the latter as well where rays are wanted and embreex is not installed."""
-    require_choice("source of clouds", wanted, CLOUD_SOURCES)
-    if wanted == "raycast" and importlib.util.find_spec("embreex") is None:
-        _tell_once("embreex is not installed, so clouds are rendered, some ten times slower: pip install embreex")
-        return "render"
-    return wanted
-
-
-@functools.cache
-def _tell_once(text: str) -> None:
-    _logger.warning(text)
 
 
 def require_simulator() -> None:
@@ -54,6 +37,9 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
 @functools.cache
 def placement_check(poses: str = "randomized") -> PlacementCheck:
     """Returns a function that says why an object cannot be placed before the arm, an empty text if it can.
+
+    Args:
+        poses: see `lerobot_adamanip.episode.options.POSES`.
 
     Raises:
         SimulatorError: the simulator is not installed.

@@ -12,12 +12,12 @@ from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.objects import Material, Shape
-from lerobot_env_adamanip import simulator
+from lerobot_env_adamanip import cloud_source
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import raycast
 from lerobot_env_adamanip.sim.camera import PinholeCamera
 from lerobot_env_adamanip.sim.raycast import LinkMesh, RayScene, link_mesh
 from lerobot_env_adamanip.sim.triangles import box_triangles, shape_triangles
-from lerobot_env_adamanip.simulator import resolve_cloud_source
 
 SIZE = 48
 WORKSPACE = Workspace((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -127,8 +127,8 @@ def test_without_embreex_clouds_are_rendered_and_one_line_says_so(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert resolve_cloud_source("raycast") == "raycast"
-    monkeypatch.setattr(simulator.importlib.util, "find_spec", lambda name: None)
-    simulator._tell_once.cache_clear()
+    monkeypatch.setattr(cloud_source.importlib.util, "find_spec", lambda name: None)
+    cloud_source._tell_once.cache_clear()
     assert [resolve_cloud_source("raycast") for _ in range(3)] == ["render"] * 3
     assert [record.message for record in caplog.records if "embreex" in record.message] == [caplog.messages[0]]
 

@@ -20,6 +20,7 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, 
 from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.contacts import HandTouch
 from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
@@ -32,7 +33,6 @@ from lerobot_env_adamanip.sim.renderer import device_for, keep_shaders, translat
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 from lerobot_env_adamanip.sim.views import SimObservation, Views
-from lerobot_env_adamanip.simulator import resolve_cloud_source
 
 CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
 """ManiSkill's names of CPU physics."""
