@@ -44,8 +44,9 @@ def create_dataset(
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
-    size, seen = image_size or schema.IMAGE_SIZE, () if image_size is None else cameras
-    features = schema.dataset_features(num_points, size, cameras=seen)
+    features = schema.dataset_features(
+        num_points, image_size or schema.IMAGE_SIZE, cameras=cameras if image_size else ()
+    )
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
     if image_size is not None:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
