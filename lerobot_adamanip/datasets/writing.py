@@ -34,8 +34,6 @@ def create_dataset(
 
     Args:
         root: a folder that does not exist.
-        repo_id: for LeRobot.
-        num_points: points per cloud.
         image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera for that size [px], if known.
         cameras: names of those that took the images, the front one among them.
@@ -44,9 +42,8 @@ def create_dataset(
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
-    features = schema.dataset_features(
-        num_points, image_size or schema.IMAGE_SIZE, cameras=cameras if image_size else ()
-    )
+    seen = () if image_size is None else cameras
+    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=seen)
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
     if image_size is not None:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
