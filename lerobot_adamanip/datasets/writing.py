@@ -16,7 +16,7 @@ from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.statistics import write_episodes
 
-_VIDEO_FILE_MB = 25
+_VIDEO: dict[str, Any] = {"encoder_threads": ENCODER_THREADS, "video_backend": "pyav", "video_files_size_in_mb": 25}
 """LeRobot copies the whole video file to append an episode: small files keep that cheap."""
 
 
@@ -34,6 +34,8 @@ def create_dataset(
 
     Args:
         root: a folder that does not exist.
+        repo_id: for LeRobot.
+        num_points: points per cloud.
         image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera for that size [px], if known.
         cameras: names of those that took the images, the front one among them.
@@ -42,10 +44,10 @@ def create_dataset(
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
-    seen = () if image_size is None else cameras
-    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=seen)
+    cameras = () if image_size is None else cameras
+    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=cameras)
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
-    if image_size is not None:
+    if cameras:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
         repo_id=repo_id,
@@ -53,10 +55,8 @@ def create_dataset(
         features=features,
         root=root,
         robot_type="panda",
+        **_VIDEO,
         rgb_encoder=video_encoder(),
-        encoder_threads=ENCODER_THREADS,
-        video_backend="pyav",
-        video_files_size_in_mb=_VIDEO_FILE_MB,
     )
 
 
