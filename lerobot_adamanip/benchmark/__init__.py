@@ -1,1 +1,1 @@
-"""`adamanip benchmark`: methods x categories x splits x seeds, from one declaration to one table."""
+"""Benchmark of methods x categories x splits x seeds, from one declaration to one table: `adamanip benchmark`."""

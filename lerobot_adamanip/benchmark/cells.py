@@ -1,4 +1,4 @@
-"""The cells of a benchmark: one training of one method, tested on one split of one category's objects."""
+"""Cells of a benchmark: one training of a method, evaluated on one split of objects of one category."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lerobot_adamanip.util.json_fields import choice, integer, optional
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One number of a benchmark.
+    """One result of a benchmark.
 
     Attributes:
-        method: name.
-        category: of the objects.
-        objects: split of objects that it is tested on.
-        seed: of the training.
-        trials: in the demonstrations, for a point of the curve over trials; None for the table.
+        method: name of the method.
+        category: category of the objects.
+        objects: split of the evaluated objects.
+        seed: training seed.
+        trials: failed trials in the demonstrations, for the trials curve; None for the table.
     """
 
     method: Annotated[str, NAME]
@@ -38,7 +38,7 @@ class Cell:
 
 
 def all_cells(declaration: Declaration, scale: str) -> list[Cell]:
-    """Returns the cells of a scale, category by category: so that whatever stops it, some categories are whole."""
+    """Returns the cells of a scale, category by category, so that an interrupted run has complete categories."""
     chosen = declaration.scale(scale)
     table = [
         Cell(method=method, category=category, objects=objects, seed=seed)
@@ -70,10 +70,10 @@ def select_cells(
     splits: tuple[str, ...] = (),
     seeds: tuple[int, ...] = (),
 ) -> list[Cell]:
-    """Returns the wanted cells of a scale; nothing given stands for all.
+    """Returns the selected cells of a scale; an empty filter selects all.
 
     Raises:
-        ConfigurationError: a name is unknown, or no cell of this scale is wanted.
+        ConfigurationError: a name is unknown, or the scale has no matching cell.
     """
     for what, names, known in (
         ("method", methods, tuple(declaration.methods)),
@@ -95,7 +95,7 @@ def select_cells(
             f"The scale {scale!r} has no such cells.",
             got=_listed(wanted),
             allowed=_listed(possible),
-            hint="adamanip benchmark --list; or a declaration of your own, --config FILE",
+            hint="adamanip benchmark --list; or use your own declaration with --config FILE",
         )
     return chosen
 

@@ -1,4 +1,4 @@
-"""Running the commands of a benchmark as processes of their own."""
+"""Start and stop the commands of a benchmark as separate processes."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from pathlib import Path
 from lerobot_adamanip.util.errors import ConfigurationError
 
 type Runner = Callable[..., subprocess.Popen[bytes]]
-"""Begins a command; arguments are those of `begin_command`."""
+"""Function that starts a command; takes the arguments of `begin_command`."""
 _STOP_SECONDS = 20.0
 _KEPT_BYTES = 2**34
 _DEFAULTS = {
-    # Nothing here is on the Hub. A method that has to download something is run with HF_HUB_OFFLINE=0.
+    # All inputs are local. For a method that has to download something, set HF_HUB_OFFLINE=0.
     "HF_HUB_OFFLINE": "1",
     "TOKENIZERS_PARALLELISM": "false",
-    # glibc gives each large tensor's pages back to the system, and a step of training asks for thousands of them anew.
-    # Kept, and in huge pages where the system has them, a step of `dp3` takes 0.71 s instead of 0.80 (decision 79).
+    # By default glibc returns the pages of large tensors to the system, and every training step allocates them again.
+    # Keeping them, in huge pages where possible, shortens a step of `dp3` from 0.80 s to 0.71 s (decision 79).
     "GLIBC_TUNABLES": (
         f"glibc.malloc.hugetlb=1:glibc.malloc.mmap_threshold={_KEPT_BYTES}:glibc.malloc.trim_threshold={_KEPT_BYTES}"
     ),
 }
-"""Environment of commands, where it does not say otherwise."""
+"""Default environment variables of the commands; the caller's environment overrides them."""
 
 
 def begin_command(
     command: Sequence[str], *, folder: Path, log: Path, lock: int, threads: int = 0
 ) -> subprocess.Popen[bytes]:
-    """Begins a program of this installation.
+    """Starts a program of this installation.
 
     Args:
         command: program and arguments.
-        folder: to run it in.
-        log: file that its output is appended to.
-        lock: file descriptor that it inherits: while it runs, even if this process is killed, no other benchmark begins
-            in the same folder.
-        threads: that it may compute with; 0 for as many as it likes.
+        folder: working directory.
+        log: file to append the output to.
+        lock: inherited file descriptor of the folder's lock. No other benchmark can start in the folder while the
+            command runs, even if this process is killed.
+        threads: maximum number of compute threads; 0 for no limit.
 
     Raises:
-        ConfigurationError: there is no such program.
+        ConfigurationError: the program does not exist.
     """
     limit = {"OMP_NUM_THREADS": str(threads)} if threads else {}
     line = [_find_program(command[0]), *command[1:]]
@@ -59,7 +59,7 @@ def begin_command(
 
 
 def end_command(process: subprocess.Popen[bytes]) -> None:
-    """Ends a command if it still runs, by SIGTERM first, and waits for its end."""
+    """Ends a running command, by SIGTERM first, and waits for its exit."""
     if process.poll() is None:
         process.terminate()
         try:
@@ -70,7 +70,7 @@ def end_command(process: subprocess.Popen[bytes]) -> None:
 
 
 def _find_program(name: str) -> str:
-    """Returns the path of a program, of this Python's installation if it has one of that name."""
+    """Returns the path of a program; prefers this Python's installation over PATH."""
     beside = str(Path(sys.executable).parent)
     found = shutil.which(name, path=os.pathsep.join((beside, os.environ.get("PATH", os.defpath))))
     if found is None:

@@ -1,4 +1,4 @@
-"""Declaration of a benchmark: methods, what they learn from, and scales. Read from TOML, checked field by field."""
+"""Declaration of a benchmark: methods, their demonstrations, and scales. Read from TOML, with every field checked."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from lerobot_adamanip.util.json_fields import (
 )
 
 PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
-"""The declaration that is used where no other is given."""
+"""Default declaration."""
 METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
-"""Entry points by which other packages declare methods: each is what a table ``[methods.NAME]`` would be."""
+"""Entry point group for methods of other packages; each one loads the content of a table ``[methods.NAME]``."""
 OBJECT_SPLITS = ("seen", "unseen", "novel")
 NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
 TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
@@ -45,9 +45,9 @@ _POLICY_OPTIONS = listing(text(r"--policy\.[a-z][\w.]*=[^\r\n`]{0,400}", "an opt
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstrations:
-    """A set of demonstrations, of each category; fields as of `lerobot_adamanip.cli.collect.Collect`.
+    """A set of demonstrations of each category; fields as in `lerobot_adamanip.cli.collect.Collect`.
 
-    ``num_points``, ``image_size`` (0: no pictures), ``poses`` and ``mechanism_rules`` hold in evaluations too.
+    ``num_points``, ``image_size`` (0: no images), ``poses`` and ``mechanism_rules`` apply to evaluations too.
     """
 
     expert: Annotated[str, choice(EXPERT_KINDS)] = "adaptive"
@@ -62,12 +62,12 @@ class Demonstrations:
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """A round of corrections (DAgger): the policy drives, the expert corrects it, and it is trained on all there is.
+    """A round of corrections (DAgger): the policy acts, the expert corrects it, and training uses all data so far.
 
     Attributes:
-        corrections: corrected episodes, per category.
-        steps: of the training.
-        start: ``new`` weights, or those that were ``trained`` before.
+        corrections: number of corrected episodes per category.
+        steps: training steps.
+        start: initial weights: ``new``, or those ``trained`` in the round before.
     """
 
     corrections: Annotated[int, _COUNT]
@@ -80,23 +80,23 @@ class Method:
     """A row of the table.
 
     Attributes:
-        title: its name in tables.
-        policy: ``--policy.type``.
-        options: ``--policy.NAME=VALUE`` options that it is made with.
-        demonstrations: name of the set that it is trained on; empty for a policy that needs no training.
-        rounds: of corrections, after that training.
-        train: further options of ``lerobot-train``; they win over the scale's.
-        evaluate: further options of ``lerobot-eval``, likewise.
-        steps: of its training, by scale, where they are not the scale's.
-        train_at: by scale, options of ``lerobot-train`` that win over ``train``.
-        paper: its name in the paper; empty if it is not there.
-        package: the distribution that declares it; empty for the declaration's own.
+        title: name in tables.
+        policy: policy type, the value of ``--policy.type``.
+        options: ``--policy.NAME=VALUE`` options of the policy.
+        demonstrations: name of the training set; empty for a policy without training.
+        rounds: correction rounds after the first training.
+        train: additional options of ``lerobot-train``; they override the scale's.
+        evaluate: additional options of ``lerobot-eval``; they override the scale's.
+        steps: training steps by scale, where they differ from the scale's.
+        train_at: scale -> options of ``lerobot-train`` that override ``train``.
+        paper: name in the paper; empty if the paper does not have the method.
+        package: distribution that declares it; empty for the declaration itself.
     """
 
     title: Annotated[str, TITLE]
     policy: Annotated[str, NAME]
     options: Annotated[tuple[str, ...], _POLICY_OPTIONS] = ()
-    demonstrations: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or nothing")] = ""
+    demonstrations: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or an empty text")] = ""
     rounds: Annotated[tuple[Round, ...], listing(record(Round), 0, 20)] = ()
     train: Annotated[tuple[str, ...], _OPTIONS] = ()
     evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
@@ -108,30 +108,30 @@ class Method:
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """How much of everything.
+    """Size of a benchmark run.
 
     Attributes:
-        categories, splits, seeds: the cells; ``splits`` are of objects, ``seeds`` of trainings.
-        objects: that demonstrations are of, and that the split ``seen`` stands for.
-        demonstrations: per category.
-        steps, batch_size: of a training.
-        save_every: steps between checkpoints; an interrupted training resumes from the last one. Decides no result.
-        episodes: of an evaluation; ``environments`` run at once.
-        device: of torch.
-        poses: of all scenes; empty for those of each set of demonstrations.
-        evaluate: options of ``lerobot-eval``; those of a method win.
-        note: one sentence for its report; ``beside_paper``: whether the paper's numbers stand there. Both decide no
-            result.
+        categories, splits, seeds: the cells; ``splits`` of objects, ``seeds`` of trainings.
+        objects: objects of the demonstrations and of the split ``seen``.
+        demonstrations: episodes per category.
+        steps, batch_size: of each training.
+        save_every: steps between checkpoints; an interrupted training resumes from the last one. Changes no result.
+        episodes: episodes per evaluation; ``environments`` of them run in parallel.
+        device: PyTorch device.
+        poses: poses in all scenes; empty to use those of each set of demonstrations.
+        evaluate: options of ``lerobot-eval``; a method's options override them.
+        note: one sentence for the report. Changes no result.
+        beside_paper: whether the report shows the paper's numbers. Changes no result.
     """
 
-    objects: Annotated[str, text(r"[\w:,]{1,400}", "objects, as `adamanip collect --objects` takes them")]
+    objects: Annotated[str, text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")]
     demonstrations: Annotated[int, _COUNT]
     steps: Annotated[int, _COUNT]
     batch_size: Annotated[int, _COUNT]
     save_every: Annotated[int, _COUNT]
     episodes: Annotated[int, _COUNT]
     environments: Annotated[int, _COUNT]
-    device: Annotated[str, text(r"[a-z]{1,10}(:\d{1,2})?", "a device of torch")]
+    device: Annotated[str, text(r"[a-z]{1,10}(:\d{1,2})?", "a PyTorch device")]
     poses: Annotated[str, choice(("", *POSES))] = ""
     evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
     categories: Annotated[tuple[str, ...], _CATEGORIES] = tuple(CATEGORIES)
@@ -143,13 +143,13 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialsCurve:
-    """A method on demonstrations of more and more failed trials, the paper's second table.
+    """A method's success against the number of failed trials in its demonstrations (the paper's second table).
 
     Attributes:
-        method: name.
-        numbers: of trials.
-        none: set of demonstrations that stands for no trial.
-        categories, splits, scales: where the curve is measured.
+        method: name of the method.
+        numbers: numbers of failed trials.
+        none: set of demonstrations for zero failed trials.
+        categories, splits, scales: extent of the curve.
     """
 
     method: Annotated[str, NAME]
@@ -165,9 +165,9 @@ class Declaration:
     """A benchmark.
 
     Attributes:
-        reference: the method that every other one is compared with.
-        scales, demonstrations, methods: by name, in order.
-        trials: None if no such curve is wanted.
+        reference: method that all others are compared with.
+        scales, demonstrations, methods: by name, in the order of the declaration.
+        trials: the trials curve; None without one.
     """
 
     reference: Annotated[str, NAME]
@@ -177,12 +177,12 @@ class Declaration:
     trials: Annotated[TrialsCurve | None, optional(record(TrialsCurve))] = None
 
     def scale(self, name: str) -> Scale:
-        """Returns a scale by its name; raises `ConfigurationError` if there is none."""
+        """Returns a scale by name; raises `ConfigurationError` if it does not exist."""
         return self.scales[require_choice("scale", name, self.scales)]
 
 
 def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
-    """Reads a declaration, without methods of other packages; raises `ConfigurationError` if it is none."""
+    """Reads a declaration without the methods of other packages; raises `ConfigurationError` if it is invalid."""
     try:
         return parse_declaration(tomllib.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError) as error:
@@ -195,7 +195,7 @@ def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
 
 
 def parse_declaration(content: Mapping[str, Any]) -> Declaration:
-    """Returns the declaration in decoded TOML; raises ValueError that names what is wrong with it."""
+    """Returns the declaration in decoded TOML; raises ValueError that names the invalid field."""
     made = record(Declaration)("the declaration", content)
     _require("reference", made.reference, made.methods)
     for name, method in made.methods.items():
@@ -211,7 +211,7 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
 
 
 def with_packages(declaration: Declaration) -> Declaration:
-    """Returns a declaration with the methods that installed packages declare; raises `ConfigurationError`."""
+    """Returns a declaration with the methods of installed packages added; raises `ConfigurationError`."""
     points = sorted(entry_points(group=METHODS_GROUP))
     declared = {point.name: _declared_by(point, declaration) for point in points}
     return replace(declaration, methods={**declaration.methods, **declared})
@@ -224,7 +224,7 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
             raise ValueError("the declaration has a method of that name")
         method = record(Method)(point.name, point.load())
         _check_method(declaration, point.name, method)
-    except Exception as error:  # other packages may raise anything when they are imported
+    except Exception as error:  # importing another package may raise any exception
         raise ConfigurationError(
             f"The benchmark method {point.name!r} cannot be used.",
             got=f"{point.value} of {package}: {error}",
@@ -237,7 +237,7 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
 def _check_method(made: Declaration, name: str, method: Method) -> None:
     _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
     if method.rounds and not method.demonstrations:
-        raise ValueError(f"methods.{name}.rounds are of a method without demonstrations")
+        raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
     for scale in (*method.steps, *method.train_at):
         _require(f"methods.{name}.steps and train_at", scale, made.scales)
 

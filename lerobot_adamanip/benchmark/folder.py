@@ -1,6 +1,6 @@
-"""Folder of a benchmark: products of its steps, notes on each step, and the results.
+"""Folder of a benchmark: products of its steps, a record of each step, and the results.
 
-A step counts as done once its note says so: written, atomically, after its command has ended well.
+A step is done once its record says so. The record is written atomically after the command has succeeded.
 """
 
 from __future__ import annotations
@@ -21,55 +21,55 @@ _NOTE = json_fields.either(json_fields.record(StepCost), json_fields.table({"beg
 
 @dataclass(frozen=True)
 class BenchmarkFolder:
-    """The folder of one scale of a benchmark; commands run in ``root``."""
+    """Folder of one scale of a benchmark; ``root`` is the working directory of the commands."""
 
     root: Path
 
     @property
     def cells(self) -> Path:
-        """Folder of the result files."""
+        """Returns the folder of the result files."""
         return self.root / "cells"
 
     def result(self, cell: Cell) -> Path:
-        """Result file of a cell, whether or not it is there."""
+        """Returns the result file of a cell, which may not exist yet."""
         return self.cells / f"{cell.name}.json"
 
     def log(self, step: Step) -> Path:
-        """Output of a step's command."""
+        """Returns the log file of a step's command."""
         return self._note(step).with_suffix(".log")
 
     def product(self, step: Step) -> Path:
-        """Folder that a step produces."""
+        """Returns the output folder of a step."""
         return self.root / step.product
 
     def make(self) -> None:
-        """Makes the folders."""
+        """Creates the folders."""
         for name in ("steps", "cells", *FOLDERS.values()):
             (self.root / name).mkdir(parents=True, exist_ok=True)
         for folder in (self.cells, self.root / "steps"):
             files.remove_temporaries(folder)
 
     def begin(self, step: Step) -> None:
-        """Notes that a step's command is about to run."""
+        """Records that a step's command is about to start."""
         self._write(step, {"begun": self._begun(step) + 1})
 
     def finish(self, step: Step, seconds: float, machine: Mapping[str, int | bool]) -> None:
-        """Notes that a step's command has ended well."""
+        """Records that a step's command has succeeded."""
         self._write(step, asdict(StepCost(max(1, self._begun(step)), round(seconds, 1), machine)))
 
     def cost(self, step: Step) -> StepCost | None:
-        """Returns what a step took; None if it has not been done."""
+        """Returns the cost of a step; None if it is not done."""
         note = self._read(step)
         return note if isinstance(note, StepCost) else None
 
     def is_done(self, step: Step) -> bool:
-        """Whether a step has been done, and its product is still there."""
+        """Whether a step is done and its product still exists."""
         product = self.product(step)
         made = {TRAIN: last_checkpoint(product), EVALUATE: product / EPISODE_LOG}
         return self.cost(step) is not None and made.get(step.kind, product / "meta" / "info.json").exists()
 
     def is_begun(self, step: Step) -> bool:
-        """Whether a step has been begun, and perhaps is done."""
+        """Whether a step was started; it may be done."""
         return self._begun(step) > 0
 
     def _begun(self, step: Step) -> int:
@@ -83,7 +83,7 @@ class BenchmarkFolder:
         files.write_atomically(self._note(step), (json.dumps(note) + "\n").encode())
 
     def _read(self, step: Step) -> StepCost | dict[str, int]:
-        """Returns the cost of a step that is done, how often one was begun, or nothing."""
+        """Returns the cost of a finished step, the number of starts of an unfinished one, or an empty dictionary."""
         path = self._note(step)
         if not path.exists():
             return {}
@@ -91,6 +91,6 @@ class BenchmarkFolder:
             found: StepCost | dict[str, int] = _NOTE("the note", json_fields.read(path))
         except ValueError as error:
             raise DatasetError(
-                "The note of a step is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
+                "A step record is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
             ) from error
         return found

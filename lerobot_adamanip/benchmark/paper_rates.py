@@ -1,4 +1,4 @@
-"""Success rates that the paper reports: Wang et al., AdaManip, ICLR 2025. Pure data."""
+"""Success rates reported in the paper: Wang et al., AdaManip, ICLR 2025. Data only."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
         (88.75, 10.38), (82.53, 14.72),
     ),
 }  # fmt: skip
-"""Method -> (success, deviation) [%] of each category in the order of `CATEGORIES`, from the table "Success Rates of
-Different Methods". Of what the deviations are, and in which scenes, the paper does not say."""
+"""Method -> (success, deviation) [%] per category, in the order of `CATEGORIES`. From the table "Success Rates of
+Different Methods". The paper does not say what the deviations measure, nor in which scenes."""
 PAPER_OBJECTS = "seen"
-"""Split of objects beside which they stand: the released code is tested on the objects it is trained on."""
+"""Split of objects to compare the paper's rates with: the released code tests on its training objects."""
 TRIALS_CATEGORY = "bottle"
 SUCCESS_BY_TRIALS = (87.14, 93.64, 75.71, 65.71, 57.14, 41.43, 44.28)
 """Success [%] after 0, 1, ... 6 repeated trials in the demonstrations, from the table "Effects of Repeated Adaptive
-Trials in Adaptive Demonstration for Bottle". Its value at 1 is not the bottle's in the other table."""
+Trials in Adaptive Demonstration for Bottle". Its value at 1 differs from the bottle's in the other table."""
 
 
 def reported(method: str | None, category: str) -> tuple[float, float] | None:
-    """Returns success and deviation [%] of a method as the paper calls it; None where it has no such row."""
+    """Returns success and deviation [%] of a method, by its name in the paper; None if the paper does not have it."""
     return SUCCESS[method][tuple(CATEGORIES).index(category)] if method in SUCCESS else None
 
 
 def reported_mean(method: str | None, categories: Collection[str]) -> float | None:
-    """Returns a method's mean success over some categories [%]; None where the paper has no such row."""
+    """Returns a method's mean success over some categories [%]; None if the paper does not have the method."""
     found = [value for category in categories if (value := reported(method, category)) is not None]
     return sum(success for success, _ in found) / len(found) if found else None

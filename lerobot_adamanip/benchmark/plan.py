@@ -1,7 +1,7 @@
-"""Plan of a cell: the commands it needs, and the keys by which cells share what they produce. Pure functions.
+"""Plan of a cell: its commands, and the cache keys by which cells share products. Pure functions.
 
-A key is a hash of the command that makes something, with what that command reads named by its own key, and of the code
-that runs. Cells whose trainings have equal keys share one training; anything that decides a result changes its key.
+A key hashes the command of a step, the keys of the products it reads, and the code it runs. Trainings with equal keys
+run once. Anything that changes a result changes its key.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ FOLDERS: Mapping[str, str] = {
     TRAIN: "trainings",
     EVALUATE: "evaluations",
 }
-"""Kind of step -> folder of what such steps produce, relative to that of the benchmark, in which commands run."""
+"""Kind of step -> folder of its products, relative to the benchmark's folder."""
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
-"""Seed of an evaluation's first scene, and of a policy's draws in it: the same for all methods and trainings."""
+"""Seed of an evaluation's first scene and of the policy's sampling; equal for all methods and trainings."""
 NUMBERS = ("lerobot_adamanip.evaluation.metrics", "lerobot_adamanip.evaluation.log")
-"""Modules that count an evaluation's episodes."""
+"""Modules that count the episodes of an evaluation."""
 _ATTEMPTS = 25
-"""Attempts at an episode of demonstrations: with six failed trials each, long episodes of safes run out of time."""
+"""Attempts per demonstration: with six failed trials, long episodes of safes exceed the time limit."""
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _SPELLED_IN_KEYS = {
     "--mechanism-rules": "--mechanism-preset",
     "--env.mechanism_rules": "--env.mechanism_preset",
 }
-"""Option -> its former name, by which keys go on to be made: a new name changes no result."""
+"""Option -> former name that keys still use, so that renaming an option keeps all keys."""
 _LENGTH = 16
 
 
 def last_checkpoint(folder: Path | str) -> Path:
-    """Returns the folder of the last weights of a training of `lerobot-train`, whether or not it has saved any."""
+    """Returns the folder of a training's last weights; it may not exist yet."""
     return Path(folder) / "checkpoints" / "last" / "pretrained_model"
 
 
 @dataclass(frozen=True)
 class Code:
-    """Hashes of the code that decides results.
+    """Hashes of the code that affects results.
 
     Attributes:
-        demonstrations: simulator, mechanisms, objects, experts and what records them.
+        demonstrations: simulator, mechanisms, objects, experts and recording.
         episodes: simulator, mechanisms and objects.
-        policies: by method.
-        numbers: what counts an evaluation's episodes.
+        policies: method -> hash of its policy.
+        numbers: code that counts the episodes of an evaluation.
     """
 
     demonstrations: str = ""
@@ -66,14 +66,14 @@ class Code:
 
 @dataclass(frozen=True)
 class Step:
-    """A command and the steps whose products it reads.
+    """A command and the steps that it depends on.
 
     Attributes:
         kind: `COLLECT`, `CORRECT`, `MERGE`, `TRAIN` or `EVALUATE`.
-        key: of what it produces.
+        key: cache key of the product.
         command: as typed in the benchmark's folder.
-        non_key_options: further options, which do not enter the key.
-        needs: the steps whose products it reads.
+        non_key_options: options that do not enter the cache key.
+        needs: steps whose products the command reads.
     """
 
     kind: str
@@ -84,17 +84,17 @@ class Step:
 
     @property
     def product(self) -> str:
-        """Folder of what it produces, relative to the benchmark's."""
+        """Returns the output folder, relative to the benchmark's."""
         return f"{FOLDERS[self.kind]}/{self.key}"
 
     def chain(self) -> Iterator[Step]:
-        """Yields the steps it needs, in order and each once, and itself."""
+        """Yields the steps it depends on, in order and each once, then the step itself."""
         yield from dict.fromkeys(step for need in self.needs for step in need.chain())
         yield self
 
 
 def named_steps(last: Step) -> dict[str, Step]:
-    """Returns name -> step of a chain, in order: ``collect``, ``train``; further ones of a kind are ``train_2``."""
+    """Returns name -> step of a chain, in order: ``collect``, ``train``; repeated kinds are ``train_2`` and so on."""
     found: dict[str, Step] = {}
     for step in last.chain():
         before = sum(each.kind == step.kind for each in found.values())
@@ -103,10 +103,10 @@ def named_steps(last: Step) -> dict[str, Step]:
 
 
 def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> Step:
-    """Returns the evaluation that makes a cell's result, with all it needs.
+    """Returns the evaluation step of a cell, with all steps that it depends on.
 
     Raises:
-        ConfigurationError: an option holds a path of this machine, or the scale's objects are none.
+        ConfigurationError: an option contains a path of this machine, or the scale's objects do not exist.
     """
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
     learnt = _demonstrations(cell, declaration)
@@ -126,7 +126,7 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> S
 
 
 def options_key(cell: Cell, declaration: Declaration, scale: str) -> str:
-    """Returns a key of the commands alone, whatever the code: whether a result is of what is declared now."""
+    """Returns a key of the commands without the code, to compare a result with the present declaration."""
     return plan(cell, declaration, scale, Code()).key
 
 
@@ -142,7 +142,7 @@ def _demonstrations(cell: Cell, declaration: Declaration) -> Demonstrations | No
 
 def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) -> Step:
     expert = (f"--expert={wanted.expert}", *_expert_options(wanted))
-    # Only where they count: equal demonstrations shall have equal commands.
+    # Left out for other experts, so that equal demonstrations have equal commands.
     trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()
     how = (*expert, *trials, f"--late-starts={wanted.late_starts:g}")
     return _recording(COLLECT, cell, wanted, scale, code, episodes=scale.demonstrations, how=how)
@@ -183,8 +183,8 @@ def _recording(
         f"--mechanism-rules={wanted.mechanism_rules}",
         _COLLECTED,
     )
-    # Attempts of an episode end with the first success, so that a larger bound changes no dataset that is ever made.
-    # So does asking for pictures: where none can be taken, the step fails at once.
+    # Attempts end with the first success, so a higher limit changes no dataset. Requiring images does not either: the
+    # step fails at once where rendering is impossible.
     required = ("--images",) if wanted.image_size else ()
     return _step(kind, command, code.demonstrations, (f"--max-attempts={_ATTEMPTS}", *required), needs)
 
@@ -221,7 +221,7 @@ def _training(
 def _evaluation(
     cell: Cell, method: Method, scale: Scale, code: Code, *, like: Demonstrations, training: Step | None
 ) -> Step:
-    """Returns the evaluation of a policy, trained or not, in scenes ``like`` those of demonstrations."""
+    """Returns the evaluation of a policy, trained or not, in scenes with the settings of demonstrations ``like``."""
     made = (f"--policy.type={method.policy}", *method.options)
     trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()
@@ -245,10 +245,10 @@ def _evaluation(
         *scale.evaluate,
         *method.evaluate,
     )
-    # The code of a policy that is not trained enters here, for it has no training whose key holds it.
+    # An untrained policy has no training key, so its code enters here.
     policy = "" if training else code.policies.get(cell.method, "")
     decides = f"{code.episodes} {code.numbers} {policy}".strip()
-    # A policy that looks at pictures has been trained with them; without, evaluating is faster, and the same.
+    # A policy that uses images was trained with them. For others, evaluation without images is equal and faster.
     named = any(word.startswith("--env.observe_images=") for word in command)
     observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)
     return _step(EVALUATE, command, decides, observed, () if training is None else (training,))
@@ -262,7 +262,7 @@ def _step(
     needs: tuple[Step, ...] = (),
 ) -> Step:
     template = list(command)
-    check_command(" ".join(template))  # now, not when hours later a result is written
+    check_command(" ".join(template))  # fail now rather than hours later, when the result is written
     decides = json.dumps({"command": [_spelled_in_key(word) for word in template], "code": code}).encode()
     key = hashlib.sha256(decides).hexdigest()[:_LENGTH]
     return Step(kind, key, tuple(word.replace(_KEY, key) for word in template), non_key_options, needs)
@@ -276,11 +276,11 @@ def _spelled_in_key(word: str) -> str:
 
 
 def option(command: Iterable[str], name: str) -> str:
-    """Returns the value of the option ``--NAME=VALUE`` of a command that has it."""
+    """Returns the value of ``--NAME=VALUE`` in a command that contains it."""
     (value,) = (word.partition("=")[2] for word in command if word.partition("=")[0] == name)
     return value
 
 
 def _with_options(command: str, *options: str) -> list[str]:
-    """Returns a command whose every option is there once; a later one of a name wins."""
+    """Returns a command with each option once; the last value of an option wins."""
     return [command, *{option.partition("=")[0]: option for option in options}.values()]

@@ -1,6 +1,6 @@
-"""What this installation knows of the policies that a benchmark's methods name: whether they can be made, their code.
+"""Policies of a benchmark's methods in this installation: availability, and hashes of their code.
 
-Imports LeRobot with all its policies' configurations, when it is asked.
+Imports LeRobot with all policy configurations on the first call.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lerobot_adamanip.util.import_graph import ImportGraph, is_within, our_impor
 
 
 def find_policies(methods: Mapping[str, Method]) -> tuple[dict[str, str], dict[str, str]]:
-    """Returns method -> hash of its policy's code, and method -> why it cannot be run here."""
+    """Returns method -> hash of its policy's code, and method -> reason why it cannot run here."""
     import lerobot.policies  # noqa: F401  (registers LeRobot's own)
     from lerobot.configs.policies import PreTrainedConfig
     from lerobot.utils.import_utils import register_third_party_plugins
@@ -40,10 +40,10 @@ def find_policies(methods: Mapping[str, Method]) -> tuple[dict[str, str], dict[s
 
 
 def policy_hash(configuration: type[Any]) -> str:
-    """Returns a hash of the code that decides what a policy learns and does.
+    """Returns a hash of the code that decides how a policy learns and acts.
 
-    It is the import closure of the folder of its configuration, in this project's packages and in the package that the
-    folder is in. That package's own ``__init__``, which grows with each policy, does not count.
+    It covers the import closure of the configuration's folder, within this project's packages and the package of that
+    folder. The ``__init__`` of that package does not count, because it changes with each new policy.
     """
     folder, package = Path(inspect.getfile(configuration)).parent, configuration.__module__.rpartition(".")[0]
     ours, parent = our_import_graph(), package.rpartition(".")[0]
@@ -54,17 +54,17 @@ def policy_hash(configuration: type[Any]) -> str:
 
 
 def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:
-    """Returns why a policy cannot have these options; empty if it can."""
+    """Returns why a policy rejects these options; empty if it accepts them."""
     import draccus
 
     said = io.StringIO()
     arguments = ["--device=cpu", *(f"--{option.removeprefix('--policy.')}" for option in options)]
     before = logging.root.manager.disable
-    logging.disable(logging.WARNING)  # configurations report the device that they are given
+    logging.disable(logging.WARNING)  # configurations log the device
     try:
         with contextlib.redirect_stderr(said):
             draccus.parse(config_class=kind, args=arguments)
-    except SystemExit:  # how argparse refuses an option it does not know, after saying so
+    except SystemExit:  # argparse exits on an unknown option, after printing the reason
         return said.getvalue().strip().rpartition("error: ")[2]
     except AdaManipError as error:
         return " ".join(str(error).split())

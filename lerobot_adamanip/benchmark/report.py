@@ -1,4 +1,4 @@
-"""Report of a benchmark: metrics of a method's trainings together, and the cells without a result. Pure functions."""
+"""Report of a benchmark: metrics of each method, pooled over trainings, and missing cells. Pure functions."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from lerobot_adamanip.evaluation.rates import Difference, difference
 
 FEW_KEY_FRAMES = 15
 BUDGETS = (10, FEW_KEY_FRAMES, 25, MAX_KEY_FRAMES)
-"""Key frames within which success is reported."""
+"""Budget of key frames for the success that reports show."""
 
 type Place = tuple[str, int | None, str, str]
-"""Method, trials (None in the table), category, split of objects: where a number stands."""
+"""Position of a number: method, trials (None in the table), category, split of objects."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +29,9 @@ class Row:
     """A method.
 
     Attributes:
-        name, title: as declared, or as in its results where it is declared no more.
-        paper: its name in the paper; empty if the paper's numbers are not to be shown.
-        package: that declares it; empty for the declaration itself.
+        name, title: as declared, or from the results of a method that is no longer declared.
+        paper: name in the paper; empty to hide the paper's numbers.
+        package: distribution that declares it; empty for the declaration itself.
     """
 
     name: str
@@ -42,14 +42,14 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """All trainings of a method in one category and split of objects.
+    """Pooled result of all trainings of a method, in one category and split of objects.
 
     Attributes:
-        numbers: of their episodes together.
-        seeds: of the trainings that there are results of.
-        wanted: how many there should be.
-        other_code: whether some are of other code than the present.
-        other_options: whether some are of other options than are declared.
+        numbers: metrics of all their episodes.
+        seeds: training seeds with results.
+        wanted: number of declared trainings.
+        other_code: whether some results were made with other code.
+        other_options: whether some results were made with other options than declared.
     """
 
     numbers: Metrics
@@ -61,19 +61,19 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkReport:
-    """The results of one scale.
+    """Results of one scale.
 
     Attributes:
-        scale: name.
+        scale: name of the scale.
         note, beside_paper: see `Scale`.
         reference: method that the others are compared with.
-        rows: declared ones first.
-        categories, splits: in the order of the tables.
-        trials: numbers of the curve over trials, in order.
-        entries: the numbers there are.
-        missing: cells that are declared and have no result.
-        unavailable: method -> why it cannot be run here, where that was asked.
-        results: that all of it is made of.
+        rows: methods, declared ones first.
+        categories, splits: in table order.
+        trials: numbers of failed trials in the curve, in order.
+        entries: available numbers by position.
+        missing: declared cells without a result.
+        unavailable: method -> why it cannot run here; empty if not checked.
+        results: all results of the report.
     """
 
     scale: str
@@ -90,38 +90,38 @@ class BenchmarkReport:
     results: tuple[CellResult, ...]
 
     def entry(self, method: str, category: str, objects: str, trials: int | None = None) -> Entry | None:
-        """Returns a number; None if there is none."""
+        """Returns the entry at a position; None if there is none."""
         return self.entries.get((method, trials, category, objects))
 
     @property
     def scenes(self) -> str:
-        """Split of the results' scenes; of several, all with ``and`` between them."""
+        """Split of the scenes; several are joined by ``and``."""
         return " and ".join(sorted({result.scenes for result in self.results}))
 
     @property
     def rows_with_results(self) -> tuple[Row, ...]:
-        """The methods of which there is a number, or which cannot be run here: those that tables and pictures show."""
+        """Methods that have results or cannot run here; tables and plots show them."""
         there = {place[0] for place in self.entries if place[1] is None} | set(self.unavailable)
         return tuple(row for row in self.rows if row.name in there)
 
     @property
     def curves(self) -> list[tuple[str, str, str]]:
-        """Method, category and split of objects of each curve over trials."""
+        """Method, category and split of objects of each trials curve."""
         return sorted({(place[0], place[2], place[3]) for place in self.entries if place[1] is not None})
 
     @property
     def categories_with_results(self) -> tuple[str, ...]:
-        """The categories of which there is a number."""
+        """Categories with results."""
         there = {place[2] for place in self.entries if place[1] is None}
         return tuple(category for category in self.categories if category in there)
 
     def mean(self, method: str, objects: str, within: int | None = None) -> float | None:
-        """Returns a method's mean success over the categories, each counting alike; None unless there are all of them.
+        """Returns a method's mean success over the categories, equally weighted; None if a category is missing.
 
         Args:
-            method: name.
-            objects: split.
-            within: count only what was opened within so many key frames.
+            method: name of the method.
+            objects: split of objects.
+            within: key frame budget; later successes do not count.
         """
         numbers = self.numbers(method, self.categories, (objects,))
         if len(numbers) < len(self.categories):
@@ -130,9 +130,9 @@ class BenchmarkReport:
         return sum(each.rate or 0.0 for each in rates) / len(rates)
 
     def to_reference(self, method: str, categories: Sequence[str], objects: str) -> Difference | None:
-        """Returns the reference's success less a method's, episodes of the categories together.
+        """Returns the reference's success minus a method's, over the pooled episodes of the categories.
 
-        None where one of them lacks a number.
+        None if an entry is missing.
         """
         both = [self.numbers(name, categories, (objects,)) for name in (self.reference, method)]
         if any(len(each) < len(categories) for each in both):
@@ -141,12 +141,12 @@ class BenchmarkReport:
         return difference(first, second)
 
     def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Metrics]:
-        """Returns what numbers there are of a method in these categories and splits of objects."""
+        """Returns the available metrics of a method in these categories and splits of objects."""
         places = itertools.product(categories, splits)
         return [found.numbers for place in places if (found := self.entry(method, *place)) is not None]
 
     def costs(self) -> dict[str, list[StepCost]]:
-        """Returns kind of step -> what each took; steps that several cells share are there once."""
+        """Returns kind of step -> costs; a step that several cells share appears once."""
         found: dict[str, dict[str, StepCost]] = {}
         for result in self.results:
             for name, cost in result.costs.items():
@@ -154,7 +154,7 @@ class BenchmarkReport:
         return {kind: list(costs.values()) for kind, costs in found.items()}
 
     def csv_rows(self) -> Iterator[tuple[dict[str, object], Metrics]]:
-        """Yields labels and metrics of each number, for `csv_table`."""
+        """Yields labels and metrics of each entry, for `csv_table`."""
         fingerprints = {_place(result.cell): result.fingerprint for result in self.results}
         for place, entry in self.entries.items():
             labels = dict(zip(("subject", "trials", "category", "objects"), place, strict=True))
@@ -171,15 +171,15 @@ def make_report(
     unavailable: Mapping[str, str] | None = None,
     stale: Collection[Cell] = (),
 ) -> BenchmarkReport:
-    """Makes a report of result files.
+    """Builds a report from result files.
 
     Args:
         results: of any cells, declared or not.
-        declaration: what was to be measured.
-        scale: name.
+        declaration: the benchmark.
+        scale: name of the scale.
         present: fingerprints of the present code.
-        unavailable: method -> why it cannot be run here, if that has been asked.
-        stale: cells whose key is another one now, if that has been asked: a fingerprint does not tell of policies.
+        unavailable: method -> why it cannot run here; empty if not checked.
+        stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
     """
     cells, declared = all_cells(declaration, scale), declaration.scale(scale)
     options = {cell: options_key(cell, declaration, scale) for cell in cells}

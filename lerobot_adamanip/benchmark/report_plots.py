@@ -1,4 +1,4 @@
-"""A benchmark's report as pictures. Matplotlib is imported when one is drawn."""
+"""Plots of a benchmark's report. Matplotlib is imported when a plot is drawn."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.text_format import words
 
 _LEGEND_COLUMN_INCH = 3.4
-"""Room for the longest title of a method."""
+"""Space for the longest title of a method."""
 
 
 def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
-    """Draws what there is to draw into a folder; returns the pictures."""
+    """Draws all plots that have data into a folder; returns their paths."""
     success = [_plot_success(report, folder)] if report.categories_with_results else []
     return [*success, *([_plot_trials(report, folder)] if report.curves else [])]
 
 
 def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
-    """Bars with intervals by method and category, a panel for each split of objects, the paper's values as lines."""
+    """Draws success with intervals by method and category, one panel per split; dashes mark the paper's values."""
     rows, categories = report.rows_with_results, report.categories_with_results
     figure = new_figure(max(8.0, 3 + 0.16 * len(rows) * len(categories)), 3.4 * len(report.splits))
     panels: Any = figure.subplots(len(report.splits), 1, squeeze=False)[:, 0]
@@ -48,7 +48,7 @@ def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
 
 
 def _plot_trials(report: BenchmarkReport, folder: Path) -> Path:
-    """Success against failed trials in the demonstrations, with intervals, beside the paper's, and within a budget."""
+    """Draws success over failed trials in the demonstrations, with the paper's curve and within a key frame budget."""
     figure = new_figure(6.5, 4.0)
     axes = figure.subplots()
     for method, category, objects in report.curves:

@@ -36,7 +36,7 @@ _MARKS = {
 
 
 def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
-    """Returns a report as Markdown; ``level`` is that of its first heading."""
+    """Returns a report as Markdown; ``level`` is the level of its first heading."""
     first, inner = "#" * level, "#" * (level + 1)
     parts = [f"{first} Benchmark, scale {report.scale}\n", _extent(report)]
     for title, body in _sections(report):
@@ -45,7 +45,7 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
 
 
 def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
-    """Yields title and body of what there is to say."""
+    """Yields the title and body of each section that has data."""
     if not report.results:
         return
     if len(report.categories) > 1:
@@ -60,7 +60,7 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
 
 
 def _extent(report: BenchmarkReport) -> str:
-    """What was reached and what was not, with reasons."""
+    """Returns the number of results, the missing cells, and methods that cannot run here."""
     number = f"{counted(len(report.results), 'result')}{report.scenes and f' on {report.scenes} scenes'}."
     legends = (report.note, number, _LEGEND, _PAPER_LEGEND * report.beside_paper)
     lines = [" ".join(filter(None, legends))]
@@ -106,7 +106,7 @@ def _success(report: BenchmarkReport) -> str:
 
 
 def _beside_paper(report: BenchmarkReport, titles: list[str], rows: list[list[str]]) -> str:
-    """Returns a table by split of objects whose last column is the paper's; without it where it is not wanted."""
+    """Returns a table by split of objects; the last column shows the paper's values, if they are wanted."""
     columns = [*titles, *_objects(report), f"the paper, {PAPER_OBJECTS}"]
     kept = len(columns) if report.beside_paper else -1
     return markdown_table(columns[:kept], [row[:kept] for row in rows])

@@ -1,4 +1,4 @@
-"""Result file of a cell: its metrics with what made them; times and machines apart, because they differ every time."""
+"""Result file of a cell: metrics and their origin. Times and machines, which differ in every run, are kept apart."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ _STEP_NAME = text(rf"({'|'.join(FOLDERS)})(_\d+)?", "the name of a step")
 
 @dataclass(frozen=True, kw_only=True)
 class StepDone:
-    """A step behind a result: the key of its product, and the command as typed in the benchmark's folder."""
+    """A finished step behind a result: the key of its product, and its command as typed in the benchmark's folder."""
 
     key: Annotated[str, HASH]
     command: Annotated[str, text(r"[^\r\n`]{1,4000}", "one line without backquotes")]
 
     @classmethod
     def of(cls, step: Step) -> StepDone:
-        """Returns the note of a step."""
+        """Returns the record of a step."""
         return cls(key=step.key, command=shlex.join((*step.command, *step.non_key_options)))
 
 
 @dataclass(frozen=True)
 class StepCost:
-    """What a step took; shared by all cells that need it.
+    """Cost of a step, shared by all cells that need it.
 
     Attributes:
-        begun: how often it was begun; more than once after interruptions.
-        seconds: of the last time.
+        begun: number of starts; more than one after interruptions.
+        seconds: duration of the last run.
         machine: see `machine_class`.
     """
 
@@ -55,21 +55,21 @@ class CellResult(Origin):
     """Content of a result file.
 
     Attributes:
-        cell: which one.
-        title: of its method, in tables.
+        cell: the measured cell.
+        title: name of its method in tables.
         package: distribution that declared the method; empty for the declaration itself.
-        scale: name.
-        options: `lerobot_adamanip.benchmark.plan.options_key` of what was declared.
-        steps: by name, see `named_steps`; the last one's key is the cell's.
+        scale: name of the scale.
+        options: key of the declared options, from `lerobot_adamanip.benchmark.plan.options_key`.
+        steps: by name, see `named_steps`; the key of the last one is the cell's key.
         fingerprint: of the code that decided the episodes.
-        scene_seeds: the first scene's and the last one's.
-        numbers: of its episodes.
-        costs: by name of step; all that is not the same every time.
+        scene_seeds: first and last seed of the scenes.
+        numbers: metrics of the episodes.
+        costs: name of step -> cost; differs in every run.
     """
 
     cell: Annotated[Cell, record(Cell)]
     title: Annotated[str, TITLE]
-    package: Annotated[str, text(r"[\w.-]{0,100}", "a distribution's name, or nothing")]
+    package: Annotated[str, text(r"[\w.-]{0,100}", "a distribution's name, or an empty text")]
     scale: Annotated[str, NAME]
     options: Annotated[str, HASH]
     steps: Annotated[Mapping[str, StepDone], mapping(_STEP_NAME, record(StepDone), 100)]
@@ -81,28 +81,28 @@ class CellResult(Origin):
 
     @property
     def key(self) -> str:
-        """Of everything that decided it."""
+        """Cache key of everything that affects the result."""
         return tuple(self.steps.values())[-1].key
 
     @property
     def scenes(self) -> str:
-        """Split of the scenes that its evaluation ran on, by its command."""
+        """Split of the evaluation's scenes, read from its command."""
         return option(shlex.split(self.steps[EVALUATE].command), "--env.split")
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary."""
+        """Returns a JSON-serialisable dictionary."""
         return {**asdict(self), "numbers": self.numbers.to_json()}
 
 
 def write_cell(path: Path, result: CellResult) -> None:
-    """Writes a result file; its content is checked as that of a stranger's file is."""
+    """Writes a result file; its content is validated as `read_cell` does."""
     content = json.loads(json.dumps(result.to_json()))
     parse_cell(content)
     write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def read_cell(path: Path) -> CellResult:
-    """Reads a result file; raises `DatasetError` if it is none."""
+    """Reads a result file; raises `DatasetError` if it is invalid."""
     try:
         return parse_cell(read(path))
     except (OSError, ValueError) as error:
@@ -115,12 +115,12 @@ def read_cell(path: Path) -> CellResult:
 
 
 def read_cells(folder: Path) -> list[CellResult]:
-    """Reads all result files of a folder, in order of their names; raises `DatasetError` for one that is none."""
+    """Reads all result files of a folder, sorted by name; raises `DatasetError` if one is invalid."""
     return [read_cell(path) for path in sorted(folder.glob("*.json"))]
 
 
 def parse_cell(content: object) -> CellResult:
-    """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
+    """Returns the result in decoded JSON; raises ValueError that names the invalid field."""
     found = record(CellResult)("the result", content)
     if not found.steps:
         raise ValueError("steps is empty")

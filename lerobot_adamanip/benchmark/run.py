@@ -1,7 +1,7 @@
-"""Running a benchmark: each cell's missing steps, in order, until its result is written.
+"""Run a benchmark: execute the missing steps of each cell, in order, until its result is written.
 
-Whatever ends it, at any moment, the same call goes on with the step it was in, and writes the same results: collections
-and trainings resume, a half-finished evaluation is begun anew.
+After an interruption, the same call continues with the interrupted step and writes the same results. Collections and
+trainings resume; an unfinished evaluation starts again.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
-"""States of a cell. Stale: its result is of other code or other options. Begun: one of its steps is, or is done."""
+"""States of a cell. Stale: result of other code or other options. Begun: at least one step was started."""
 _POLL_SECONDS = 0.02
 SIGN_OF_LIFE_SECONDS = 30.0
-"""A step that runs is reported every so often, with the last line of its log."""
+"""Interval at which a running step is reported with the last line of its log."""
 _LINE_LENGTH = 120
 WORDS = {
     COLLECT: "collecting",
@@ -63,13 +63,13 @@ class StepError(AdaManipError, RuntimeError):
 
 @dataclass(frozen=True)
 class CellState:
-    """How far a cell is.
+    """Progress of a cell.
 
     Attributes:
-        cell: which one.
+        cell: the cell.
         state: see `DONE` and the others.
-        reason: why it is unavailable or has failed, else empty.
-        result: what its file holds, if there is one.
+        reason: why it is unavailable or has failed; otherwise empty.
+        result: content of its result file, if it exists.
     """
 
     cell: Cell
@@ -89,19 +89,19 @@ class _RunningStep:
 
 @dataclass
 class BenchmarkRun:
-    """A scale of a benchmark in a folder.
+    """Run of one scale of a benchmark in a folder.
 
     Attributes:
-        declaration, scale: what is measured.
-        folder: where.
-        code: that decides results.
-        origin: of the results.
-        machine: kind of this one, see `machine_class`.
-        unavailable: method -> why it cannot be run here.
-        collect_options: of ``adamanip collect``, deciding nothing: workers, cluster.
-        jobs: commands that run at once; each computes with its share of the cores.
-        runner: begins commands.
-        say: told what begins.
+        declaration, scale: the benchmark.
+        folder: its folder.
+        code: hashes of the code that affects results.
+        origin: origin of the results.
+        machine: class of this machine, see `machine_class`.
+        unavailable: method -> why it cannot run here.
+        collect_options: options of ``adamanip collect`` that change no result: workers, cluster.
+        jobs: number of parallel commands; they share the cores equally.
+        runner: function that starts commands.
+        say: callback for progress messages.
     """
 
     declaration: Declaration
@@ -119,7 +119,7 @@ class BenchmarkRun:
     _running: dict[str, _RunningStep] = field(default_factory=dict, init=False)
 
     def state(self, cell: Cell) -> CellState:
-        """Returns how far a cell is; runs nothing."""
+        """Returns the progress of a cell; runs nothing."""
         path = self.folder.result(cell)
         result = read_cell(path) if path.exists() else None
         if reason := self.unavailable.get(cell.method):
@@ -131,14 +131,14 @@ class BenchmarkRun:
         return CellState(cell, BEGUN if begun else MISSING)
 
     def run(self, cells: Sequence[Cell]) -> Iterator[CellState]:
-        """Runs what is missing of each cell, and yields what it is then; a cell that fails keeps no other from it.
+        """Runs the missing steps of each cell and yields its final state; a failed cell does not stop the others.
 
         Raises:
-            DatasetError: another benchmark is at work in the folder.
+            DatasetError: another benchmark is running in the folder.
         """
         self.folder.make()
-        busy = "A benchmark, or a command that one has left behind, is at work here."
-        with files.locked(self.folder.root, busy, "wait for its end, or another --out") as lock:
+        busy = "A benchmark, or a command that it has left behind, is running in this folder."
+        with files.locked(self.folder.root, busy, "wait for its end, or use another --out") as lock:
             waiting = {cell: f"[{number}/{len(cells)}] {cell.name}" for number, cell in enumerate(cells, start=1)}
             try:
                 while waiting:
@@ -150,7 +150,7 @@ class BenchmarkRun:
                 self._running.clear()
 
     def _advanced(self, waiting: dict[Cell, str], lock: int) -> Iterator[CellState]:
-        """Begins steps that can be done now, in the order of cells; yields the cells that wait for nothing more."""
+        """Starts all steps that are ready, in the order of cells; yields the cells that are finished."""
         for cell, label in list(waiting.items()):
             whole = self._plan(cell)
             state = self._ended(cell, whole)
@@ -164,7 +164,7 @@ class BenchmarkRun:
                 yield state
 
     def _ended(self, cell: Cell, step: Step) -> CellState | None:
-        """Returns the state of a cell that wants no more than this, its result written; None for any other."""
+        """Writes the result of a cell whose last step is done, and returns its state; None for any other cell."""
         before = self.state(cell)
         if before.state in (DONE, UNAVAILABLE):
             return before
@@ -180,13 +180,13 @@ class BenchmarkRun:
         return self.state(cell)
 
     def _next_step(self, whole: Step) -> Step | None:
-        """Returns the first step to run; what a finished step was made of is no longer needed."""
+        """Returns the first step to run; inputs of finished steps are not needed any more."""
         if self.folder.is_done(whole):
             return None
         return next((missing for need in whole.needs if (missing := self._next_step(need))), whole)
 
     def _begun(self, step: Step, lock: int, label: str) -> bool:
-        """Begins a step; False if it was ended at once, for its command had nothing left to do."""
+        """Starts a step; False if it finished at once because its command had nothing left to do."""
         self.say(f"{label}: {WORDS[step.kind]}, log: {self.folder.log(step)}")
         self.folder.begin(step)
         begin = time.perf_counter()
@@ -201,7 +201,7 @@ class BenchmarkRun:
         return True
 
     def _wait(self) -> None:
-        """Waits until a command ends; says now and then what runs."""
+        """Waits until a command ends; reports running commands at intervals."""
         due = time.perf_counter() + SIGN_OF_LIFE_SECONDS
         while self._running:
             ended = [(each, status) for each in self._running.values() if (status := each.process.poll()) is not None]
@@ -239,23 +239,23 @@ class BenchmarkRun:
         return plan(cell, self.declaration, self.scale, self.code)
 
     def _command(self, step: Step) -> list[str]:
-        """Returns the command that does a step from where it is; empty if there is nothing left to do."""
+        """Returns the command that continues a step; empty if the step has nothing left to do."""
         product, whole = self.folder.product(step), [*step.command, *step.non_key_options]
         if step.kind in (COLLECT, CORRECT):
             return [*whole, *self.collect_options]
         if step.kind == TRAIN:
-            leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods alike, LeRobot's own too
+            leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods, including LeRobot's own
             if behind := _trained_steps(product):
                 wanted = int(option(step.command, "--steps"))
                 config = last_checkpoint(step.product) / "train_config.json"
                 resumed = ["lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={wanted}"]
                 return [] if behind >= wanted else resumed
-        # LeRobot refuses a folder without a checkpoint, and half a log of episodes would count as a whole one.
+        # LeRobot rejects a folder without a checkpoint, and a partial episode log would count as complete.
         files.remove_tree(product)
         return whole
 
     def _records(self, step: Step) -> list[EpisodeRecord]:
-        """Returns the episodes of an evaluation; raises `StepError` if they are not those that were to be run."""
+        """Returns the episodes of an evaluation; raises `StepError` if they are not the requested ones."""
         wanted, scenes = int(option(step.command, "--eval.n_episodes")), option(step.command, "--env.split")
         try:
             records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), wanted)
@@ -291,7 +291,7 @@ class BenchmarkRun:
 
 
 def _trained_steps(folder: Path) -> int:
-    """Returns how many steps the last checkpoint of a training has behind it; 0 if there is none."""
+    """Returns the training steps of the last checkpoint; 0 if there is none."""
     state = last_checkpoint(folder).parent / "training_state" / "training_step.json"
-    # LeRobot renews the link to the last checkpoint once all of that is written; between two links there is none.
+    # LeRobot replaces the link to the last checkpoint after writing it; for a moment there is no link.
     return int(json.loads(state.read_text(encoding="utf-8"))["step"]) if state.exists() else 0

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from lerobot_adamanip.evaluation.record import EpisodeRecord, HiddenValue
 
 Boundaries = Mapping[tuple[str, str], float]
-"""(category, hidden name) -> value that halves a continuous range."""
+"""(category, hidden name) -> median that halves a continuous range."""
 OBJECT_SPLITS, _SCENE_SPLITS = ("seen", "unseen", "novel", "external"), ("test", "validation", "train", "other")
 
 
 @dataclass(frozen=True)
 class Group:
-    """Episodes that have something in common.
+    """Episodes with a common property.
 
     Attributes:
         by: ``all``, ``category``, ``objects``, ``category and objects``, ``scenes`` or ``hidden``.
@@ -27,7 +27,7 @@ class Group:
 
     @property
     def label(self) -> str:
-        """Its name in tables and pictures."""
+        """Name in tables and plots."""
         return f"{self.name} {self.by}" if self.by in ("objects", "scenes") else self.name
 
 
@@ -35,9 +35,9 @@ ALL = Group("all", "all")
 
 
 def hidden_boundaries(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float]:
-    """Returns the medians of the continuous hidden values, by category, to three digits.
+    """Returns the medians of the continuous hidden values by category, to three digits.
 
-    Compared evaluations need the same boundaries: pass the records of all of them.
+    Evaluations are comparable only with equal boundaries: pass the records of all of them.
     """
     values: dict[tuple[str, str], list[float]] = {}
     for record in records:
@@ -48,7 +48,7 @@ def hidden_boundaries(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str],
 
 
 def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: Boundaries) -> Iterator[str]:
-    """Yields names of a hidden state's values: ``locked``, ``direction +1``, ``mode 2``, ``turn_range < 1.1``."""
+    """Yields the names of a hidden state's values: ``locked``, ``direction +1``, ``mode 2``, ``turn_range < 1.1``."""
     for name, value in sorted(hidden.items()):
         if isinstance(value, bool):
             yield name if value else ("unlocked" if name == "locked" else f"not {name}")
@@ -60,12 +60,12 @@ def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: B
 
 
 def is_half_of_range(name: str) -> bool:
-    """Whether a hidden value's name is that of a half of a continuous range, whose boundary is one evaluation's own."""
+    """Whether a name means half of a continuous range; its boundary differs between evaluations."""
     return " < " in name or " >= " in name
 
 
 def groups_of(record: EpisodeRecord, boundaries: Boundaries) -> Iterator[Group]:
-    """Yields every group an episode belongs to."""
+    """Yields every group that an episode belongs to."""
     objects = record.object_split or "external"
     yield ALL
     yield Group("category", record.category)
@@ -79,11 +79,11 @@ def groups_of(record: EpisodeRecord, boundaries: Boundaries) -> Iterator[Group]:
 def group_records(
     records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None
 ) -> dict[Group, list[EpisodeRecord]]:
-    """Returns group -> its episodes, all first, then by kind of group.
+    """Returns group -> its episodes: ``all`` first, then sorted by kind of group.
 
     Args:
-        records: each episode once.
-        boundaries: see `hidden_boundaries`; of these records if left out.
+        records: unique episodes.
+        boundaries: see `hidden_boundaries`; by default those of these records.
     """
     parting = hidden_boundaries(records) if boundaries is None else boundaries
     found: dict[Group, list[EpisodeRecord]] = {ALL: []}
@@ -100,7 +100,7 @@ def _order(group: Group) -> tuple[int, int, str]:
 
 
 def worth_showing(groups: Iterable[Group]) -> list[Group]:
-    """Returns the groups without those that repeat another one, as the only category repeats ``all``."""
+    """Returns the groups without repeats: with a single category, its group equals ``all``."""
     chosen = list(groups)
     names = {by: {group.name for group in chosen if group.by == by} for by in ("category", "objects", "scenes")}
     dull = {by for by in ("category", "scenes") if len(names[by]) < 2}
@@ -110,9 +110,9 @@ def worth_showing(groups: Iterable[Group]) -> list[Group]:
 
 
 def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
-    """Returns the records with each episode once, the last one winning, in the order of those kept.
+    """Returns the records with each episode once: the last one of equal episodes, in order.
 
-    An episode is its seed, object and hidden state. One seed on seen and on unseen objects is two episodes.
+    Episodes are equal if seed, object and hidden state are. A seed on seen and on unseen objects is two episodes.
     """
     last: dict[tuple[object, ...], EpisodeRecord] = {}
     for record in records:
@@ -122,9 +122,9 @@ def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
 
 
 def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
-    """Returns the records of each `EpisodeRecord.evaluation` that a log holds, in order of appearance.
+    """Returns the records of each `EpisodeRecord.evaluation` in a log, in order of appearance.
 
-    Splits of scenes stay apart, also where all evaluations are pooled into one.
+    Scene splits stay separate, even if ``pool`` merges all evaluations.
     """
     found: dict[tuple[object, ...], list[EpisodeRecord]] = {}
     for record in records:
@@ -133,11 +133,11 @@ def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -
 
 
 def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[EpisodeRecord]:
-    """Returns the ``count`` episodes of each evaluation and category that ``lerobot-eval`` counts.
+    """Returns the first ``count`` episodes of each evaluation and category, as ``lerobot-eval`` counts them.
 
-    LeRobot runs whole batches, ``ceil(n_episodes / batch_size)`` of them, gives the environments one seed after the
-    other, and counts the first ``n_episodes``: those given the lowest seeds. A log holds the last batch's surplus too,
-    unless ``--env.logged_seeds`` leaves it out.
+    LeRobot runs ``ceil(n_episodes / batch_size)`` whole batches with consecutive seeds and counts the ``n_episodes``
+    with the lowest seeds. The log also contains the surplus of the last batch, unless ``--env.logged_seeds`` excludes
+    it.
     (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
     """
     found: dict[tuple[object, ...], list[EpisodeRecord]] = {}

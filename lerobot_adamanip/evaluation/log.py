@@ -1,4 +1,4 @@
-"""The episode log (``--env.episode_log=FILE``): one `EpisodeRecord` per line of JSON, written by many processes."""
+"""Episode log (``--env.episode_log=FILE``): one `EpisodeRecord` per JSON line, appended by many processes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lerobot_adamanip.util.errors import DatasetError
 
 
 def new_run_id() -> str:
-    """Returns a random id for the episodes of one evaluation, whatever number of processes runs them."""
+    """Returns a random id for one evaluation, shared by all its processes."""
     return uuid.uuid4().hex[:12]
 
 
 def append_record(path: Path, record: EpisodeRecord) -> None:
-    """Appends a record as one line; the folder is made if it is missing."""
+    """Appends a record as one line; creates the folder if needed."""
     files.append_line(path, json.dumps(record.to_json()))
 
 
@@ -25,7 +25,7 @@ def read_log(path: Path) -> list[EpisodeRecord]:
     """Reads a log.
 
     Raises:
-        DatasetError: it is missing, empty, or a line of it is not an episode's record.
+        DatasetError: the log is missing or empty, or a line is not a valid record.
     """
     advice = f"lerobot-eval --env.type=adamanip_safe --env.episode_log={path} ..."
     if path.is_dir():

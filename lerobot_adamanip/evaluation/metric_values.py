@@ -1,4 +1,4 @@
-"""Values of metrics: a `Rate`, a `Mean`, a count, or a mapping of them; how they are read, shown and added."""
+"""Values of metrics: a `Rate`, a `Mean`, a count, or a mapping of them; encoding, formatting and addition."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _MEAN = table({"mean": number(-(10**6), 10**6), "of": COUNT})
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean over ``count`` episodes; ``value`` is None of none."""
+    """Mean over ``count`` episodes; ``value`` is None without episodes."""
 
     total: float
     count: int
 
     @property
     def value(self) -> float | None:
-        """The mean."""
+        """Mean value; None without episodes."""
         return self.total / self.count if self.count else None
 
 
@@ -39,7 +39,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(name: str, value: object) -> Any:
-    """Returns the value in decoded JSON; raises ValueError if it is none."""
+    """Returns the value in decoded JSON; raises ValueError if it is invalid."""
     if isinstance(value, list):
         return rate(*_PAIR(name, value))
     if not isinstance(value, Mapping):
@@ -58,7 +58,7 @@ def _key(name: str, value: object) -> str | int | float:
 
 
 def show(value: Any) -> str:
-    """Returns a value as text; zeros of a mapping are left out, and so are halves of continuous hidden values."""
+    """Returns a value as text; omits zeros in mappings and halves of continuous hidden values."""
     if isinstance(value, Rate):
         return f"{value.count}/{value.episodes}"
     if isinstance(value, Mean):
@@ -72,7 +72,7 @@ def show(value: Any) -> str:
 
 
 def add(values: Iterable[Any]) -> Any:
-    """Returns values of one metric together; None, not counted, is left out."""
+    """Returns the sum of a metric's values; ignores None, which means not measured."""
     known = [value for value in values if value is not None]
     if not known:
         return None
@@ -87,6 +87,6 @@ def add(values: Iterable[Any]) -> Any:
 
 
 def mean_length(lengths: Mapping[float, int] | None) -> float | None:
-    """Returns the mean of a mapping length -> count; None of an empty one."""
+    """Returns the mean of a mapping length -> count; None if it is empty."""
     count = sum((lengths or {}).values())
     return sum(length * each for length, each in (lengths or {}).items()) / count if count else None

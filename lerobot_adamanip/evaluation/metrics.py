@@ -1,6 +1,6 @@
-"""Metrics of episodes. A new metric is one field of `Metrics`: reports, result files and tables then have it.
+"""Metrics of episodes. To add a metric, add a field to `Metrics`; reports, result files and tables then show it.
 
-Values are counts, so that metrics of several evaluations can be added: a `Rate`, a `Mean`, or a mapping of them.
+Values hold counts, so that several evaluations can be pooled: a `Rate`, a `Mean`, or a mapping of them.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ Records = Sequence[EpisodeRecord]
 
 @dataclass(frozen=True)
 class Metric:
-    """How a field of `Metrics` is measured and shown.
+    """How to measure and show a field of `Metrics`.
 
     Attributes:
-        title: heading of its column or row.
-        measure: episodes, each once -> its value.
-        kind: type of its value: `Rate`, `Mean` or dict.
-        show: its value -> text.
-        by_objects: whether tables of policies show it by split of objects.
-        is_detail: whether brief tables leave it out.
+        title: column or row heading.
+        measure: unique episodes -> value.
+        kind: type of the value: `Rate`, `Mean` or dict.
+        show: value -> text.
+        by_objects: whether policy tables show it by split of objects.
+        is_detail: whether short tables omit it.
     """
 
     title: str
@@ -60,7 +60,7 @@ def _success(records: Records) -> Rate:
 
 
 def _tries_of_successes(records: Records, tries: Callable[[EpisodeRecord], float]) -> Mean:
-    """Means of tries are per success: a failed episode with few tries must not count as a good one."""
+    """Returns the mean tries of successes only: a failed episode with few tries must not improve the mean."""
     solved = _solved(records)
     return Mean(sum(map(tries, solved)), len(solved))
 
@@ -116,20 +116,20 @@ def _show_key_frames(lengths: Mapping[float, int]) -> str:
 
 @dataclass(frozen=True)
 class Metrics:
-    """What came of some episodes. All but ``success`` are None where they were not counted.
+    """Metrics of a set of episodes. All fields except ``success`` are None if not measured.
 
     Attributes:
-        success: share that was opened.
-        wasted_tries: failed tries of the successes beyond those of an optimal blind strategy. Below zero: the policy
-            succeeds where it guesses right, and fails where it does not.
-        repeated: failed tries that were repeated unchanged, of those that another try followed.
-        failed_at: what failed tries of the successes failed at, one of `FAILED_AT` -> their mean.
-        failures: cause, one of `CAUSES` -> failed episodes.
-        hidden: name of a hidden value -> success in its episodes; meaningful in one category.
-        key_frames: number of key frames -> successes that took as many. Old results hold their mean alone.
-        failed_tries: mean of the successes.
-        untried: number of different tries that have failed -> following tries that have not failed yet.
-        tried_locked_first: of the episodes that start locked, those whose first try is a pull.
+        success: success rate.
+        wasted_tries: failed tries of the successes minus those of an optimal blind strategy. A negative value means
+            that the policy succeeds where its guess is right and fails elsewhere.
+        repeated: share of failed tries that the next try repeats unchanged.
+        failed_at: cause of a failed try, one of `FAILED_AT` -> mean count per success.
+        failures: cause, one of `CAUSES` -> number of failed episodes.
+        hidden: name of a hidden value -> success rate in its episodes; meaningful within one category.
+        key_frames: number of key frames -> number of successes. Old results contain the mean only.
+        failed_tries: mean per success.
+        untried: number of different failed tries so far -> share of next tries that differ from all of them.
+        tried_locked_first: share of locked episodes in which the first try is a pull.
     """
 
     success: Annotated[Rate, Metric("success", _success, Rate, interval_text)]
@@ -150,24 +150,24 @@ class Metrics:
     tried_locked_first: Annotated[Rate | None, Metric("tried the locked door first", _tried_locked_first, Rate)] = None
 
     def show(self, name: str) -> str:
-        """Returns a metric as text; ``-`` where it was not counted."""
+        """Returns a metric as text; ``-`` if it was not measured."""
         value = getattr(self, name)
         return "-" if value is None else METRICS[name].show(value)
 
     def opened_within(self, key_frames: int) -> Rate:
-        """Returns the share that was opened within so many key frames."""
+        """Returns the share of episodes that succeed within a number of key frames."""
         opened = sum(count for length, count in (self.key_frames or {}).items() if length <= key_frames)
         return rate(opened, self.success.episodes)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary; LeRobot's keys of the success are for other readers."""
+        """Returns a JSON-serialisable dictionary; includes LeRobot's success keys for other tools."""
         found = {name: encode(getattr(self, name)) for name in METRICS if name != "success"}
         counts = {"episodes": self.success.episodes, "successes": self.success.count}
         return {**counts, **success_summary(self.success), **found}
 
     @classmethod
     def from_json(cls, name: str, content: object) -> Metrics:
-        """Returns the metrics in decoded JSON; raises ValueError that names what is wrong."""
+        """Returns the metrics in decoded JSON; raises ValueError that names the invalid field."""
         known = {**dict.fromkeys(METRICS.keys() - {"success"}), **content} if isinstance(content, Mapping) else content
         found = _METRICS(name, known)
         episodes, successes = found.pop("episodes"), found.pop("successes")
@@ -184,7 +184,7 @@ class Metrics:
 METRICS: Mapping[str, Metric] = {
     name: hint.__metadata__[0] for name, hint in get_type_hints(Metrics, include_extras=True).items()
 }
-"""Name -> metric, in the order of tables."""
+"""Name -> metric, in table order."""
 
 
 def _check(metric: Metric) -> Check:
@@ -208,11 +208,11 @@ _METRICS = table(
 
 
 def measure(records: Records) -> Metrics:
-    """Returns the metrics of episodes, each of them there once."""
+    """Returns the metrics of unique episodes."""
     return Metrics(**{name: metric.measure(records) for name, metric in METRICS.items()})
 
 
 def pool(several: Iterable[Metrics]) -> Metrics:
-    """Returns the metrics of all episodes together; of at least one evaluation."""
+    """Returns the pooled metrics of one or more evaluations."""
     found = list(several)
     return Metrics(**{name: add([getattr(each, name) for each in found]) for name in METRICS})

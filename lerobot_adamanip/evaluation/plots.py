@@ -1,4 +1,4 @@
-"""Pictures of evaluations. Matplotlib is imported when one is drawn."""
+"""Plots of evaluations. Matplotlib is imported when a plot is drawn."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_BARS = 24
-"""Groups that a picture has room for."""
+"""Maximum number of groups in a plot."""
 _LABEL_PERCENT = 16
-"""Height of a label of counts, of the whole axis [%]."""
+"""Height of a count label [% of the axis]."""
 _CHARACTERS_FLAT = 60
-"""Labels of groups longer than this in all are turned."""
+"""Total length of group labels [characters] above which they are rotated."""
 
 
 def cumulative_rates(records: Sequence[EpisodeRecord]) -> list[Rate]:
-    """Returns success after 1, 2, ... episodes, each counted once, in order of seeds."""
+    """Returns success rates after 1, 2, ... unique episodes, in order of seeds."""
     kept = sorted(without_repeats(records), key=lambda record: (record.seed, record.object_id))
     done, rates = 0, []
     for number, record in enumerate(kept, start=1):
@@ -34,7 +34,7 @@ def cumulative_rates(records: Sequence[EpisodeRecord]) -> list[Rate]:
 
 
 def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: Path) -> None:
-    """Draws success by group beside success over episodes, with 95 % intervals, one colour per label, to ``path``."""
+    """Plots success by group and over episodes to ``path``, with 95 % intervals and one colour per label."""
     from matplotlib.ticker import MaxNLocator
 
     comparison = compare(evaluations)
@@ -57,7 +57,7 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Returns a figure of this size [inch] that needs no display, and nothing of pyplot's global state."""
+    """Returns a figure of this size [inch] that needs no display and leaves pyplot's global state alone."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -67,7 +67,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save_figure(figure: Figure, title: str, path: Path) -> None:
-    """Gives all axes of a figure the same looks, and writes it to ``path``, whose folder is made if it is missing."""
+    """Applies the common style to a figure and writes it to ``path``; creates the folder if needed."""
     for axes in figure.axes:
         axes.grid(axis="y", alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
@@ -77,9 +77,9 @@ def save_figure(figure: Figure, title: str, path: Path) -> None:
 
 
 def heights_and_errors(rates: Sequence[Rate]) -> tuple[list[float], list[list[float]]]:
-    """Returns rates [%], and how far their intervals reach below and above, as matplotlib takes them.
+    """Returns rates [%] and the interval lengths below and above them, in matplotlib's form.
 
-    A rate of no episodes has no bar, and no interval that would look like a measurement.
+    A rate without episodes gets no bar and no interval.
     """
     heights = [100 * (each.rate or 0.0) for each in rates]
     below = [height - 100 * each.low if each.episodes else 0.0 for height, each in zip(heights, rates, strict=True)]
@@ -88,7 +88,7 @@ def heights_and_errors(rates: Sequence[Rate]) -> tuple[list[float], list[list[fl
 
 
 def _drawn(groups: Sequence[Group]) -> list[Group]:
-    """The groups there is room for: of a suite, neither every category's splits nor everything that is hidden."""
+    """Returns the groups that fit; for a suite, drops splits by category or hidden values first."""
     chosen = list(groups)
     for dull in ("category and objects", "hidden"):
         if len(chosen) > MAX_BARS:
@@ -97,19 +97,19 @@ def _drawn(groups: Sequence[Group]) -> list[Group]:
 
 
 def bar_places(number: int, bars: int, groups: int) -> tuple[list[float], float]:
-    """Returns where bar ``number`` of ``bars`` stands in each group, and its width."""
+    """Returns the positions of bar ``number`` of ``bars`` in each group, and the bar width."""
     width = 0.85 / bars
     return [group + (number - (bars - 1) / 2) * width for group in range(groups)], width
 
 
 def draw_bars(axes: Axes, names: Sequence[str], bars: Mapping[str, Sequence[Rate]], *, counts: bool = False) -> None:
-    """Draws success with intervals in groups of bars.
+    """Draws success with intervals as grouped bars.
 
     Args:
-        axes: to draw in.
-        names: of the groups.
-        bars: label -> success in each group. One of no episodes is marked: no bar would look like a success of zero.
-        counts: write successes and episodes on each bar.
+        axes: axes to draw on.
+        names: group names.
+        bars: label -> success in each group. A rate without episodes is marked, to differ from zero success.
+        counts: whether to write successes and episodes on each bar.
     """
     for number, (label, rates) in enumerate(bars.items()):
         places, width = bar_places(number, len(bars), len(names))
@@ -127,7 +127,7 @@ def draw_bars(axes: Axes, names: Sequence[str], bars: Mapping[str, Sequence[Rate
 
 
 def _label_bar(axes: Axes, x: float, success: Rate, width: float) -> None:
-    """Writes a bar's counts where its interval's line does not cross them: in the bar, above the line, or beside it."""
+    """Writes the counts of a bar where the interval line does not cross them: inside, above or beside."""
     low, high = 100 * success.low, 100 * success.high
     place = (
         (x, 1.5) if low > _LABEL_PERCENT else (x, high + 1.5) if high < 100 - _LABEL_PERCENT else (x + width / 4, 1.5)

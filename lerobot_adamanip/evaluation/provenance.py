@@ -1,4 +1,4 @@
-"""Where a number comes from: commit, versions, kind of machine. Nothing here names a machine, a folder or a user."""
+"""Provenance of a number: commit, versions, machine class. Contains no name of a machine, folder or user."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.fingerprint import versions
 
 EQUIVALENT = Path(__file__).with_name("equivalent_fingerprints.json")
-"""Changes of code that changed no result; scripts/equivalent_fingerprint.py adds to it."""
+"""Table of code changes that change no result; extended by scripts/equivalent_fingerprint.py."""
 
 HASH = json_fields.text(r"[0-9a-f]{8,64}", "a hash")
 LINE = json_fields.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
 MACHINE = json_fields.table({"cores": json_fields.integer(1, 10**5), "gpu": json_fields.flag})
-"""Check of what `machine_class` returns."""
+"""Check of the value of `machine_class`."""
 _VERSION = json_fields.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version")
 
 
 @dataclass(frozen=True)
 class Origin:
-    """What code a number is of.
+    """Code version behind a number.
 
     Attributes:
-        commit: of the repository; None outside one. ``changed``: whether files differed from it.
-        version: of this package; ``versions`` of what else may decide.
+        commit: of the repository; None outside one. ``changed``: whether tracked files differ from it.
+        version: of this package. ``versions``: of other packages that may affect results.
     """
 
     commit: Annotated[str | None, json_fields.optional(HASH)]
@@ -40,30 +40,30 @@ class Origin:
 
 
 def present_origin() -> Origin:
-    """Returns what numbers that are made now are of."""
+    """Returns the origin of numbers that are measured now."""
     commit, changed = _commit()
     return Origin(commit, changed, __version__, dict(versions()))
 
 
 def machine_class() -> dict[str, int | bool]:
-    """Returns how many cores this process may use and whether PyTorch has a GPU; nothing that names the machine."""
+    """Returns the number of available cores and whether PyTorch has a GPU; nothing that identifies the machine."""
     import torch
 
     return {"cores": len(os.sched_getaffinity(0)), "gpu": torch.cuda.is_available()}
 
 
 def machine_text(machine: Mapping[str, int | bool]) -> str:
-    """Returns what `machine_class` tells in words: ``2 cores, no GPU``."""
+    """Returns a machine class in words: ``2 cores, no GPU``."""
     cores = machine["cores"]
     return f"{cores} {'core' if cores == 1 else 'cores'}, {'a GPU' if machine['gpu'] else 'no GPU'}"
 
 
 def equivalent_fingerprints(present: Collection[str], table: Path = EQUIVALENT) -> frozenset[str]:
-    """Returns fingerprints, and all that ``table`` says are of code with the same results.
+    """Returns the fingerprints, and all that ``table`` declares equivalent to them.
 
     Args:
         present: fingerprints of the present code.
-        table: rows of ``old`` and ``new``, with the command ``shown_by`` that gave the same bytes under both.
+        table: rows of ``old`` and ``new``; the command ``shown_by`` gave equal bytes with both.
     """
     rows = json.loads(table.read_text(encoding="utf-8"))
     found = set(present)
@@ -73,7 +73,7 @@ def equivalent_fingerprints(present: Collection[str], table: Path = EQUIVALENT) 
 
 
 def _commit() -> tuple[str | None, bool]:
-    """Commit of the repository this file stands in, and whether its tracked files differ from it."""
+    """Returns the commit of this file's repository, and whether tracked files differ from it."""
 
     def git(*words: str) -> str | None:
         here = Path(__file__).parent
@@ -85,5 +85,5 @@ def _commit() -> tuple[str | None, bool]:
 
     commit = git("rev-parse", "HEAD")
     if commit is None or git("ls-files", "--error-unmatch", Path(__file__).name) is None:
-        return None, False  # installed, perhaps inside somebody else's repository
+        return None, False  # installed, perhaps inside another repository
     return commit, bool(git("status", "--porcelain", "--untracked-files=no"))

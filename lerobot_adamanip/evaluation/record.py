@@ -1,4 +1,4 @@
-"""`EpisodeRecord`: what an episode was. Made by the environment, a line of the episode log, read by reports."""
+"""`EpisodeRecord`: result of an episode. The environment writes it as a line of the episode log; reports read it."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 LABEL = r"[^\r\n\x00-\x1f\u2028\u2029]{1,100}"
-"""What an evaluation may be called."""
+"""Check of an evaluation's label."""
 HiddenValue = bool | int | float
 TryMade = tuple[int, int, bool]
-"""A try: index of its joint in the mechanism's `joints`, sign of the way it was sent, whether it failed."""
+"""A try: joint index in the mechanism's `joints`, sign of the direction, whether it failed."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What made an episode.
+    """Software and run behind an episode.
 
     Attributes:
-        fingerprint: hash of the code that decides episodes, see `lerobot_adamanip.util.fingerprint.combined`.
+        fingerprint: hash of the code that affects episodes, see `lerobot_adamanip.util.fingerprint.combined`.
         version: of this package.
-        mechanism_rules: whose rules the mechanisms follow, see `lerobot_adamanip.mechanisms`.
-        run_id: one for all environments of an evaluation; None outside one.
-        run_label: what the user called it, the policy's name for instance; None if not told.
-        evaluation: which one of its run, from 0: an environment that meets an episode again has begun the next.
+        mechanism_rules: rule set of the mechanisms, see `lerobot_adamanip.mechanisms`.
+        run_id: shared by all environments of an evaluation; None outside one.
+        run_label: label given by the user, for instance the policy's name; None without one.
+        evaluation: index of the evaluation in its run, from 0. It grows when an environment repeats an episode.
     """
 
     fingerprint: str
@@ -44,7 +44,7 @@ class Provenance:
     evaluation: int = 0
 
     def __post_init__(self) -> None:
-        """Rejects a label that a log could not hold."""
+        """Raises an error for a label that a log cannot hold."""
         if self.run_label is not None and not re.fullmatch(LABEL, self.run_label):
             raise ConfigurationError(
                 "Not a label.", got=repr(self.run_label), allowed="one line, 1 ... 100 characters", hint="dp3_adaptive"
@@ -53,29 +53,29 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeRecord:
-    """One episode, as the environment's monitor saw it. Privileged: it tells the hidden state.
+    """One episode, as logged by the environment. Privileged: it contains the hidden state.
 
-    A *try* is what `lerobot_adamanip.contract.keyframes.KeyFrameLabels` calls one.
+    A *try* is defined by `lerobot_adamanip.contract.keyframes.KeyFrameLabels`.
 
     Attributes:
-        seed: decided object, poses and hidden state.
-        given_seed: that the evaluation gave; ``seed`` lies in the split asked for, and is another one where the arm
-            could not reach the first scene.
-        split: of scenes, that the seed belongs to: ``train``, ``validation`` or ``test``; None for a seed of none.
+        seed: seed of object, poses and hidden state.
+        given_seed: seed from the evaluation. ``seed`` is its counterpart in the requested split, or another seed if the
+            arm could not reach the first scene.
+        split: scene split of the seed: ``train``, ``validation`` or ``test``; None outside all splits.
         object_id: ``safe_007``.
-        object_split: of objects: ``seen``, ``unseen`` or ``novel``; None for an external asset.
-        hidden_state: as drawn, name -> value.
-        success: whether it was opened.
-        key_frames: steps it took.
-        tries: key frames in which a joint was tried.
-        blocked_pulls: failed tries at the joint that opens (door, lid, button of a lamp).
+        object_split: ``seen``, ``unseen`` or ``novel``; None for an external asset.
+        hidden_state: sampled values, name -> value.
+        success: whether the object was opened.
+        key_frames: number of steps.
+        tries: number of key frames that tried a joint.
+        blocked_pulls: failed tries at the opening joint (door, lid, button of a lamp).
         wrong_turns: failed tries at the other joint (knob, button, cap, lever).
         key_moved: whether a try moved that other joint.
-        first_part: name of the part of the first try, or None.
+        first_part: name of the first part tried, or None.
         first_try_failed: whether the first try failed.
         try_sequence: each try in order.
-        joints: name -> last position [rad or m].
-        provenance: what made it.
+        joints: name -> final position [rad or m].
+        provenance: software and run.
     """
 
     seed: int
@@ -98,33 +98,33 @@ class EpisodeRecord:
 
     @property
     def category(self) -> str:
-        """Kind of object."""
+        """Category of the object."""
         return category_of(self.object_id)
 
     @property
     def locked(self) -> bool | None:
-        """Whether it started locked; None in a category that always has to be turned first."""
+        """Whether it started locked; None in a category that always needs a turn first."""
         value = self.hidden_state.get("locked")
         return None if value is None else bool(value)
 
     @property
     def failed_tries(self) -> int:
-        """Tries that led nowhere."""
+        """Number of failed tries."""
         return self.blocked_pulls + self.wrong_turns
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """What makes it the same episode as another, for any policy."""
+        """Key of the episode, independent of the policy."""
         return (self.seed, self.object_id, tuple(sorted(self.hidden_state.items())))
 
     @property
     def evaluation(self) -> tuple[str | None, str | None, int]:
-        """What makes it part of the same evaluation as another: run, its label, and which evaluation of the run."""
+        """Key of the evaluation: run, label, and index in the run."""
         made = self.provenance
         return (made.run_id, made.run_label, made.evaluation)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the record as a flat JSON object; ``category`` is written too, for other readers."""
+        """Returns the record as a flat JSON object; includes ``category`` for other tools."""
         plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "provenance"}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
         sequence = [list(each) for each in self.try_sequence]
@@ -133,7 +133,7 @@ class EpisodeRecord:
 
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:
-        """Returns the record in a decoded JSON object; raises ValueError that names what is wrong with it."""
+        """Returns the record in a decoded JSON object; raises ValueError that names the invalid field."""
         found = from_stored(_RECORD("the record", content))
         own = {item.name: found[item.name] for item in fields(cls) if item.name != "provenance"}
         record = cls(**own, provenance=Provenance(**{item.name: found[item.name] for item in fields(Provenance)}))

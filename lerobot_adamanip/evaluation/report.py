@@ -1,4 +1,4 @@
-"""Evaluations side by side: their metrics by group, differences, and warnings about what cannot be compared."""
+"""Comparison of evaluations: metrics by group, differences, and warnings about incomparable runs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _MADE_BY = ("fingerprint", "version", "mechanism_rules")
 
 @dataclass(frozen=True)
 class EvaluationSummary:
-    """One evaluation.
+    """Summary of one evaluation.
 
     Attributes:
-        episodes: counted, each once.
-        repeats: records dropped because the same episode came again later.
-        groups: metrics of each group; `ALL` is always there, and first.
+        episodes: number of unique episodes.
+        repeats: number of dropped records whose episode appears again later.
+        groups: metrics of each group; `ALL` always exists and comes first.
         objects: success by object id.
-        made_by: ``fingerprint``, ``version`` and ``mechanism_rules`` -> the values that occur; one each, unless
+        made_by: ``fingerprint``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each if
             evaluations were mixed.
     """
 
@@ -44,7 +44,7 @@ class EvaluationSummary:
 
     @property
     def scenes(self) -> str:
-        """Split of the episodes' scenes; of several, all with ``and`` between them."""
+        """Split of the scenes; several are joined by ``and``."""
         return " and ".join(group.name for group in self.groups if group.by == "scenes")
 
     @property
@@ -53,11 +53,11 @@ class EvaluationSummary:
         return self.groups[ALL]
 
     def success(self, group: Group) -> Rate:
-        """Returns a group's success; of no episodes where the group has none."""
+        """Returns the success rate of a group; a rate without episodes if the group does not exist."""
         return self.groups[group].success if group in self.groups else rate(0, 0)
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary, with LeRobot's keys for each rate of success."""
+        """Returns a JSON-serialisable dictionary, with LeRobot's keys for each success rate."""
         groups = [
             {**asdict(group), "success": asdict(found.success), **found.to_json()}
             for group, found in self.groups.items()
@@ -72,11 +72,11 @@ class EvaluationSummary:
 
 
 def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None) -> EvaluationSummary:
-    """Returns the summary of an evaluation's records, each episode counted once.
+    """Returns the summary of an evaluation; counts each episode once.
 
     Args:
-        records: as read.
-        boundaries: of continuous hidden values, see `hidden_boundaries`; of these records if left out.
+        records: records of its log.
+        boundaries: of continuous hidden values, see `hidden_boundaries`; by default those of these records.
     """
     kept = without_repeats(records)
     objects: dict[str, list[bool]] = {}
@@ -93,7 +93,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
 
 @dataclass(frozen=True)
 class GroupDifference:
-    """Success of the first evaluation less that of another one, in a group that both have episodes of."""
+    """Success of the first evaluation minus that of another, in a group that both have."""
 
     first: str
     second: str
@@ -103,12 +103,12 @@ class GroupDifference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One or more evaluations.
+    """Comparison of one or more evaluations.
 
     Attributes:
-        summaries: by label; continuous hidden values are halved at the same places in all.
-        differences: of the first from every other one on the same split of scenes, by group.
-        warnings: what was mixed and what cannot be compared.
+        summaries: by label, with equal boundaries of continuous hidden values.
+        differences: of the first from each other one on the same scene split, by group.
+        warnings: mixed or incomparable evaluations.
     """
 
     summaries: Mapping[str, EvaluationSummary]
@@ -117,25 +117,25 @@ class Comparison:
 
     @property
     def title(self) -> str:
-        """Heading of tables and pictures."""
+        """Heading of tables and plots."""
         scenes = " and ".join(dict.fromkeys(summary.scenes for summary in self.summaries.values()))
         return f"Success on {scenes} scenes, with 95 % Wilson intervals"
 
     @property
     def groups(self) -> list[Group]:
-        """The groups of any of them that do not repeat another, in order."""
+        """Groups of all evaluations without repeats, in order."""
         found = [group for summary in self.summaries.values() for group in summary.groups]
         kinds = list(dict.fromkeys(group.by for group in found))
         return worth_showing(sorted(dict.fromkeys(found), key=lambda group: kinds.index(group.by)))
 
     def rows(self) -> Iterator[list[str]]:
-        """Yields the rows of a table: a name, and a cell for each evaluation."""
+        """Yields table rows: a name, and one cell per evaluation."""
         found = list(self.summaries.values())
         yield ["episodes", *(f"{summary.episodes} on {summary.scenes} scenes" for summary in found)]
         for group in self.groups:
             yield [group.label, *(interval_text(summary.success(group)) for summary in found)]
         for name, metric in METRICS.items():
-            if name not in ("success", "hidden"):  # groups show both
+            if name not in ("success", "hidden"):  # the groups show both
                 yield [metric.title, *(summary.overall.show(name) for summary in found)]
         for group in self.groups:
             if group.by in ("category", "hidden"):
@@ -143,7 +143,7 @@ class Comparison:
                 yield [f"wasted tries, {group.label}", *cells]
 
     def lines(self) -> Iterator[str]:
-        """Yields what stands below the table: repeats, differences, failures by object, warnings."""
+        """Yields the lines below the table: repeats, differences, failures by object, warnings."""
         if repeats := sum(summary.repeats for summary in self.summaries.values()):
             yield f"{repeats} repeated episodes were counted once, the last record of each."
         shown = set(self.groups)
@@ -173,7 +173,7 @@ class Comparison:
 
 
 def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
-    """Summarises evaluations and compares every one with the first.
+    """Summarises evaluations and compares each one with the first.
 
     Args:
         evaluations: label -> records; at least one.
@@ -192,7 +192,7 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
 
 
 def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
-    """Yields warnings about evaluations, by label: what was mixed, and what cannot be compared."""
+    """Yields warnings about mixed or incomparable evaluations."""
     for label, summary in summaries.items():
         if " and " in summary.scenes:
             yield f"{label}: {summary.scenes} scenes are mixed; a number is of one split"

@@ -1,6 +1,6 @@
-"""Result files: numbers with what made them. Written by measurements, and made into tables of the documents.
+"""Result files: measured numbers with their provenance.
 
-A file in ``results/`` is one JSON object; `scripts/make_results.py` makes tables of them all.
+A file in ``results/`` is one JSON object; `scripts/make_results.py` turns all of them into the tables of the documents.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from lerobot_adamanip.util.json_fields import choice, integer, listing, number, 
 
 KINDS = ("expert", "policy")
 MACHINE_PATH = r"(?<![\w.])/(?:home|root|work|tmp|Users|mnt|data)/|(?<![A-Za-z])[A-Za-z]:\\"
-"""Pattern of how an absolute path of one machine begins."""
+"""Pattern of the start of an absolute path."""
 PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")
-"""What a command in a published file may not hold: paths of one machine, addresses, users."""
+"""Content that a published command must not have: local paths, addresses, users."""
 
 
 @dataclass(frozen=True)
 class ResultRow:
-    """Episodes of one subject, preset, category and split of objects.
+    """Result of one subject, preset, category and split of objects.
 
     Attributes:
-        subject: who acted, as a table calls it: ``adaptive``, ``dp3_adaptive, adaptive demonstrations``.
+        subject: expert or policy, as in tables: ``adaptive``, ``dp3_adaptive, adaptive demonstrations``.
         preset: of the mechanisms.
-        category: ``safe``.
+        category: category, for instance ``safe``.
         objects: one of `OBJECT_SPLITS`.
-        metrics: of these episodes; failed and unreachable episodes count too.
-        train_minutes: that a policy was trained; None if not measured.
+        metrics: of these episodes; failed and unreachable ones count too.
+        train_minutes: training time; None if not measured.
     """
 
     subject: Annotated[str, LINE]
@@ -49,13 +49,13 @@ class ResultRow:
     train_minutes: Annotated[float | None, optional(number(0, 10**6))] = None
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a flat JSON-able dictionary."""
+        """Returns a flat JSON-serialisable dictionary."""
         labels = {name: value for name, value in vars(self).items() if name != "metrics"}
         return {**labels, **self.metrics.to_json()}
 
     @classmethod
     def from_json(cls, name: str, content: object) -> ResultRow:
-        """Returns the row in decoded JSON; raises ValueError that names what is wrong with it."""
+        """Returns the row in decoded JSON; raises ValueError that names the invalid field."""
         if not isinstance(content, Mapping):
             raise ValueError(f"{name} is not a row")
         labels = [item.name for item in fields(cls) if item.name in content]
@@ -69,13 +69,13 @@ class ResultFile(Origin):
 
     Attributes:
         kind: one of `KINDS`.
-        title: what was measured, one line.
-        command: that measured it, as typed in the repository's root.
-        fingerprint: of the code that decides episodes.
-        machine: ``cores`` and ``gpu``; no name.
-        scenes: split of the scenes' seeds; ``seeds`` the first and the last.
-        seconds: it took; None if not measured.
-        rows: the numbers.
+        title: description in one line.
+        command: measuring command, as typed in the repository's root.
+        fingerprint: of the code that affects episodes.
+        machine: ``cores`` and ``gpu``, without a name.
+        scenes: split of the scenes. ``seeds``: the first and the last.
+        seconds: duration; None if not measured.
+        rows: measured numbers.
     """
 
     kind: Annotated[str, choice(KINDS)]
@@ -90,12 +90,12 @@ class ResultFile(Origin):
     schema: Annotated[int, integer(1, 1)] = 1
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary."""
+        """Returns a JSON-serialisable dictionary."""
         return {**vars(self), "rows": [row.to_json() for row in self.rows]}
 
 
 def check_command(command: str) -> str:
-    """Returns a command that can be published; raises `ConfigurationError` if it holds a path of this machine."""
+    """Returns a command that can be published; raises `ConfigurationError` if it contains a local path."""
     if PRIVATE_PATH.search(command):
         raise ConfigurationError(
             "A command in a result file must run elsewhere.",
@@ -109,7 +109,7 @@ def check_command(command: str) -> str:
 def rows_of_records(
     records: Sequence[EpisodeRecord], subject: str, train_minutes: float | None = None
 ) -> list[ResultRow]:
-    """Returns a row for each preset, category and split of objects in an evaluation's records."""
+    """Returns a row for each preset, category and split of objects in an evaluation."""
     found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
     for each in without_repeats(records):
         key = (each.provenance.mechanism_rules, each.category, each.object_split or "external")
@@ -132,17 +132,17 @@ def make_result(
     scenes: str | None,
     seconds: float | None = None,
 ) -> ResultFile:
-    """Returns a result with its origin and the machine filled in.
+    """Returns a result with its origin and machine filled in.
 
     Args:
         rows: at least one.
         kind: one of `KINDS`.
         title: one line.
-        command: as typed; raises `ConfigurationError` if it holds a path of this machine.
-        fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()` for experts, else that of the log.
-        seeds: of the episodes.
-        scenes: their split.
-        seconds: it took.
+        command: as typed; raises `ConfigurationError` if it contains a local path.
+        fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()` for experts, otherwise from the log.
+        seeds: seeds of the episodes.
+        scenes: split of the scenes.
+        seconds: duration.
     """
     return ResultFile(
         kind=kind,
@@ -162,12 +162,12 @@ def policy_result(rows: Iterable[ResultRow], records: Sequence[EpisodeRecord], *
     """Returns the result of policies' evaluations.
 
     Args:
-        rows: as of `rows_of_records`.
-        records: that they are of.
-        **given: ``title``, ``command`` and what else `make_result` takes.
+        rows: from `rows_of_records`.
+        records: records behind the rows.
+        **given: ``title``, ``command`` and further arguments of `make_result`.
 
     Raises:
-        ConfigurationError: the records are of several codes or splits of scenes, or the command cannot be published.
+        ConfigurationError: several fingerprints or scene splits are mixed, or the command cannot be published.
     """
     made = sorted({(each.provenance.fingerprint, each.split) for each in records})
     if len(made) > 1:
@@ -183,7 +183,7 @@ def policy_result(rows: Iterable[ResultRow], records: Sequence[EpisodeRecord], *
 
 
 def write_result(path: Path, result: ResultFile) -> None:
-    """Writes a result file; its content is checked as that of a stranger's file is."""
+    """Writes a result file; its content is validated as `read_result` does."""
     content = json.loads(json.dumps(result.to_json()))
     parse_result(content)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -191,7 +191,7 @@ def write_result(path: Path, result: ResultFile) -> None:
 
 
 def read_result(path: Path) -> ResultFile:
-    """Reads a result file; raises `DatasetError` if it is none."""
+    """Reads a result file; raises `DatasetError` if it is invalid."""
     try:
         return parse_result(read(path))
     except (OSError, ValueError) as error:
@@ -201,7 +201,7 @@ def read_result(path: Path) -> ResultFile:
 
 
 def parse_result(content: object) -> ResultFile:
-    """Returns the result in decoded JSON; raises ValueError that names what is wrong with it."""
+    """Returns the result in decoded JSON; raises ValueError that names the invalid field."""
     found = record(ResultFile)("the result", content)
     if PRIVATE_PATH.search(found.command):
         raise ValueError("command holds a path of one machine")

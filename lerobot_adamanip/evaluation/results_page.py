@@ -1,4 +1,4 @@
-"""Tables of result files: the page docs/results.md, its CSV, and the block in the README."""
+"""Tables from result files: the page docs/results.md, its CSV, and the block in the README."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ intervals. Tables of tries count all splits of objects together.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _TRIES = ("key_frames", "wasted_tries", "repeated", "failures")
-"""Metrics of the second table. With two labels it is as wide as a page's column; the CSV has the others."""
+"""Metrics of the second table, limited by the page width; the CSV contains all."""
 
 
 def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
@@ -32,7 +32,7 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
 
     Args:
         results: by file name.
-        present: fingerprints of the present code: with experts, and without.
+        present: fingerprints of the present code, with and without experts.
     """
     parts = [INTRODUCTION]
     if not any(result.fingerprint in present for result in results.values()):
@@ -50,7 +50,7 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
 
 
 def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, object], Metrics]]:
-    """Yields labels and metrics of each row of the files, for `csv_table`."""
+    """Yields labels and metrics of each row, for `csv_table`."""
     for name, result in results.items():
         for row in result.rows:
             labels = {each: value for each, value in vars(row).items() if each != "metrics"}
@@ -58,10 +58,10 @@ def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, obje
 
 
 def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
-    """Returns what stands between the README's marks, both included: the paper's preset, of the present fingerprint.
+    """Returns the README block with both markers: results of the paper's preset with the present fingerprint.
 
-    What policies were chosen by is no number to show there: validation scenes stand on the page alone. So do experts,
-    once a policy was measured. A single number needs no table.
+    Policy selection used the validation scenes, so the block omits them. It also omits experts once a policy has
+    results. A single number gets no table.
     """
     known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
@@ -76,7 +76,7 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
 
 
 def with_block(document: str, block: str) -> str:
-    """Returns a document with the block between its marks replaced; ValueError if it has not exactly one."""
+    """Returns a document with its marked block replaced; raises ValueError unless it has exactly one block."""
     before, start, rest = document.partition(START)
     _, end, after = rest.partition(END)
     if not start or not end or START in rest or END in after:
@@ -85,7 +85,7 @@ def with_block(document: str, block: str) -> str:
 
 
 def success_table(result: ResultFile) -> str:
-    """Returns success by subject, category and split of objects; with means where a subject has several categories."""
+    """Returns success by subject, category and split of objects; adds means for subjects with several categories."""
     rows = result.rows
     splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
     trained = any(row.train_minutes is not None for row in rows)
@@ -114,7 +114,7 @@ def _tries(result: ResultFile) -> str:
 
 
 def _by_subject(rows: Sequence[ResultRow]) -> dict[str, list[ResultRow]]:
-    """Returns name -> its rows; presets are part of the name where there are several."""
+    """Returns name -> rows; the name includes the preset if there are several."""
     several = len({row.preset for row in rows}) > 1
     found: dict[str, list[ResultRow]] = {}
     for row in rows:
@@ -135,13 +135,13 @@ def _minutes(rows: Iterable[ResultRow]) -> str:
 
 
 def _mean_success(rows: Sequence[ResultRow], categories: Collection[str]) -> str:
-    """Returns the mean of the categories' shares; nothing where one of them was not measured."""
+    """Returns the mean success over the categories; an empty text if one was not measured."""
     shares = [row.metrics.success.rate or 0.0 for row in rows]
     return f"{100 * sum(shares) / len(shares):.1f} %" if len(shares) == len(categories) else "-"
 
 
 def source_line(name: str, result: ResultFile) -> str:
-    """Returns what a table was measured with."""
+    """Returns the line that names the source of a table."""
     commit = "no commit" if result.commit is None else f"commit {result.commit[:10]}"
     commit += " with changes" if result.changed else ""
     taken = "" if result.seconds is None else f", {duration_text(result.seconds)}"

@@ -1,4 +1,4 @@
-"""Tables of metrics: Markdown that fits a page's column, and CSV that is complete."""
+"""Tables of metrics: Markdown for pages, and complete CSV."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from lerobot_adamanip.evaluation.text_format import markdown_table
 def metrics_table(
     titles: Sequence[str], rows: Iterable[tuple[Sequence[str], Metrics]], names: Iterable[str] = METRICS
 ) -> str:
-    """Returns a table with a line for each row's labels and metrics, empty if there is nothing to show.
+    """Returns a table with one line of labels and metrics per row; empty if there is nothing to show.
 
     Args:
-        titles: of the labels.
+        titles: label titles.
         rows: labels and metrics.
-        names: of the metrics; those that no row has are left out.
+        names: metric names; a metric that no row has is omitted.
     """
     found = list(rows)
     shown = [name for name in names if any(metrics.show(name) != "-" for _, metrics in found)]
@@ -27,7 +27,7 @@ def metrics_table(
 
 
 def csv_table(rows: Iterable[tuple[Mapping[str, object], Metrics]]) -> str:
-    """Returns all metrics as CSV, a line for each row; labels are the first columns, shares have their interval."""
+    """Returns all metrics as CSV, one line per row: first the labels, then the metrics, rates with intervals."""
     lines = []
     for labels, metrics in rows:
         success = metrics.success

@@ -1,4 +1,4 @@
-"""Text of reports and pages: tables of Markdown, shares with intervals, durations."""
+"""Text formatting of reports and pages: Markdown tables, rates with intervals, durations."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def duration_text(seconds: float) -> str:
 
 
 def interval_text(share: Rate) -> str:
-    """Returns ``36/40: 90 % [76.9, 96.0]``; ``-`` of no episodes."""
+    """Returns ``36/40: 90 % [76.9, 96.0]``; ``-`` without episodes."""
     if share.rate is None:
         return "-"
     return f"{share.count}/{share.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
 
 
 def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], *, align: bool = False) -> str:
-    """Returns a table of Markdown; ``align`` pads its columns, for a terminal."""
+    """Returns a Markdown table; ``align`` pads its columns for a terminal."""
     lines = [list(titles), *map(list, rows)]
     if not align:
         lines.insert(1, ["---"] * len(titles))

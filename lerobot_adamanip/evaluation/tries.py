@@ -1,4 +1,4 @@
-"""Classification of an episode's tries: what they failed at, what follows a failure, what the best strategy needs."""
+"""Classification of tries: causes of failure, tries after a failure, and the optimal blind strategy."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from lerobot_adamanip.mechanisms import fixed_direction
 
 BEST_TRIES = {"locked": 1.0, "direction": 0.5, "mode": 1.0}
 """Hidden value -> expected failed tries of an optimal blind strategy. It pulls at a locked door once, because that is
-cheaper than its key; turns the wrong way half of the time; and tries three modes one after the other."""
+cheaper than turning the key. It turns the wrong way half of the time, and tries three modes in sequence."""
 NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR = "no try", "tried in vain", "key moved", "ajar"
 CAUSES = (NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR)
-"""How a failed episode ended: without any try; without a joint that moved; with the other joint (knob, cap, lever)
-moved; or with the opening joint moved, but not far enough."""
+"""Cause of a failed episode: no try; no joint moved; only the other joint (knob, cap, lever) moved; or the opening
+joint moved, but not far enough."""
 MIN_AJAR = 5e-3
-"""Position of the opening joint from which it is ajar [rad or m]."""
+"""Position of the opening joint above which it counts as ajar [rad or m]."""
 PART_HELD, KEY_HELD, NO_FURTHER = "part held", "key held", "no further"
 FAILED_AT = (PART_HELD, KEY_HELD, NO_FURTHER)
-"""What a try failed at: the opening joint held, the other joint held, or a joint at its end after it had gone this
-way before."""
+"""Cause of a failed try: the opening joint is blocked, the other joint is blocked, or a joint is at its limit after an
+earlier move in the same direction."""
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """How tries follow failed ones.
+    """Statistics of tries after failed tries.
 
     Attributes:
-        repeated: of the failed tries that another one follows, those repeated unchanged (same joint, same sign).
-        untried: number of different tries that have failed -> following tries that have not failed yet.
+        repeated: share of these failed tries that the next try repeats unchanged (same joint, same sign).
+        untried: number of different failed tries so far -> share of next tries that differ from all of them.
     """
 
     repeated: Rate
@@ -39,7 +39,7 @@ class Recovery:
 
 
 def failure_cause(record: EpisodeRecord) -> str | None:
-    """Returns which of `CAUSES` an episode failed by; None for a success."""
+    """Returns the cause of an episode's failure, one of `CAUSES`; None for a success."""
     if record.success:
         return None
     if abs(next(iter(record.joints.values()), 0.0)) > MIN_AJAR:
@@ -50,7 +50,7 @@ def failure_cause(record: EpisodeRecord) -> str | None:
 
 
 def failed_at(record: EpisodeRecord) -> list[str]:
-    """Returns which of `FAILED_AT` each failed try of an episode was, in order."""
+    """Returns the cause of each failed try, one of `FAILED_AT`, in order."""
     moved = set[tuple[int, int]]()
     found = []
     for joint, sign, fails in record.try_sequence:
@@ -64,12 +64,12 @@ def failed_at(record: EpisodeRecord) -> list[str]:
 
 
 def made_tries(record: EpisodeRecord) -> int:
-    """Returns the failed tries of an episode, and one more where the key of an unlocked object was moved."""
+    """Returns the failed tries of an episode, plus one if the key of an unlocked object was moved."""
     return record.failed_tries + (record.key_moved and record.locked is False)
 
 
 def best_tries(record: EpisodeRecord) -> float:
-    """Returns the expected failed tries of an optimal blind strategy in this episode, see `BEST_TRIES`."""
+    """Returns the expected failed tries of an optimal blind strategy in an episode, see `BEST_TRIES`."""
     if record.locked is False:
         return 0.0
     known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_rules) else set()
@@ -82,7 +82,7 @@ def tried_locked_first(record: EpisodeRecord) -> bool:
 
 
 def recovery(records: Iterable[EpisodeRecord]) -> Recovery:
-    """Counts what follows failed tries, in all episodes. A failure is forgotten as soon as a joint has moved."""
+    """Counts the tries after failed tries in all episodes. Moving a joint resets the failures."""
     repeated, followed = 0, 0
     untried, decided = Counter[int](), Counter[int]()
     for record in records:
@@ -99,7 +99,7 @@ def recovery(records: Iterable[EpisodeRecord]) -> Recovery:
 def _decisions(
     sequence: Iterable[TryMade],
 ) -> Iterator[tuple[frozenset[tuple[int, int]], tuple[int, int], tuple[int, int]]]:
-    """Yields, for each try after a failed one: the failures since the last motion, the latest of them, the try."""
+    """Yields, for each try after a failed one: the failures since the last motion, the latest failure, the try."""
     failed: frozenset[tuple[int, int]] = frozenset()
     latest: tuple[int, int] | None = None
     for joint, sign, fails in sequence:
