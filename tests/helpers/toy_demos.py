@@ -88,7 +88,7 @@ def _row(world: KinematicWorld, goal: Goal, rng: np.random.Generator) -> dict[st
     return {
         schema.POINT_CLOUD: toy_cloud(world, rng).reshape(-1),
         schema.STATE: toy_state(world),
-        schema.EFFORT: np.zeros(schema.NUM_JOINTS, np.float32),
+        schema.EFFORT: toy_state(world)[: schema.NUM_JOINTS],  # any numbers that vary
         schema.ACTION: goal.action(),
         schema.EXECUTED: goal.action(),
         schema.JOINTS: joints,

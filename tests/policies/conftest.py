@@ -1,4 +1,4 @@
-"""A tiny recorded dataset of toy objects, and tiny point-level policies made from it the way LeRobot makes them."""
+"""Tiny recorded datasets of toy objects, and tiny policies made from them the way LeRobot makes them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,22 @@ from typing import Any
 import pytest
 import torch
 from toy_demos import REPO_ID, TINY, record_toy, toy_world
+
+from lerobot_adamanip.contract import schema
+
+DP3_TINY: dict[str, Any] = {
+    "preset": "diffusion", "num_points": 32, "encoder_dims": (16, 24), "encoder_out_dim": 16, "down_dims": (32, 64),
+    "n_groups": 8, "diffusion_step_embed_dim": 16, "num_train_timesteps": 10, "num_inference_steps": 2,
+    "device": "cpu", "push_to_hub": False,
+}  # fmt: skip
+HEADS: dict[str, dict[str, Any]] = {
+    "diffusion": {"preset": "diffusion", "history_noise_std": 0.0},
+    "anchors": {
+        "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
+        "training_points": 24, "coarse_points": 32, "num_points": 48, "refinement_points": 16, "num_refinements": 2,
+    },
+}  # fmt: skip
+"""Tiny options of each head of ``dp3_adaptive``."""
 
 
 @pytest.fixture(scope="session")
@@ -27,24 +43,46 @@ def toy_worlds() -> list[Any]:
     return [toy_world("bottle_000", seed) for seed in range(6)]
 
 
+def build_policy(
+    policy_type: str, root: Path, episodes: list[int] | None = None, **changes: Any
+) -> tuple[Any, Any, Any, Any]:
+    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+    from lerobot.datasets.factory import resolve_delta_timestamps
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.policies.factory import make_policy, make_policy_config, make_pre_post_processors
+
+    import lerobot_policy_adamanip  # noqa: F401  (registers them)
+
+    sizes = DP3_TINY if policy_type == "dp3_adaptive" else TINY
+    config = make_policy_config(policy_type, **{**sizes, **changes})
+    stamps = resolve_delta_timestamps(config, LeRobotDatasetMetadata(REPO_ID, root=root))
+    dataset = LeRobotDataset(REPO_ID, root=root, episodes=episodes, delta_timestamps=stamps)
+    policy = make_policy(config, ds_meta=dataset.meta)
+    before, after = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
+    return policy, before, after, dataset
+
+
 @pytest.fixture
 def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
-    """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories; None drops an option."""
+    """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories; what is given wins."""
+    return lambda policy_type, root=toy_root, **changes: build_policy(policy_type, root, **changes)
 
-    def build(policy_type: str, root: Path = toy_root, **changes: Any) -> tuple[Any, ...]:
-        from lerobot.datasets.lerobot_dataset import LeRobotDataset
-        from lerobot.policies.factory import make_policy, make_policy_config, make_pre_post_processors
 
-        import lerobot_policy_adamanip  # noqa: F401  (registers them)
+@pytest.fixture
+def make_tiny(adaptive_toy_root: Path) -> Callable[..., tuple[Any, ...]]:
+    """As `make_toy_policy`, a ``dp3_adaptive`` from the adaptive demonstrations."""
+    return lambda **changes: build_policy("dp3_adaptive", adaptive_toy_root, **changes)
 
-        dataset = LeRobotDataset(REPO_ID, root=root)
-        options = {name: value for name, value in {**TINY, **changes}.items() if value is not None}
-        config = make_policy_config(policy_type, **options)
-        policy = make_policy(config, ds_meta=dataset.meta)
-        before, after = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
-        return policy, before, after, dataset
 
-    return build
+@pytest.fixture
+def heads() -> dict[str, dict[str, Any]]:
+    return HEADS
+
+
+@pytest.fixture
+def make_anchors(make_tiny: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+    """As `make_tiny`, with the head ``anchors``."""
+    return lambda **changes: make_tiny(**{**HEADS["anchors"], **changes})
 
 
 @pytest.fixture
@@ -56,3 +94,22 @@ def batch_of() -> Callable[..., dict[str, Any]]:
         return dict(before(torch.utils.data.default_collate(items)))
 
     return build
+
+
+@pytest.fixture
+def observation_of() -> Callable[..., dict[str, Any]]:
+    """Preprocesses the present observation of items: what `select_action` is given at run time."""
+
+    def build(dataset: Any, before: Any, *indices: int, **more: Any) -> dict[str, Any]:
+        items = [dataset[index] for index in indices]
+        keys = (schema.POINT_CLOUD, schema.STATE, schema.EFFORT)
+        seen = {key: torch.stack([present(item, key) for item in items]) for key in keys}
+        return dict(before({**seen, **more}))
+
+    return build
+
+
+def present(item: dict[str, Any], key: str) -> torch.Tensor:
+    """The present of an item, which is the last step where it has a window."""
+    value: torch.Tensor = item[key]
+    return value[-1] if f"{key}_is_pad" in item else value

@@ -17,10 +17,6 @@ from toy_demos import observed, toy_world
 
 from lerobot_adamanip.util.errors import ConfigurationError
 
-DP3_ADAPTIVE: dict[str, Any] = {
-    "preset": "fast", "num_anchors": 6, "num_points": 48, "training_points": 24, "coarse_points": 32,
-    "encoder_dims": (16, 24), "encoder_out_dim": 16, "context_points": None, "feature_dim": None, "patch_points": None,
-}  # fmt: skip
 HISTORIES = ("dp3_adaptive", "adaafford")
 
 
@@ -29,8 +25,7 @@ def make(make_toy_policy: Callable[..., tuple[Any, ...]], adaptive_toy_root: Pat
     """Builds an untrained policy and its preprocessor; what is given wins."""
 
     def build(policy_type: str, **changes: Any) -> tuple[Any, Any]:
-        options = {**DP3_ADAPTIVE, **changes} if policy_type == "dp3_adaptive" else changes
-        policy, before, *_ = make_toy_policy(policy_type, adaptive_toy_root, **options)
+        policy, before, *_ = make_toy_policy(policy_type, adaptive_toy_root, **changes)
         return policy.eval(), before
 
     return build

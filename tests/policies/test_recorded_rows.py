@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,34 +11,19 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
-from lerobot.datasets.factory import resolve_delta_timestamps
-from lerobot.datasets.lerobot_dataset import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.policies.factory import make_policy, make_pre_post_processors
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from toy_demos import REPO_ID
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip import DP3AdaptiveConfig
 from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, RecordedRows, read_recorded_rows
 
+MakePolicy = Callable[..., tuple[Any, ...]]
 SHAPES: list[dict[str, Any]] = [
     {"preset": "fast", "n_action_history_steps": 16},
     {"preset": "diffusion", "n_action_history_steps": 8, "horizon": 4},
     {"preset": "diffusion", "n_action_history_steps": 0, "horizon": 4, "n_obs_steps": 2},
 ]
-SIZES: dict[str, Any] = {
-    "num_points": 32, "encoder_dims": (8,), "encoder_out_dim": 8, "down_dims": (8, 16), "device": "cpu",
-}  # fmt: skip
-
-
-def _made(root: Path, **options: Any) -> tuple[Any, Any, Any]:
-    """Policy, preprocessor and dataset, through LeRobot's factories."""
-    episodes = options.pop("episodes", None)
-    config = DP3AdaptiveConfig(**SIZES, **options)
-    stamps = resolve_delta_timestamps(config, LeRobotDatasetMetadata(REPO_ID, root=root))
-    dataset = LeRobotDataset(REPO_ID, root=root, episodes=episodes, delta_timestamps=stamps)
-    policy = make_policy(config, ds_meta=dataset.meta)
-    return policy, make_pre_post_processors(config, dataset_stats=dataset.meta.stats)[0], dataset
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +60,9 @@ def _batches(dataset: Any, workers: int) -> Any:
 
 @pytest.mark.parametrize(("shape", "episodes", "workers"), [(0, None, 2), (1, [3], 0), (2, [1, 4], 0)], ids=str)
 def test_every_window_is_that_of_the_files(
-    corrected_root: Path, shape: int, episodes: list[int] | None, workers: int
+    make_toy_policy: MakePolicy, corrected_root: Path, shape: int, episodes: list[int] | None, workers: int
 ) -> None:
-    policy, _, dataset = _made(corrected_root, episodes=episodes, **SHAPES[shape])
+    policy, _, _, dataset = make_toy_policy("dp3_adaptive", corrected_root, episodes=episodes, **SHAPES[shape])
     past, horizon = policy.config.n_action_history_steps, policy.config.horizon
     recorded, seen = policy._windows.recorded, 0
     for batch in _batches(dataset, workers):  # spawned ones too
@@ -121,8 +107,10 @@ def test_an_episode_of_one_row_is_all_its_window() -> None:
     assert inside.tolist() == [[False, False, True, False]]
 
 
-def test_a_batch_of_another_dataset_is_refused(toy_root: Path, adaptive_toy_root: Path) -> None:
-    policy, before, dataset = _made(toy_root, **SHAPES[0])
+def test_a_batch_of_another_dataset_is_refused(
+    make_toy_policy: MakePolicy, toy_root: Path, adaptive_toy_root: Path
+) -> None:
+    policy, before, _, dataset = make_toy_policy("dp3_adaptive", toy_root, **SHAPES[0])
     other = LeRobotDataset(REPO_ID, root=adaptive_toy_root)
     batches = [before(torch.utils.data.default_collate([each[row] for row in (3, 9)])) for each in (other, dataset)]
     with pytest.raises(ConfigurationError, match="does not belong to the dataset"):
@@ -131,10 +119,12 @@ def test_a_batch_of_another_dataset_is_refused(toy_root: Path, adaptive_toy_root
 
 
 @pytest.mark.parametrize("shape", SHAPES[:2], ids=["anchors", "diffusion"])
-def test_history_and_labels_move_with_an_augmented_scene(corrected_root: Path, shape: dict[str, Any]) -> None:
+def test_history_and_labels_move_with_an_augmented_scene(
+    make_toy_policy: MakePolicy, corrected_root: Path, shape: dict[str, Any]
+) -> None:
     """What is looked up equals what the same pipeline makes of a whole window, draw for draw."""
     moved = {"augmentation_translation": 0.05, "augmentation_yaw": 0.4, "augmentation_mirror": 0.5}
-    policy, before, dataset = _made(corrected_root, **shape, **moved)
+    policy, before, _, dataset = make_toy_policy("dp3_adaptive", corrected_root, **shape, **moved)
     past, horizon = policy.config.n_action_history_steps, policy.config.horizon
     batch = torch.utils.data.default_collate([dataset[row] for row in range(0, 40, 3)])
     whole = {key: value.clone() if isinstance(value, torch.Tensor) else value for key, value in batch.items()}

@@ -22,12 +22,6 @@ from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 MakeTiny = Callable[..., tuple[Any, ...]]
 
 
-@pytest.fixture
-def make_anchors(make_tiny: MakeTiny, heads: dict[str, Any]) -> MakeTiny:
-    """As `make_tiny`, with the head ``anchors``."""
-    return lambda **changes: make_tiny(**{**heads["anchors"], **changes})
-
-
 # Anchors ------------------------------------------------------------------------------------------------------------
 
 
@@ -301,7 +295,7 @@ def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
     policy, before, _, dataset = make_anchors()
     policy.eval()
     for model in (policy.model, policy.ema_model):
-        model.anchors[:, 6], model.spread[:] = 1.0, torch.tensor(MIN_SPREAD)
+        model.anchors[:, 0], model.anchors[:, 6], model.spread[:] = 0.05, 1.0, torch.tensor(MIN_SPREAD)
         model.spread[::2, 2] = 0.03
     assert policy.model.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3
     policy.model.anchors[:4, 6] = torch.tensor([0.0, 1.0, 1.0, 1.0])  # a closed hand

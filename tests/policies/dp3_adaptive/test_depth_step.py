@@ -12,7 +12,6 @@ import pytest
 import torch
 from lerobot.lerobot_types import TransitionKey
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-from lerobot.processor import ProcessorStepRegistry
 from lerobot.rollout.inference.sync import SyncInferenceEngine
 from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_features
 
@@ -152,19 +151,6 @@ def saved(make: Any, folder: Path) -> tuple[Any, ...]:
     for each in (policy, before, after):
         each.save_pretrained(folder)
     return policy, before, after, dataset
-
-
-def test_the_step_is_registered_and_saved_with_its_options(make_tiny: Callable[..., Any], tmp_path: Path) -> None:
-    assert ProcessorStepRegistry.get("adamanip_depth_to_cloud") is DepthToCloudStep
-    policy, *_ = saved(make_tiny, tmp_path)
-    steps = json.loads((tmp_path / "policy_preprocessor.json").read_text())["steps"]
-    names = [step.get("registry_name") for step in steps]
-    assert names.index("adamanip_depth_to_cloud") < names.index("normalizer_processor")
-    options = steps[names.index("adamanip_depth_to_cloud")]["config"]
-    assert options == DepthToCloudStep(policy.config.num_points).get_config()
-    loaded, _ = make_pre_post_processors(policy.config, pretrained_path=str(tmp_path))
-    (step,) = [each for each in loaded.steps if isinstance(each, DepthToCloudStep)]
-    assert step.get_config() == options
 
 
 def test_a_checkpoint_of_before_loads_without_the_step(make_tiny: Callable[..., Any], tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from lerobot_policy_adamanip.common.encoders import (
     PointNetEncoder,
     SetAbstraction,
     ball_query,
-    largest_rows,
     make_encoder,
 )
 
@@ -85,14 +84,6 @@ def gradients(encoder: PointNetEncoder, points: torch.Tensor) -> list[torch.Tens
     return [*torch.autograd.grad((features * weight).sum(), [*encoder.parameters(), points]), features.detach()]
 
 
-@pytest.mark.parametrize("points", [1, 7, 12, 64, 320])
-def test_the_largest_is_found_by_groups(points: int) -> None:
-    values = torch.randn(3, points, 11)
-    assert torch.equal(largest_rows(values), values.argmax(dim=1))
-    level = values.round()
-    assert torch.equal(level.gather(1, largest_rows(level)[:, None])[:, 0], level.amax(dim=1))
-
-
 @pytest.mark.parametrize(("dtype", "bound"), [(torch.float64, 1e-13), (torch.float32, 1e-5)], ids=str)
 @pytest.mark.parametrize("shape", [(3, 50, 6), (40, 320, 6), (1, 1, 3), (2, 13, 3)], ids=str)
 def test_winners_alone_have_the_gradient_of_the_plain_way(
@@ -113,17 +104,3 @@ def test_outside_training_the_plain_way_is_taken_bit_for_bit(monkeypatch: pytest
     with torch.no_grad():
         assert torch.equal(encoder.train()(points), plain)
     assert torch.equal(encoder.eval()(points), plain)
-
-
-def test_weights_cast_without_a_graph_are_not_kept_by_autocast() -> None:
-    # Looked at before anything is computed: not every processor that offers half precision has it.
-    encoder, seen = PointNetEncoder(3, (16,), 8), []
-
-    def look(*_: object) -> None:
-        seen.append((torch.is_grad_enabled(), torch.is_autocast_cache_enabled(), torch.is_autocast_enabled("cpu")))
-        raise InterruptedError
-
-    encoder.mlp.register_forward_pre_hook(look)
-    with torch.autocast("cpu", torch.bfloat16), pytest.raises(InterruptedError):
-        encoder(torch.randn(2, 5, 3))
-    assert seen == [(False, False, True)]

@@ -36,20 +36,6 @@ def test_every_sampler_gives_finite_actions_that_noise_and_seed_decide(
         assert not torch.equal(act(noise + 0.5), actions)
 
 
-def test_a_chunk_is_executed_before_the_next_is_made(make_tiny: MakeTiny, observation_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(n_action_steps=3)
-    policy.eval()
-    calls = []
-    original = policy._generate
-    policy._generate = lambda *given: calls.append(1) or original(*given)
-    for step in range(7):
-        policy.select_action(observation_of(dataset, before, step))
-    assert len(calls) == 3
-    getattr(policy, "drop_queued_actions", policy._action_queue.clear)()  # LeRobot's, after 0.6.1
-    policy.select_action(observation_of(dataset, before, 7))
-    assert len(calls) == 4
-
-
 def test_a_chunk_predicted_changes_nothing_and_is_the_one_that_follows(
     make_tiny: MakeTiny, observation_of: Any
 ) -> None:

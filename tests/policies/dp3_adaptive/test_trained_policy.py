@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from lerobot_adamanip.collection.trained_policy import TrainedPolicy, _batch, policy_hash
+from lerobot_adamanip.collection.trained_policy import TrainedPolicy, policy_hash
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.observation import Observation
 from lerobot_adamanip.util.errors import ConfigurationError
 
 MakeTiny = Callable[..., tuple[Any, ...]]
@@ -57,38 +56,6 @@ def test_what_was_really_done_is_what_is_remembered(saved: tuple[Path, tuple[Any
     history, valid = actor._policy.executed_history(1, torch.zeros(1))
     assert valid.sum() == 1
     np.testing.assert_allclose(after(history[:, -1])[0], done, atol=1e-5)
-
-
-def drawn(actor: TrainedPolicy, seen: Observation, count: int) -> np.ndarray:
-    """So many first actions (count, 10) of chunks for one observation."""
-    with torch.inference_mode():
-        batch = actor._before(_batch(seen, "open the safe"))
-        found = [actor._after(actor._policy.predict_action_chunk(batch)[:, 0]) for _ in range(count)]
-    return np.concatenate([np.asarray(each.cpu(), np.float32) for each in found])
-
-
-def test_what_it_might_do_is_asked_without_a_trace(saved: tuple[Path, tuple[Any, ...]]) -> None:
-    path, (*_, dataset) = saved
-    actor = TrainedPolicy(path)
-
-    def episode(asked: int, seed: int = 4) -> np.ndarray:
-        actor.reset(seed)
-        done = []
-        for index in range(3):
-            state = torch.get_rng_state()
-            draws = drawn(actor, observation(dataset, index), asked) if asked else None
-            torch.set_rng_state(state)
-            done.append(actor.act(observation(dataset, index), "open the safe"))
-            if draws is not None:
-                assert draws.shape == (asked, schema.ACTION_DIM)
-                assert len(np.unique(draws.round(4), axis=0)) > 1
-                np.testing.assert_allclose(draws[0], done[-1], atol=1e-5)  # the same draw
-        return np.stack(done)
-
-    first = episode(0)
-    np.testing.assert_array_equal(episode(8), first)
-    assert np.array_equal(episode(0), first)
-    assert not np.array_equal(episode(0, seed=5), first)
 
 
 def test_a_folder_without_a_policy_is_one_clear_error(tmp_path: Path) -> None:

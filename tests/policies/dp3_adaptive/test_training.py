@@ -38,7 +38,7 @@ def test_the_loss_is_finite_and_every_weight_learns(
 def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_tiny(tcp_relative=False)
     policy.eval()
-    batch = batch_of(dataset, before, 8, 3)
+    batch = batch_of(dataset, before, 10, 3)
     window, labels, real = policy.training_window(batch)
     assert real.tolist() == [[True] + [False] * 3, [True] * 4]
     wild = labels.clone()

@@ -19,7 +19,7 @@ from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, IS_LABE
 from lerobot_policy_adamanip.dp3_adaptive import modeling_dp3_adaptive, training_windows
 
 MakeTiny = Callable[..., tuple[Any, ...]]
-END = 8
+END = 10
 """Row of the first episode's final observation."""
 
 
