@@ -21,17 +21,17 @@ from lerobot_adamanip.evaluation.text_format import counted, duration_text, inte
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
 _LEGEND = (
-    "Successes, episodes, and Wilson's 95 % interval, the episodes of all trainings of a method together (how much "
-    "trainings differ is not in it). A mean counts categories alike, and needs all of them. The CSV file beside this "
-    "page has all metrics, by hidden value too."
+    "Successes, episodes and Wilson's 95 % interval, pooled over all trainings of a method. The interval does not "
+    "include the spread between trainings. A mean weights all categories equally and needs each of them. The CSV file "
+    "beside this page has all metrics, also by hidden value."
 )
 _PAPER_LEGEND = (
-    "The paper's values are mean ± deviation in %, on its own objects and in its own simulator; it does not say what "
-    "the deviation is of."
+    "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
+    "the deviation measures."
 )
 _MARKS = {
-    OTHER_CODE: "of other code than the present: not what it would give",
-    OTHER_OPTIONS: "of other options than are declared now",
+    OTHER_CODE: "of other code than the present, which may give other numbers",
+    OTHER_OPTIONS: "of other options than declared now",
 }
 
 
@@ -56,7 +56,7 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
         yield "Success against failed trials in the demonstrations", _trials(report)
     yield "Success within a number of key frames", _budgets(report)
     yield "Tries", _tries(report)
-    yield "What it took", _costs(report)
+    yield "Cost", _costs(report)
 
 
 def _extent(report: BenchmarkReport) -> str:
@@ -69,7 +69,7 @@ def _extent(report: BenchmarkReport) -> str:
         lines.append(f"{'; '.join(marks)}.")
     if len({(result.fingerprint, result.scenes) for result in report.results}) > 1:
         lines.append(
-            "Mind: several fingerprints or splits of scenes; numbers of different ones are not to be compared."
+            "Mind: several fingerprints or splits of scenes; do not compare numbers of different ones."
         )
     if report.missing:
         without = [_name(row) for row in report.rows if row not in report.rows_with_results]
@@ -131,7 +131,7 @@ def _differences(report: BenchmarkReport) -> str:
         for row in report.rows_with_results
         if row.name != report.reference
     ]
-    told = "Of all episodes together, with 95 % intervals; in bold where zero lies outside."
+    told = "Over all episodes, with 95 % intervals; bold where the interval excludes zero."
     return f"{markdown_table(['method', *_objects(report)], rows)}\n\n{told}"
 
 
@@ -180,8 +180,8 @@ def _tries(report: BenchmarkReport) -> str:
             rows.append([_name(row), metrics.show("wasted_tries"), *shares])
     titles = ["method", "wasted tries", "failed tries repeated", "something new after a failed try"]
     told = (
-        "All categories and objects together. Wasted tries are the failed tries per success, less those of the best "
-        "strategy that does not see the hidden state either."
+        "Over all categories and objects. Wasted tries are the failed tries per success minus those of the best "
+        "strategy that cannot see the hidden state either."
     )
     return f"{markdown_table(titles, rows)}\n\n{told}"
 

@@ -267,7 +267,7 @@ class BenchmarkRun:
                 f"{split} scenes of the code {fingerprint}" for fingerprint, split in sorted(made, key=str)
             )
             raise StepError(
-                f"The evaluation {step.key} is not what was asked for: {len(records)} episodes, {told}; not {wanted}, "
+                f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {told}; not {wanted}, "
                 f"{scenes} scenes of the code {self.code.episodes}."
             )
         return records
