@@ -68,9 +68,7 @@ def _extent(report: BenchmarkReport) -> str:
     if marks := [f"{mark}: {meaning}" for mark, meaning in _MARKS.items() if mark in shown]:
         lines.append(f"{'; '.join(marks)}.")
     if len({(result.fingerprint, result.scenes) for result in report.results}) > 1:
-        lines.append(
-            "Mind: several fingerprints or splits of scenes; do not compare numbers of different ones."
-        )
+        lines.append("Mind: several fingerprints or splits of scenes; do not compare numbers of different ones.")
     if report.missing:
         without = [_name(row) for row in report.rows if row not in report.rows_with_results]
         methods = f" No result of: {', '.join(without)}." if without else ""
