@@ -6,4 +6,4 @@ from collections.abc import Callable
 
 __all__ = ["ON_CREATION"]
 ON_CREATION: list[Callable[[], object]] = []
-"""Called when a robot is created. LeRobot's recorder opens the dataset after that, so the plugin patches it then."""
+"""Called when a robot is created. LeRobot's recorder opens its dataset later, so the plugin can patch it here."""

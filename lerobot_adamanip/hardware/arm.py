@@ -1,7 +1,7 @@
 """Targets, readings and backends of an arm.
 
-A backend runs in the arm's process, is called by one thread, and knows nothing of LeRobot, recorders or cameras. The
-real arm, the twin and the tests' fake are backends of `lerobot_adamanip.hardware.arm_process`.
+A backend runs in the arm process and is called by one thread. It does not depend on LeRobot, recorders or cameras.
+The real arm, the twin and the test fake are backends of `lerobot_adamanip.hardware.arm_process`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ArmMode(enum.IntEnum):
 
 @message
 class Execution(enum.StrEnum):
-    """A target is one whole motion, or the newest of a stream."""
+    """Execution mode of a target: one complete motion, or the newest target of a stream."""
 
     KEYFRAME = "keyframe"
     STREAM = "stream"
@@ -44,12 +44,12 @@ class Execution(enum.StrEnum):
 @message
 @dataclass(frozen=True)
 class ArmTarget:
-    """A target of the tool, after the safety filter.
+    """A tool target that passed the safety filter.
 
     Attributes:
-        pose: (10,) float32 action of the contract: position [m], rotation 6D, gripper [0 closed, 1 open], base frame.
-        execution: KEYFRAME moves there until reached, stalled or out of time; STREAM replaces the target before it.
-        stamp: when it was sent, `time.perf_counter()` [s].
+        pose: (10,) float32 action: position [m], rotation 6D, gripper [0 closed, 1 open], base frame.
+        execution: KEYFRAME moves until the target is reached, stalled or out of time; STREAM replaces the last target.
+        stamp: send time, `time.perf_counter()` [s].
     """
 
     pose: NDArray[np.float32]
@@ -60,19 +60,19 @@ class ArmTarget:
 @message
 @dataclass(frozen=True)
 class ArmReading:
-    """State of the arm at one moment.
+    """State of the arm at one time.
 
     Attributes:
-        stamp: when it was measured, `time.perf_counter()` [s]: comparable between processes of one machine.
-        robot_time: the arm's own clock [s]; it stops with the connection.
+        stamp: measurement time, `time.perf_counter()` [s]; comparable between processes on one machine.
+        robot_time: the arm's own clock [s]; it stops when the connection is lost.
         tcp_in_base: (4, 4) measured pose of the tool centre point, robot base frame [m].
         gripper: opening, 0 closed ... 1 open.
         qpos: (7,) joint positions [rad].
         qvel: (7,) joint velocities [rad/s].
-        effort: (7,) external joint torque [N m], signed as the contract's: what the arm exerts.
-        mode: of the controller.
-        errors: names of the flags that are set.
-        outcome: of the latest key frame; None while one is under way, and before the first.
+        effort: (7,) external joint torque [N m], positive in the direction in which the arm pushes.
+        mode: controller state.
+        errors: names of the error flags that are set.
+        outcome: outcome of the latest key frame; None during a key frame and before the first.
     """
 
     stamp: float
@@ -88,32 +88,32 @@ class ArmReading:
 
 
 class ArmBackend(Protocol):
-    """Driver of an arm. Only `connect` and `close` may take longer than a tick of the arm's process."""
+    """Driver of an arm. Only `connect` and `close` may take longer than one tick of the arm process."""
 
     @property
     def period(self) -> float:
-        """Seconds between two calls of `tick`."""
+        """Time between two calls of `tick` [s]."""
 
     def connect(self) -> None:
-        """Opens the connection, sets limits and reads them back; leaves the arm where it is. Raises `RobotError`."""
+        """Opens the connection, sets limits and verifies them. The arm does not move. Raises `RobotError`."""
 
     def read(self) -> ArmReading:
-        """Returns the latest state. Raises `RobotError` where the connection is lost."""
+        """Returns the latest state. Raises `RobotError` if the connection is lost."""
 
     def tick(self) -> None:
-        """Called every `period`: advances a simulated arm, checks a real one."""
+        """Advances a simulated arm or checks a real one. Called once per `period`."""
 
     def stream(self, target: ArmTarget) -> None:
-        """Replaces the target of a motion; returns at once."""
+        """Replaces the target of the current motion. Returns at once."""
 
     def begin_keyframe(self, target: ArmTarget) -> None:
-        """Begins a whole motion, which `read().outcome` ends."""
+        """Starts a complete motion. It has ended when `read().outcome` is set."""
 
     def stop(self) -> None:
-        """Decelerates within the limits; the arm holds where it comes to rest."""
+        """Decelerates within the limits. The arm then holds its position."""
 
     def recover(self) -> None:
-        """Clears a reflex without moving. Raises `RobotError` if it cannot."""
+        """Clears a reflex without motion. Raises `RobotError` on failure."""
 
     def close(self) -> None:
-        """Stops and disconnects; idempotent, at most 2 s, never raises."""
+        """Stops and disconnects within 2 s. Idempotent; never raises."""

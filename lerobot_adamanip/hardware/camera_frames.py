@@ -15,14 +15,14 @@ from lerobot_adamanip.hardware.arm_process.encoding import message
 @message
 @dataclass(frozen=True)
 class Frame:
-    """One exposure.
+    """One camera exposure.
 
     Attributes:
-        stamp: when it was exposed, `time.perf_counter()` [s]; never later than ``arrival``.
-        arrival: when it reached this process [s, same clock].
-        color: (H, W, 3) uint8 RGB; None where not asked for.
-        depth: (H, W) uint16 millimetres, 0 where nothing was seen; None where not asked for.
-        number: counts the exposures of a camera; a gap is a dropped one.
+        stamp: exposure time, `time.perf_counter()` [s]; never later than ``arrival``.
+        arrival: arrival time in this process [s, same clock].
+        color: (H, W, 3) uint8 RGB; None if disabled.
+        depth: (H, W) uint16 [mm], 0 for invalid pixels; None if disabled.
+        number: exposure counter of the camera; a gap means dropped frames.
     """
 
     stamp: float
@@ -34,12 +34,12 @@ class Frame:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Projection of an imager, OpenCV's model.
+    """Intrinsics of an imager in OpenCV's model.
 
     Attributes:
-        matrix: (3, 3) [px].
-        distortion: 0, 5 or 8 coefficients, OpenCV's order.
-        width, height: of the picture they belong to [px].
+        matrix: (3, 3) camera matrix [px].
+        distortion: 0, 5 or 8 coefficients in OpenCV's order.
+        width, height: image size of these intrinsics [px].
     """
 
     matrix: NDArray[np.float64]
@@ -50,15 +50,15 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """Pose and projection of a camera, which turn its depth into a cloud.
+    """Calibration of a camera: pose and intrinsics that turn its depth into a point cloud.
 
     Attributes:
         camera: serial number or name.
-        depth: of the imager of depth; colour is registered to it or not used.
-        depth_in_base: (4, 4) pose of that imager, robot base frame, OpenCV axes [m]; None for a camera on the hand.
-        depth_in_tcp: likewise in the tool's frame, for a camera on the hand; None otherwise.
-        color: of the colour imager, if it was calibrated.
-        depth_in_color: (4, 4) pose of the depth imager in the colour imager's frame [m]; identity if they are one.
+        depth: intrinsics of the depth imager; colour is registered to it or not used.
+        depth_in_base: (4, 4) pose of the depth imager, base frame, OpenCV axes [m]; None for a camera on the hand.
+        depth_in_tcp: (4, 4) pose in the tool frame for a camera on the hand [m]; None otherwise.
+        color: intrinsics of the colour imager, if it was calibrated.
+        depth_in_color: (4, 4) pose of the depth imager in the colour frame [m]; identity if they are the same.
     """
 
     camera: str
@@ -70,15 +70,15 @@ class CameraCalibration:
 
 
 def simulated_calibration(camera: Mapping[str, Any], name: str = "simulated") -> CameraCalibration:
-    """Returns the calibration of a simulated camera, colour and depth being one picture.
+    """Returns the calibration of a simulated camera, which has one imager for colour and depth.
 
-    Its principal point counts from the picture's corner, OpenCV's from the middle of the first pixel: without the half
-    pixel, the cloud is 1.5 mm beside the scene.
+    The simulator measures the principal point from the image corner, OpenCV from the centre of the first pixel.
+    Without this half pixel, the cloud is 1.5 mm off.
 
     Args:
         camera: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the base frame, OpenCV axes [m], ``width`` and
             ``height`` [px].
-        name: of the camera.
+        name: camera name.
     """
     matrix = np.array(camera["intrinsics"], np.float64)
     matrix[:2, 2] -= 0.5

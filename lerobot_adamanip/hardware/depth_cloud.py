@@ -1,6 +1,6 @@
-"""Cloud of the contract from a depth picture: the same points in the same order as the simulator's camera.
+"""Converts a depth picture to a point cloud, with the same points and order as the simulator's camera.
 
-One pixel, one point. Larger pictures are thinned, so that real and simulated clouds are sampled from as many points.
+Each pixel gives one point. Larger pictures are subsampled, so real and simulated clouds start from as many points.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.util.errors import ConfigurationError
 
 NOTHING_SEEN = 15.0
-"""Largest depth that means nothing was seen [mm]: LeRobot's default depth video turns 0 into 10."""
+"""Maximum depth that counts as invalid [mm]: LeRobot's default depth video turns 0 into 10."""
 JUMP = 20.0
-"""Largest difference of neighbours on one surface [mm]."""
+"""Maximum depth difference of neighbours on one surface [mm]."""
 
 Depth = NDArray[np.uint16] | NDArray[np.float32]
 
@@ -33,14 +33,14 @@ def depth_cloud(
     """Returns the cloud (num_points, 3) [m], robot base frame, farthest point first; see `workspace_cloud`.
 
     Args:
-        depth: (H, W) [mm], 0 where nothing was seen.
-        calibration: of its imager.
-        num_points: of the cloud.
+        depth: (H, W) [mm], 0 for invalid pixels.
+        calibration: calibration of the camera.
+        num_points: number of points in the cloud.
         workspace: points outside are dropped.
-        tcp_in_base: (4, 4) the tool's pose at that moment, for a camera on the hand.
+        tcp_in_base: (4, 4) tool pose at the exposure, for a camera on the hand.
 
     Raises:
-        ConfigurationError: the picture has another size than was calibrated, or the tool's pose is missing.
+        ConfigurationError: the picture size differs from the calibration, or the tool pose is missing.
     """
     stride = max(1, round(depth.shape[0] / depth_size(num_points)))
     return workspace_cloud(points_in_base(depth, calibration, stride, tcp_in_base), workspace, num_points)
@@ -52,11 +52,11 @@ def points_in_base(
     stride: int = 1,
     tcp_in_base: NDArray[np.float64] | None = None,
 ) -> Cloud:
-    """Returns the points (M, 3) [m], base frame, in scan order, of every ``stride``-th pixel; else as `depth_cloud`."""
+    """Returns points (M, 3) [m], base frame, scan order, of every ``stride``-th pixel. See `depth_cloud`."""
     intrinsics = calibration.depth
     if depth.shape != (intrinsics.height, intrinsics.width):
         raise ConfigurationError(
-            f"The depth of camera {calibration.camera} has another size than was calibrated.",
+            f"The depth of camera {calibration.camera} has another size than its calibration.",
             got=f"{depth.shape[1]} x {depth.shape[0]}",
             allowed=f"{intrinsics.width} x {intrinsics.height}",
             hint="the width and height that the camera had when it was calibrated",
@@ -78,7 +78,7 @@ def _first(stride: int) -> int:
 
 
 def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """(4, 4) of the depth imager in the base frame."""
+    """Returns the pose (4, 4) of the depth imager in the base frame."""
     if calibration.depth_in_base is not None:
         return calibration.depth_in_base
     if calibration.depth_in_tcp is None or tcp_in_base is None:
@@ -92,10 +92,10 @@ def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | Non
 
 
 def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
-    """Returns which of every ``stride``-th pixel (h, w) are on a surface.
+    """Returns a mask (h, w) of every ``stride``-th pixel that is on a surface.
 
-    Dropped are flying pixels, nearer than one neighbour and farther than the opposite one by more than `JUMP`, and
-    pixels that differ from all neighbours. Thin things, nearer than both sides, stay.
+    It excludes pixels that differ from all neighbours, and flying pixels: nearer than one neighbour and farther than
+    the opposite one by more than `JUMP`. Thin objects, nearer than both sides, stay.
     """
     start, (height, width) = _first(stride), depth.shape
     padded = np.zeros((height + 2, width + 2), np.float32)
@@ -119,7 +119,7 @@ def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
 
 @functools.lru_cache(maxsize=8)
 def _rays(matrix: bytes, distortion: bytes, shape: tuple[int, int], stride: int) -> NDArray[np.float32]:
-    """Returns rays (h * w, 3) of depth one through the pixels' middles, undistorted, in scan order."""
+    """Returns undistorted rays (h * w, 3) of depth one through the pixel centres, in scan order."""
     camera, lens = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     rows, columns = (axis.ravel() for axis in np.mgrid[tuple(slice(_first(stride), size, stride) for size in shape)])
     pixels = np.stack([columns, rows], axis=1).astype(np.float64)

@@ -1,7 +1,7 @@
-"""Thread that opens and closes a gripper, so that the arm's loop never waits for it.
+"""Gripper thread: opens and closes a gripper, so that the arm's loop never waits for it.
 
-Franka's hand takes 0.5-0.9 s for a command and accepts no second one before. So a command is given only when the wanted
-opening crosses the middle, and only the newest.
+Franka's hand takes 0.5-0.9 s for a command and refuses a second one meanwhile. So the thread sends a command only when
+the wanted opening crosses the middle, and only the newest.
 """
 
 from __future__ import annotations
@@ -15,36 +15,36 @@ from typing import Protocol
 from lerobot_adamanip.util.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
-"""Wanted openings [0 closed, 1 open]; between the two nothing changes."""
+"""Thresholds of the wanted opening [0 closed, 1 open]. Between the two nothing changes."""
 WIDE = 0.95
-"""Opening of fingers that need not be opened at first."""
+"""Opening above which the fingers need no initial open command."""
 READ_PERIOD = 0.05
 CONNECT_TIME, CLOSE_TIME = 10.0, 0.5
 """[s]"""
 
 
 class Hand(Protocol):
-    """A gripper whose calls may take a second. `opening` is called while another thread is in `open` or `close`."""
+    """A gripper whose calls may take 1 s. `opening` may be called while another thread is in `open` or `close`."""
 
     def open(self) -> None:
-        """Opens as far as it goes."""
+        """Opens the hand completely."""
 
     def close(self) -> None:
-        """Closes on an object, and holds it."""
+        """Closes on an object and holds it."""
 
     def opening(self) -> float:
-        """Returns the present opening, 0 closed ... 1 open."""
+        """Returns the current opening, 0 closed ... 1 open."""
 
     def stop(self) -> None:
-        """Ends a command under way."""
+        """Stops the current command."""
 
 
 class GripperThread:
-    """Executes the wanted opening and reads the present one; ``connect`` makes the hand in the commanding thread.
+    """Executes the wanted opening and reads the current one. ``connect`` creates the hand in the command thread.
 
     Attributes:
         opening: last reading, 0 closed ... 1 open.
-        commands: how many were given.
+        commands: number of commands sent.
     """
 
     def __init__(self, connect: Callable[[], Hand]) -> None:
@@ -67,7 +67,7 @@ class GripperThread:
         self.check()
 
     def want(self, opening: float) -> None:
-        """Sets the wanted opening, 0 closed ... 1 open; returns at once."""
+        """Sets the wanted opening, 0 closed ... 1 open. Returns at once."""
         if CLOSE_BELOW <= opening <= OPEN_ABOVE:
             return
         if self._wanted is None and opening > OPEN_ABOVE and self.opening > WIDE:
@@ -78,7 +78,7 @@ class GripperThread:
 
     @property
     def busy(self) -> bool:
-        """Whether a command is outstanding."""
+        """Returns whether a command is pending."""
         return self._wanted is not None and self._wanted != self._done and not self._error
 
     def check(self) -> None:
@@ -91,7 +91,7 @@ class GripperThread:
         self._error, self._wanted, self._done = "", None, None
 
     def close(self) -> None:
-        """Stops a command under way and ends the threads, waiting at most `CLOSE_TIME`."""
+        """Stops the current command and ends the threads, waiting at most `CLOSE_TIME`."""
         self._stopping.set()
         self._wake.set()
         if self.busy and self._hand is not None:
@@ -112,12 +112,12 @@ class GripperThread:
                 self._guarded(self._command)
 
     def _keep_reading(self) -> None:
-        """Reads the opening, during commands as well."""
+        """Reads the opening repeatedly, also during commands."""
         while not self._stopping.wait(READ_PERIOD):
             self._guarded(self._read)
 
     def _guarded(self, call: Callable[[], None]) -> None:
-        """Calls, unless the hand has failed; keeps an error, of whatever library, for `check`."""
+        """Calls the hand unless it has failed. Keeps any error for `check`."""
         if not self._error:
             try:
                 call()
@@ -139,5 +139,5 @@ class GripperThread:
 
     def _read(self) -> None:
         assert self._hand is not None
-        with self._reading:  # a reading from before a command's end does not overwrite one from after it
+        with self._reading:  # an older reading must not overwrite one taken after a command's end
             self.opening = self._hand.opening()

@@ -1,7 +1,7 @@
-"""Limits of a Franka by model: the manufacturer's tables, since libraries in between mix them up.
+"""Limits of a Franka by model, from the manufacturer's tables, since libraries mix them up.
 
 Sources: Franka Robotics' "Robot and interface specifications" and libfranka's ``rate_limiting.h`` of the releases for
-each model. `franky-control` 2.0.0 has the two the wrong way round (it picks Panda's for libfranka >= 0.10).
+each model. `franky-control` 2.0.0 swaps the two models (it uses Panda's limits for libfranka >= 0.10).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ Seven = tuple[float, float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Bounds[Value]:
-    """Largest velocity, acceleration and jerk: [m] or [rad], per s, s^2 and s^3."""
+    """Maximum velocity, acceleration and jerk: [m] or [rad], per s, s^2 and s^3."""
 
     velocity: Value
     acceleration: Value
@@ -25,10 +25,10 @@ class FrankaLimits:
     """Limits of one model.
 
     Attributes:
-        translation, rotation: of the tool [m, rad].
-        elbow: of the third joint, as the elbow is commanded [rad].
-        joint: of each joint [rad].
-        joint_lower, joint_upper: ends of each joint [rad].
+        translation, rotation: bounds of the tool [m, rad].
+        elbow: bounds of the third joint, which the elbow commands set [rad].
+        joint: bounds of each joint [rad].
+        joint_lower, joint_upper: range of each joint [rad].
     """
 
     translation: Bounds[float]

@@ -1,6 +1,6 @@
 """Outcome of a key frame on a compliant arm: reached, stalled, or out of time.
 
-An arm of stiffness K that is held back by a force F lags F / K behind its target: the lag of a stall follows from both.
+An arm with stiffness K lags F / K behind its target under a force F. So force and stiffness give the lag of a stall.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 
 
 def pose_error(tcp_in_base: Array, goal_in_base: Array) -> tuple[float, float]:
-    """Returns the distance of two (4, 4) poses [m, rad]."""
+    """Returns the distance between two (4, 4) poses [m, rad]."""
     turn = rotation_vector_from_matrix(tcp_in_base[:3, :3].T @ goal_in_base[:3, :3])
     return math.dist(tcp_in_base[:3, 3], goal_in_base[:3, 3]), math.sqrt(float(turn @ turn))
 
 
 class OutcomeWatch:
-    """Judges one key frame, tick by tick.
+    """Determines the outcome of one key frame, tick by tick.
 
     Args:
         goal_in_base: (4, 4) goal of the tool.
-        options: force, torque and stiffness of a stall.
-        began: by the arm's own clock [s].
-        time_limit: for the motion [s].
+        options: force, torque and stiffness for the stall test.
+        began: start time on the arm's own clock [s].
+        time_limit: time limit of the motion [s].
     """
 
     SETTLE = 0.5
-    """Time for the arm to follow a target that has arrived [s]."""
+    """Time for the arm to reach a target that no longer moves [s]."""
     RESTS = 0.01
-    """Fastest joint of an arm at rest [rad/s]."""
+    """Maximum joint speed of an arm at rest [rad/s]."""
     SNUG = (0.002, 0.01)
-    """Error at which settling ends early [m, rad]."""
+    """Error below which settling ends early [m, rad]."""
 
     def __init__(self, goal_in_base: Array, options: FrankyOptions, began: float, time_limit: float) -> None:
         self._goal = goal_in_base
@@ -45,14 +45,14 @@ class OutcomeWatch:
     def look(
         self, tcp_in_base: Array, desired_in_base: Array, *, running: bool, speed: float, now: float
     ) -> Outcome | None:
-        """Returns the outcome; None while the motion is under way.
+        """Returns the outcome; None during the motion.
 
         Args:
-            tcp_in_base: (4, 4) measured.
-            desired_in_base: (4, 4) the controller's present target.
-            running: whether that still changes.
-            speed: of the fastest joint [rad/s].
-            now: the arm's own clock [s].
+            tcp_in_base: (4, 4) measured pose.
+            desired_in_base: (4, 4) current target of the controller.
+            running: whether that target still changes.
+            speed: speed of the fastest joint [rad/s].
+            now: time on the arm's own clock [s].
         """
         lag, turned = pose_error(tcp_in_base, desired_in_base)
         strained = lag > self._stall_lag or turned > self._stall_turn

@@ -1,7 +1,7 @@
-"""Sessions of connected robots, for the teleoperators and policies of the same process.
+"""Sessions of connected robots, for the teleoperators and policies in the same process.
 
-LeRobot connects a teleoperator before the robot and shows it no observation; a policy's preprocessor is built from a
-checkpoint alone. Robots register here what both need, under the robot's id.
+LeRobot connects a teleoperator before the robot and passes it no observation. It builds a policy's preprocessor from a
+checkpoint only. So each robot registers the data that both need here, under its id.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 
 LOCKSTEP_DT = "lockstep_dt"
-"""Detail of a session: seconds of one step, where time passes by steps."""
+"""Session detail: duration of one step in lockstep [s]."""
 OPERATOR_SUCCESS, SUCCESS = "operator_success", "success"
-"""Details: the operator has pressed the key for success; a twin reports success."""
+"""Session details: the operator pressed the success key; a twin reports success."""
 RESET_WANTED = "reset_wanted"
-"""Detail: the operator wants the scene reset."""
+"""Session detail: the operator requested a scene reset."""
 
 
 @dataclass
@@ -29,12 +29,12 @@ class RobotSession:
     """State of one connected robot.
 
     Attributes:
-        reading: the latest one.
+        reading: latest reading.
         sent: (10,) last accepted target; None before the first.
-        safety: limits of its filter.
-        calibrations: by camera key.
-        details: what a backend describes beside that (the twin: its annotations and episode).
-        episodes: counts up when an episode begins or is given up: teleoperators anchor their goal then.
+        safety: limits of the robot's safety filter.
+        calibrations: camera calibrations by camera key.
+        details: further descriptions from the backend (twin: its annotations and episode).
+        episodes: counter of started and abandoned episodes. At each, teleoperators anchor their goal again.
     """
 
     reading: ArmReading | None = None
@@ -46,27 +46,27 @@ class RobotSession:
 
 
 class RobotRegistry:
-    """Robot id -> `RobotSession`, of this process."""
+    """Registry of this process: robot id -> `RobotSession`."""
 
     def __init__(self) -> None:
         self._sessions: dict[str, RobotSession] = {}
 
     def open(self, robot_id: str) -> RobotSession:
-        """Returns a new session of this robot, instead of an older one."""
+        """Returns a new session for this robot. It replaces an older one."""
         self._sessions[robot_id] = RobotSession()
         return self._sessions[robot_id]
 
     def find(self, robot_id: str | None = None) -> RobotSession | None:
-        """Returns the session of ``robot_id``, or without one the only session; None if there is none such."""
+        """Returns the session of ``robot_id``, or the only session without an id; None if not found."""
         if robot_id is not None:
             return self._sessions.get(robot_id)
         sessions = list(self._sessions.values())
         return sessions[0] if len(sessions) == 1 else None
 
     def close(self, robot_id: str) -> None:
-        """Removes a robot; nothing happens if it is not registered."""
+        """Removes a robot. Does nothing if it is not registered."""
         self._sessions.pop(robot_id, None)
 
 
 ROBOTS = RobotRegistry()
-"""Of this process."""
+"""Registry of this process."""

@@ -1,7 +1,7 @@
-"""The filter of targets before they are sent to an arm. Not a safety function: see docs/robot.md.
+"""Safety filter for targets before they are sent to an arm. Not a certified safety function: see docs/robot.md.
 
-Teleoperator and robot apply the same filter. It is pure and idempotent: a target that it has returned passes unchanged,
-bit for bit.
+Teleoperator and robot apply the same filter. It is pure and idempotent: a filtered target passes a second time
+unchanged, bit for bit.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from lerobot_adamanip.hardware.target_geometry import (
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_REFUSED = 10
-"""Malformed targets in a row that are an error."""
+"""Number of consecutive malformed targets that raises an error."""
 ANCHOR_MARGIN_M = 0.02
-"""Distance outside the box at which an arm may still begin [m]."""
+"""Maximum distance outside the box at which an arm may still start [m]."""
 TURN_SHARES = (1.0, 0.5, 0.25, 0.0)
-"""Shares of a turn, tried in order where the hand's corners would leave the box."""
+"""Fractions of a turn, tried in order if the hand's corners would leave the box."""
 SHORTER = (1.0, 0.999, 0.9)
-"""Shares of a step, tried in order: float32 may round a step to one that is too long."""
+"""Fractions of a step, tried in order, since float32 rounding may make a step too long."""
 ROUNDING = 2e-7
-"""Margin to the bounds [m or rad]: three units in the last place of a float32 near 1."""
+"""Margin to the bounds [m or rad]: three float32 units in the last place near 1."""
 
 
 class SafetyFilter:
-    """Limits targets, one after the other.
+    """Limits a sequence of targets.
 
-    A streamed target is at most ``speed * dt`` from the last one and ``lead`` from the measured pose, and in the box
-    with the hand's corners. The box comes first, then the lead: if the arm was pushed away by more than the lead, the
-    target follows it (`origin`), and steps count from there.
+    A streamed target is at most ``speed * dt`` from the last one and ``lead`` from the measured pose. The hand's
+    corners stay in the box. The box has priority over the lead. If the arm was pushed away by more than the lead, the
+    target follows it (`origin`), and steps start from there.
 
-    A key frame is a whole motion, planned within the arm's own limits, and only moved into the box. Where the hand
-    would leave the box while it turns, the tool first moves away from the side, turns there, and comes back.
+    A key frame is a complete motion. The arm plans it within its own limits; the filter only moves it into the box. If
+    the hand would leave the box while turning, the tool first moves away from the side, turns, and moves back.
 
-    A malformed target (wrong shape, not finite, no rotation) is refused: the last one stays. Rotations are
-    orthonormalised, the gripper is clipped.
+    A malformed target (wrong shape, not finite, no rotation) is refused, and the last one stays. The filter
+    orthonormalises rotations and clips the gripper.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
@@ -63,11 +63,11 @@ class SafetyFilter:
 
     @property
     def last(self) -> Target | None:
-        """(10,) the last returned target; the anchor before the first; None before that."""
+        """Last returned target (10,); the anchor before the first; None before the anchor."""
         return None if self._last is None else self._last.copy()
 
     def anchor(self, tcp_in_base: Array, gripper: float) -> Target:
-        """Starts at the measured pose, which becomes the last target: after connect, recovery and clutch.
+        """Sets the last target to the measured pose. Called after connect, recovery and clutch.
 
         Raises:
             RobotError: the hand is outside the box by more than `ANCHOR_MARGIN_M`.
@@ -75,10 +75,10 @@ class SafetyFilter:
         if not self.limits.contains(tcp_in_base, ANCHOR_MARGIN_M):
             lower, upper = self.limits.reduced_box(tcp_in_base[:3, :3])
             raise RobotError(
-                "The hand is outside the box that it may be in.",
+                "The hand is outside the box.",
                 got=f"tool at {np.round(tcp_in_base[:3, 3], 3).tolist()} m",
                 allowed=f"{np.round(lower, 3).tolist()} ... {np.round(upper, 3).tolist()} m in this orientation",
-                hint="guide it inside by hand, or set the box right",
+                hint="guide it inside by hand, or correct the box",
             )
         self._last = self._into_box(placed_at(tcp_in_base, min(max(gripper, 0.0), 1.0))).target
         self.refused = 0
@@ -88,9 +88,9 @@ class SafetyFilter:
         """Returns the next target of a stream, (10,) float32.
 
         Args:
-            target: (10,) wanted.
-            tcp_in_base: (4, 4) measured.
-            dt: since the last target [s]; a negative or NaN one counts as 0.
+            target: (10,) wanted target.
+            tcp_in_base: (4, 4) measured pose.
+            dt: time since the last target [s]; negative or NaN counts as 0.
 
         Raises:
             RobotError: `anchor` was not called, or `MAX_REFUSED` malformed targets came in a row.
@@ -98,17 +98,17 @@ class SafetyFilter:
         return self._accept(target, lambda wanted: self.limited(wanted, tcp_in_base, dt), tcp_in_base)
 
     def keyframe(self, target: NDArray[np.generic], tcp_in_base: Array) -> list[Target]:
-        """Returns 1 to 3 targets, (10,) float32 each, to reach one after the other: the last is the key frame.
+        """Returns a path of 1 to 3 targets, each (10,) float32. The last one is the key frame.
 
-        Between two of them the hand stays in the box with all corners, if it is inside at the start. Arguments and
-        errors as of `stream`.
+        Between two targets all corners of the hand stay in the box, if it starts inside. For arguments and errors see
+        `stream`.
         """
         start = placed_at(tcp_in_base, float(self.origin(tcp_in_base)[GRIPPER_DIM]))
         goal = self._accept(target, lambda wanted: self._into_box(placed(wanted)).target, tcp_in_base)
         return [*self._detour(start, placed(goal)), goal]
 
     def _detour(self, start: Placed, goal: Placed) -> list[Target]:
-        """Returns the stops between two poses, so that the hand turns where there is room; with the start's grip."""
+        """Returns the stops between two poses, so that the hand turns where it has room. The gripper stays."""
         lower, upper = self.limits.turning_box(start.rotation, goal.rotation)
         leaving, arriving = _into(start, lower, upper), _into(goal, lower, upper)
         arriving = moved_to(arriving, arriving.position, float(start.target[GRIPPER_DIM]))
@@ -124,7 +124,7 @@ class SafetyFilter:
                     f"{self.refused} malformed targets in a row.",
                     got=np.asarray(target).tolist(),
                     allowed="(10,) finite numbers: position [m], rotation 6D, gripper",
-                    hint="is the device, or the policy, the right one?",
+                    hint="check that this is the right device or policy",
                 )
             self._last = self.origin(tcp_in_base)
         else:
@@ -135,11 +135,11 @@ class SafetyFilter:
     # Geometry --------------------------------------------------------------------------------------------------------
 
     def origin(self, tcp_in_base: Array) -> Target:
-        """Returns the target that steps count from: the last, or nearer to an arm that was pushed away from it."""
+        """Returns the start point of steps: the last target, or a pose nearer to an arm that was pushed away."""
         return self._origin(self._measured(tcp_in_base)).target
 
     def limited(self, wanted: Target, tcp_in_base: Array, dt: float) -> Target:
-        """Returns a well-formed target within box, step and lead, without storing it. See `stream`."""
+        """Returns a valid target within box, step and lead, without storing it. See `stream`."""
         measured = self._measured(tcp_in_base)
         origin, goal = self._origin(measured), placed(wanted)
         dt = min(dt, self.limits.max_dt) if dt > 0 else 0.0
@@ -162,7 +162,7 @@ class SafetyFilter:
 
     def _origin(self, measured: Placed) -> Placed:
         if self._last is None:
-            raise RobotError("The safety filter has no pose to begin at: it was not anchored.")
+            raise RobotError("The safety filter has no pose to start at: it was not anchored.")
         last = placed(self._last)
         if (lead := self._lead(last, measured)) <= 1.0:
             return last
@@ -170,7 +170,7 @@ class SafetyFilter:
         return dragged if self._lead(dragged, measured) <= 1.0 and self._inside(dragged) else measured
 
     def _lead(self, pose: Placed, measured: Placed) -> float:
-        """Returns the lead over the measured pose as a share of its bound."""
+        """Returns the lead over the measured pose as a fraction of its bound."""
         ahead = distance(pose, measured) / self.limits.lead
         return max(ahead, angle(pose, measured) / self.limits.angular_lead)
 
@@ -195,7 +195,7 @@ class SafetyFilter:
         return turned_by(origin, way * min(1.0, turn / size)) if size > 0.0 else origin
 
     def _moved(self, turned: Placed, goal: Placed, origin: Placed, measured: Placed, step: float) -> Placed:
-        """Returns the turned origin, moved towards the goal: along the box's sides, within lead and step."""
+        """Returns the turned origin, moved towards the goal along the box's sides, within lead and step."""
         position = np.clip(goal.position, *self.limits.reduced_box(turned.rotation))
         if (ahead := math.dist(position, measured.position)) > self.limits.lead:
             lead = self.limits.lead - ROUNDING
@@ -215,7 +215,7 @@ def accepted(target: NDArray[np.generic], limits: SafetyLimits) -> Target | None
 
 
 def _into(pose: Placed, lower: Array, upper: Array) -> Placed:
-    """Returns a pose with its position moved into a box, rounded inwards."""
+    """Returns a pose with its position moved into the box and rounded inwards."""
     position = np.clip(pose.position, lower, upper)
     if (position == pose.position).all():
         return pose

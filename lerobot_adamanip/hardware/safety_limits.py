@@ -1,4 +1,4 @@
-"""Box, speed and lead of the safety filter. The box holds the whole hand, in one pose and all the way of a turn."""
+"""Box, speed and lead of the safety filter. The box contains the whole hand, in one pose and during a turn."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ HAND_CORNERS = np.array(
         *product((-0.011, 0.011), (-0.053, 0.053), (0.009,)),  # the fingers, open, their tips
     ]
 )
-"""(12, 3) corners of Franka's hand in the tool's frame [m]: z the approach, y the direction in which fingers close.
-The body ends 103 mm above the tool centre point, where the flange is; open fingers reach 9 mm beyond it."""
+"""(12, 3) corners of Franka's hand in the tool frame [m]: z is the approach, y the closing direction of the fingers.
+The body ends at the flange, 103 mm above the tool centre point. Open fingers reach 9 mm below it."""
 MAX_REACH_M = float(np.linalg.norm(HAND_CORNERS, axis=-1).max())
 """Distance of the farthest corner from the tool centre point [m]."""
 TURN_STEP_RAD = 0.05
-"""Largest turn between two samples of a path; a corner bulges 0.05 mm between them, which is allowed for."""
+"""Maximum turn between two samples of a path. A corner bulges 0.05 mm between them; the box shrinks by that."""
 
 
 @message
@@ -36,11 +36,11 @@ class SafetyLimits:
     """Limits of targets.
 
     Attributes:
-        box_lower, box_upper: of the tool and of the hand's corners [m, base frame]; its bottom is the floor.
-        speed, angular_speed: of a streamed target [m/s, rad/s].
-        lead, angular_lead: of a streamed target over the measured pose [m, rad]; a blocked arm pulls with no more than
-            stiffness times this.
-        max_dt: longest time between two targets that counts [s].
+        box_lower, box_upper: corners of the box for the tool and the hand [m, base frame]; its bottom is the floor.
+        speed, angular_speed: maximum speeds of a streamed target [m/s, rad/s].
+        lead, angular_lead: maximum distance of a streamed target from the measured pose [m, rad]. A blocked arm pulls
+            with at most stiffness times this.
+        max_dt: upper bound of the counted time between two targets [s].
     """
 
     box_lower: Corner
@@ -53,10 +53,10 @@ class SafetyLimits:
 
     def __post_init__(self) -> None:
         size = np.subtract(self.box_upper, self.box_lower)
-        least = 2 * MAX_REACH_M  # a hand turns in any way about a tool that is in the middle
+        least = 2 * MAX_REACH_M  # room for any turn of the hand about a tool in the middle
         if not np.isfinite(size).all() or (size <= least).any():
             raise ConfigurationError(
-                "The box that the tool may be in is too small for a hand that turns.",
+                "The safety box is too small for a hand that turns.",
                 got=f"{tuple(self.box_lower)} ... {tuple(self.box_upper)} m",
                 allowed=f"more than {least:.3f} m in each direction, lower corner first",
                 hint="the box holds the whole hand, not the tool centre point alone",
@@ -68,17 +68,17 @@ class SafetyLimits:
                 )
 
     def to_json(self) -> str:
-        """Returns what `limits_from_json` takes."""
+        """Returns JSON for `limits_from_json`."""
         return json.dumps(asdict(self), indent=1)
 
     def reduced_box(self, rotation: Array) -> tuple[Array, Array]:
-        """Returns the box of the tool's position in which a hand of this (3, 3) rotation has its corners inside."""
+        """Returns the box of tool positions that keep the hand's corners inside at this rotation (3, 3)."""
         return self._box_without(HAND_CORNERS @ rotation.T)
 
     def turning_box(self, start: Array, goal: Array) -> tuple[Array, Array]:
-        """Returns the box of the tool's position in which a hand may turn from one (3, 3) rotation to the other.
+        """Returns the box of tool positions in which the hand may turn from one rotation (3, 3) to the other.
 
-        The corners stay inside all the way, wherever in this box the tool is meanwhile.
+        The corners stay inside during the whole turn, for every tool position in this box.
         """
         turn = angle_between(start, goal)
         steps = max(1, math.ceil(turn / TURN_STEP_RAD))
@@ -93,7 +93,7 @@ class SafetyLimits:
         return lower, np.asarray(self.box_upper) - np.maximum(corners.max(axis=0), 0.0)
 
     def contains(self, tcp_in_base: Array, margin: float = 0.0) -> bool:
-        """Returns whether tool and corners are inside, up to ``margin`` [m]."""
+        """Returns whether tool and corners are inside the box, up to ``margin`` [m]."""
         lower, upper = self.reduced_box(tcp_in_base[:3, :3])
         position = tcp_in_base[:3, 3]
         return bool((position >= lower - margin).all() and (position <= upper + margin).all())
@@ -111,5 +111,5 @@ _LIMITS = json_fields.table(
 
 
 def limits_from_json(content: bytes) -> SafetyLimits:
-    """Inverse of `SafetyLimits.to_json`. Raises ValueError that names the field, `ConfigurationError` for the box."""
+    """Parses `SafetyLimits.to_json`. Raises ValueError with the field's name, or `ConfigurationError` for the box."""
     return SafetyLimits(**_LIMITS("the safety limits", json_fields.parse(content)))

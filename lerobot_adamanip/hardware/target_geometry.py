@@ -1,4 +1,4 @@
-"""Targets of the safety filter: float32 for what is sent, doubles for what is computed. Fast, one at a time."""
+"""Targets of the safety filter: sent as float32, computed as float64. Fast for single targets."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_D
 Target = NDArray[np.float32]
 
 ROUGH = 0.2
-"""Largest error of a rotation's rows that is corrected: a policy's is a hundredth, noise's is ones."""
+"""Maximum correctable error of a rotation's rows. Policies have about 0.01, noise about 1."""
 EXACT = 2e-6
-"""Error of a rotation's rows that is left: float32 gets no nearer."""
+"""Error of a rotation's rows that is not corrected, due to float32 precision."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """A target with its pose as doubles.
+    """A target with its pose in float64.
 
     Attributes:
-        target: (10,) float32.
-        position: (3,) [m].
-        rotation: (3, 3).
+        target: (10,) float32 target.
+        position: (3,) position [m].
+        rotation: (3, 3) rotation matrix.
     """
 
     target: Target
@@ -41,18 +41,18 @@ class Placed:
 
 
 def placed(target: Target) -> Placed:
-    """Returns a well-formed target with its pose."""
+    """Returns a valid target with its pose."""
     values = target.tolist()
     return Placed(target, np.array(values[:3]), _rotation(values[3:9]))
 
 
 def placed_at(tcp_in_base: Array, gripper: float) -> Placed:
-    """Returns a (4, 4) pose, rounded to float32 as every target is."""
+    """Returns a pose (4, 4), rounded to float32 like every target."""
     return placed(pose_vector(tcp_in_base, gripper))
 
 
 def _rotation(rows: list[float]) -> Array:
-    """Gram-Schmidt on two rows that are nearly orthonormal."""
+    """Orthonormalises two nearly orthonormal rows (Gram-Schmidt)."""
     a, b, c, d, e, f = rows
     size = math.sqrt(a * a + b * b + c * c)
     a, b, c = a / size, b / size, c / size
@@ -86,18 +86,18 @@ def canonical(target: NDArray[np.generic]) -> Target | None:
 
 
 def distance(first: Placed, second: Placed) -> float:
-    """Returns the distance of two targets [m]."""
+    """Returns the distance between two targets [m]."""
     return math.dist(first.position.tolist(), second.position.tolist())
 
 
 def angle(first: Placed, second: Placed) -> float:
-    """Returns the angle between two targets' rotations [rad]; exact for small ones, and 0 for equal ones."""
+    """Returns the angle between two targets' rotations [rad]; exact for small angles, 0 for equal rotations."""
     chord = (first.rotation - second.rotation).ravel()
     return 2.0 * math.asin(min(1.0, math.sqrt(float(chord @ chord) / 8.0)))
 
 
 def turn_vector(start: Placed, goal: Placed) -> tuple[Array, float]:
-    """Returns the rotation vector (3,) [rad] from one to the other, in the first one's frame, and its length."""
+    """Returns the rotation vector (3,) [rad] from start to goal, in the start's frame, and its length."""
     vector = rotation_vector_from_matrix(start.rotation.T @ goal.rotation)
     return vector, math.sqrt(float(vector @ vector))
 
@@ -109,14 +109,14 @@ def turned_by(start: Placed, vector: Array) -> Placed:
 
 
 def moved_to(start: Placed, position: Array, gripper: float) -> Placed:
-    """Returns the target at another position [m] and opening; its rotation keeps its bits."""
+    """Returns the target at another position [m] and opening. Its rotation stays bit-identical."""
     target = start.target.copy()
     target[POSITION_DIMS], target[GRIPPER_DIM] = position, gripper
     return Placed(target, target[POSITION_DIMS].astype(np.float64), start.rotation)
 
 
 def between(start: Placed, goal: Placed, share: float) -> Placed:
-    """Returns the target at ``share`` of the way, with the gripper of ``goal``."""
+    """Returns the target at the fraction ``share`` of the path, with the gripper of ``goal``."""
     position = start.position + share * (goal.position - start.position)
     same = (start.target[ROTATION_DIMS] == goal.target[ROTATION_DIMS]).all()
     turned = start if same else turned_by(start, share * turn_vector(start, goal)[0])

@@ -1,1 +1,1 @@
-"""The robot `adamanip_franka` of LeRobot; LeRobot finds its class by the name of its configuration, on first use."""
+"""The robot `adamanip_franka`. LeRobot imports its class on first use, by the name of its configuration."""

@@ -1,4 +1,4 @@
-"""The robot `adamanip_franka`: the contract's action and state, on an arm in a process of its own."""
+"""The robot `adamanip_franka`: the environment's action and state, on an arm that runs in a separate process."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
 
 
 class SlowLoopFilter(logging.Filter):
-    """Drops LeRobot's warning of a slow loop (0.6.1, and later ones), which means nothing in lockstep."""
+    """Drops the slow-loop warning of LeRobot 0.6.1 and later. In lockstep it is a false alarm."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Returns whether a record is written."""
+        """Returns whether to write a log record."""
         return not str(record.msg).startswith(("Record loop is running slower", "Control loop is running slower"))
 
 
@@ -57,36 +57,36 @@ class AdamanipFranka(Robot):
         self._slow_loop = SlowLoopFilter()
         self._connected_at = 0.0
 
-    # What it is -------------------------------------------------------------------------------------------------------
+    # Properties -------------------------------------------------------------------------------------------------------
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Scalars (`features.SCALAR_NAMES`) and the cameras' pictures."""
+        """Scalars (`features.SCALAR_NAMES`) and camera images."""
         return {**dict.fromkeys(SCALAR_NAMES, float), **camera_features(self.cameras)}
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """The contract's action: tool pose and gripper."""
+        """Action: tool pose and gripper opening."""
         return dict.fromkeys(POSE_NAMES, float)
 
     @property
     def calibration_file(self) -> Path:
-        """Of the cameras. Not ``<id>.json``: LeRobot would read that as calibrations of motors, and fail."""
+        """Path of the camera calibration. Not ``<id>.json``: LeRobot would parse that as motor calibration and fail."""
         return Path(self.calibration_dir) / f"{self.id}.cameras.json"
 
     @property
     def session(self) -> RobotSession:
-        """State that teleoperators and policies of this process read."""
+        """Shared state for teleoperators and policies in this process."""
         return self._session
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the calibration file has every camera with depth."""
+        """Whether the calibration file contains every depth camera."""
         deep = {key for key, camera in self.cameras.items() if getattr(camera, "use_depth", False)}
         return not deep or (self.calibration_file.is_file() and deep <= set(read_calibrations(self.calibration_file)))
 
     def calibrate(self) -> None:
-        """Reads the cameras' file again; raises `RobotError` where it is incomplete."""
+        """Reloads the camera calibration. Raises `RobotError` if it is incomplete."""
         if not self.is_calibrated:
             raise RobotError(
                 "The cameras of this robot are not calibrated.",
@@ -97,21 +97,21 @@ class AdamanipFranka(Robot):
         self._read_calibrations()
 
     def configure(self) -> None:
-        """The arm's process configures it when it connects."""
+        """Does nothing: the arm process configures the arm when it connects."""
 
-    # Life -------------------------------------------------------------------------------------------------------------
+    # Connection -------------------------------------------------------------------------------------------------------
 
     @property
     def is_connected(self) -> bool:
-        """Whether the arm's process runs; it may have a fault."""
+        """Whether the arm process runs. The arm may still have a fault."""
         return self._client is not None and self._client.is_connected
 
     def connect(self, calibrate: bool = True) -> None:
-        """Starts the arm's process, then the cameras. The arm does not move.
+        """Starts the arm process, then the cameras. The arm does not move.
 
         Raises:
-            RobotError: it is connected already, the arm or a camera does not answer, or the hand is outside the box.
-            ConfigurationError: an option that has no default was not given.
+            RobotError: already connected, the arm or a camera does not answer, or the hand is outside the box.
+            ConfigurationError: a required option is missing.
         """
         if self._client is not None:
             raise RobotError(f"{self} is connected already.")
@@ -144,7 +144,7 @@ class AdamanipFranka(Robot):
         config = self.config
         if config.box_lower is None or config.box_upper is None:
             raise ConfigurationError(
-                "The box that the hand may be in is not given.",
+                "The safety box of the hand is missing.",
                 got=f"box_lower={config.box_lower}, box_upper={config.box_upper}",
                 allowed="two corners [m, base frame]; no default is safe on every table",
                 hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
@@ -154,18 +154,18 @@ class AdamanipFranka(Robot):
         return SafetyLimits(cast("Corner", lower), cast("Corner", upper), **rest)
 
     def _make_client(self) -> ArmClient:
-        """Returns the arm's process, not yet started. Raises `ConfigurationError`. A twin overrides it."""
+        """Returns the arm process, not yet started. Raises `ConfigurationError`. A twin overrides it."""
         options = FrankyOptions(**{each.name: getattr(self.config, each.name) for each in fields(FrankyOptions)})
         options.check()
         return ArmClient(FRANKY, options, server=self._server_options())
 
     def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:
-        """Returns the watchdogs of the arm's process."""
+        """Returns the watchdog settings of the arm process."""
         config = self.config
         return ServerOptions(config.state_age, config.command_age, lockstep_fps, self._safety_limits())
 
     def disconnect(self) -> None:
-        """Stops the arm and ends its process, then the cameras: within 2 s for the arm. Idempotent."""
+        """Stops the arm and ends its process within 2 s, then stops the cameras. Idempotent."""
         client, self._client, self._driver = self._client, None, None
         if client is None:
             return
@@ -192,10 +192,10 @@ class AdamanipFranka(Robot):
             self._session.calibrations.update(read_calibrations(self.calibration_file))
 
     def get_observation(self) -> dict[str, Any]:
-        """Returns state and pictures; after a key frame, pictures exposed since the arm is at rest.
+        """Returns state and images. After a key frame, the images were exposed after the arm came to rest.
 
         Raises:
-            RobotError: the arm has a fault, its process or a camera does not answer.
+            RobotError: the arm has a fault, or its process or a camera does not answer.
         """
         reading = self._motion.read()
         seen: dict[str, Any] = dict(self._scalars(reading))
@@ -210,11 +210,11 @@ class AdamanipFranka(Robot):
         return scalars(reading, self._session.sent, self._connected_at, success)
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Sends an action through the safety filter, and returns what was sent.
+        """Sends an action through the safety filter and returns the filtered action.
 
         Raises:
-            RobotError: the arm has a fault, ten malformed actions came in a row, a key frame does not end.
-            ConfigurationError: a name of the action is missing.
+            RobotError: the arm has a fault, ten actions in a row were malformed, or a key frame does not end.
+            ConfigurationError: the action lacks a name.
         """
         wanted = action_vector(action)
         reading = self._motion.read()
@@ -222,5 +222,5 @@ class AdamanipFranka(Robot):
         return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
 
     def recover(self) -> None:
-        """Clears a fault; nothing moves, and the next actions begin at the present pose. Raises `RobotError`."""
+        """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
         self._motion.recover()

@@ -17,49 +17,49 @@ EXECUTIONS = ("keyframe", "stream")
 @RobotConfig.register_subclass("adamanip_franka")
 @dataclass(kw_only=True)
 class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
-    """A Franka with its hand, see docs/robot.md. Address, model and box have to be given."""
+    """A Franka arm with its hand, see docs/robot.md. Address, model and box are required."""
 
     box_lower: tuple[float, float, float] | None = None
-    """Lowest corner [m, base frame] of the box; its z is the floor. Targets, and the way of a key frame, keep the tool
-    and the whole hand in it. An arm that gives way or is pushed may leave it by what its compliance allows."""
+    """Lowest corner [m, base frame] of the safety box; its z is the floor. Targets and key-frame paths keep the whole
+    hand inside. A compliant arm that is pushed may still leave the box."""
 
     box_upper: tuple[float, float, float] | None = None
-    """Its highest corner."""
+    """Highest corner [m, base frame] of the safety box."""
 
     execution: str = "stream"
-    """stream: the newest action wins, nothing waits (teleoperate, record). keyframe: an action is one motion to its end
-    (rollout, replay of key frames)."""
+    """How actions run. stream: each action replaces the one before (teleoperate, record). keyframe: each action is one
+    complete motion (rollout, replay of key frames)."""
 
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    """By key; the one whose depth becomes the cloud is called front."""
+    """Cameras by key. The depth of the camera ``front`` becomes the point cloud."""
 
     speed: float = 0.10
-    """Of a streamed target [m/s]."""
+    """Maximum speed of a streamed target [m/s]."""
 
     angular_speed: float = 0.4
-    """Of a streamed target [rad/s]."""
+    """Maximum angular speed of a streamed target [rad/s]."""
 
     lead: float = 0.04
-    """Of a streamed target over the measured pose [m]: times the stiffness, the force of a pull."""
+    """Maximum distance from the measured pose to a streamed target [m]. The pulling force is this times stiffness."""
 
     angular_lead: float = 0.15
-    """Likewise [rad]."""
+    """Maximum angle from the measured pose to a streamed target [rad]."""
 
     state_age: float = 0.2
-    """The arm's state may be this old [s]; then it is stopped, and that is an error. From 1 s up a connection that
-    stands still may be told a second later: libfranka waits so long for an answer."""
+    """Maximum age of the arm's state [s]. An older state stops the arm and raises an error. From 1 s up, the error may
+    come a second late: libfranka waits that long for an answer."""
 
     command_age: float = 0.5
-    """Streamed actions may stop this long [s]; then the arm holds where it is."""
+    """Maximum pause between streamed actions [s]. After it the arm holds its position."""
 
     camera_age: float = 0.5
-    """A camera's frame may be this old [s]; then an error."""
+    """Maximum age of a camera frame [s]. An older frame raises an error."""
 
     motion_time: float = 60.0
-    """A key frame, with its grip, takes no longer than this [s]; then an error."""
+    """Maximum duration of a key frame with its gripper command [s]. A longer one raises an error."""
 
     def __post_init__(self) -> None:
-        """Raises `AdaManipError` for what cannot be meant."""
+        """Raises `AdaManipError` for an invalid option."""
         RobotConfig.__post_init__(self)
         with shown_by_parsers():
             require_choice("execution", self.execution, EXECUTIONS)

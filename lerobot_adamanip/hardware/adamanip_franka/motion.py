@@ -1,4 +1,4 @@
-"""Executes actions: filtered, as a key frame or in a stream."""
+"""Executes filtered actions as key frames or as a stream."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 
 def action_vector(action: Mapping[str, Any]) -> Target:
-    """Returns LeRobot's action as (10,) float32. Raises `ConfigurationError` for one that lacks a name."""
+    """Returns LeRobot's action as (10,) float32. Raises `ConfigurationError` if a name is missing."""
     if missing := [name for name in POSE_NAMES if name not in action]:
         raise ConfigurationError(
             "An action lacks names.", got=f"no {', '.join(missing)}", allowed=", ".join(POSE_NAMES)
@@ -29,17 +29,17 @@ def action_vector(action: Mapping[str, Any]) -> Target:
 
 
 class MotionDriver:
-    """Executes actions on one connected arm, and updates its session.
+    """Executes actions on one connected arm and updates its session.
 
     Args:
-        arm: connected.
-        session: gets every reading and sent target.
-        safety: of this arm alone.
-        execution: of every action.
-        motion_time: longest key frame [s].
+        arm: connected client.
+        session: stores every reading and sent target.
+        safety: filter of this arm only.
+        execution: mode of all actions.
+        motion_time: maximum duration of a key frame [s].
 
     Attributes:
-        rested_at: when the latest key frame ended, `time.perf_counter()` [s]; None while the arm is streamed to.
+        rested_at: end of the latest key frame, `time.perf_counter()` [s]; None during streaming.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class MotionDriver:
         return reading
 
     def anchor(self) -> None:
-        """Makes the measured pose the last sent target.
+        """Sets the last sent target to the measured pose.
 
         Raises:
             RobotError: the arm has a fault, or the hand is outside the box.
@@ -69,22 +69,22 @@ class MotionDriver:
         self._sent_at = self.rested_at = self._goal = None
 
     def recover(self) -> None:
-        """Clears a fault; nothing moves, and the next actions begin at the present pose. Raises `RobotError`."""
+        """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
         self._arm.request("recover")
         self.anchor()
 
     def send(self, wanted: Target, reading: ArmReading) -> Target:
-        """Sends a target (10,) through the filter, waits for the end of a key frame, and returns what was sent.
+        """Filters and sends a target (10,), and returns the filtered target. Waits for the end of a key frame.
 
         Raises:
-            RobotError: the arm has a fault, ten malformed targets came in a row, a key frame does not end.
+            RobotError: the arm has a fault, ten targets in a row were malformed, or a key frame does not end.
         """
         whole = self._execution is Execution.KEYFRAME
         self._session.sent = self._send_keyframe(wanted, reading) if whole else self._send_stream(wanted, reading)
         return self._session.sent
 
     def _send_keyframe(self, wanted: Target, reading: ArmReading) -> Target:
-        """Executes one motion to its end; the same goal again is none: a paused roll-out resends its last action."""
+        """Executes one motion to its end. Skips a repeated goal: a paused rollout resends its last action."""
         last = self._filter.last
         if self._goal == wanted.tobytes() and last is not None:
             return last
@@ -94,7 +94,7 @@ class MotionDriver:
             self._session.reading, self._goal = ended.reading, wanted.tobytes()
             self.rested_at = time.perf_counter()
             if ended.reading is None or ended.reading.outcome is not Outcome.REACHED:
-                break  # from here the rest of the way may lead out of the box
+                break  # from here the rest of the path may leave the box
         return sent
 
     def _send_stream(self, wanted: Target, reading: ArmReading) -> Target:

@@ -1,4 +1,4 @@
-"""Observation of the robot: scalars by name, and the cameras' pictures."""
+"""Observation of the robot: named scalars and camera images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NO_OUTCOME = -1.0
 
 
 def camera_features(cameras: dict[str, Camera]) -> dict[str, tuple[int, int, int]]:
-    """Returns the pictures' shapes by name: colour under a camera's key, depth under that and a suffix."""
+    """Returns image shapes by name: colour under the camera's key, depth under the key with a suffix."""
     features: dict[str, tuple[int, int, int]] = {}
     for key, camera in cameras.items():
         if getattr(camera, "use_rgb", True):
@@ -31,10 +31,10 @@ def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, su
     """Returns all scalars by name, in the order of `features.SCALAR_NAMES`.
 
     Args:
-        reading: of the arm.
+        reading: arm reading.
         sent: (10,) last accepted target.
-        connected: when the robot was connected, `time.perf_counter()` [s].
-        success: of the task, by the operator or the twin.
+        connected: connection time of the robot, `time.perf_counter()` [s].
+        success: task success, from the operator or the twin.
     """
     pose = pose_vector(reading.tcp_in_base, reading.gripper)
     outcome = NO_OUTCOME if reading.outcome is None else float(reading.outcome)
@@ -44,17 +44,17 @@ def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, su
 
 
 def pictures(key: str, camera: Camera, *, max_age: float, after: float | None) -> dict[str, NDArray[Any]]:
-    """Returns a camera's pictures by name, of one exposure if it is a `FrameReader`.
+    """Returns a camera's images by name. A `FrameReader` returns colour and depth of one exposure.
 
     Args:
-        key: of the camera.
-        camera: connected.
-        max_age: of a frame [s].
-        after: the arm is at rest since then, and the frame exposed after it (`time.perf_counter()`, [s]); None takes
-            the latest.
+        key: camera key.
+        camera: connected camera.
+        max_age: maximum age of a frame [s].
+        after: time at which the arm came to rest, `time.perf_counter()` [s]. Returns a frame exposed after it;
+            None returns the latest.
 
     Raises:
-        RobotError: the camera is frozen or has failed; LeRobot's own cameras raise TimeoutError.
+        RobotError: the camera is frozen or has failed. LeRobot's own cameras raise TimeoutError instead.
     """
     found: dict[str, NDArray[Any]] = {}
     if isinstance(camera, FrameReader):

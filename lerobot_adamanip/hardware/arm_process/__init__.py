@@ -1,4 +1,4 @@
-"""The arm's own process: `client` starts it, `__main__` and `server` run in it.
+"""The arm process: `client` starts it; `__main__` and `server` run in it.
 
-No renderer, encoder or hung recorder delays a tick of the arm, and a killed recorder is answered by a planned stop.
+A renderer, an encoder or a hung recorder cannot delay a tick of the arm. A killed recorder causes a controlled stop.
 """

@@ -1,4 +1,4 @@
-"""Program of the arm's process, started by `ArmClient`: ``python -m`` this package, SOCKET MEMORY FACTORY."""
+"""Entry point of the arm process. `ArmClient` runs ``python -m`` this package with SOCKET MEMORY FACTORY."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ PR_SET_PDEATHSIG = 1
 
 
 def main(socket: int, memory: int, factory_name: str) -> int:
-    """Runs an arm's process to its end and returns its exit status.
+    """Runs the arm process to its end and returns its exit status.
 
     Args:
-        socket: inherited descriptor.
-        memory: likewise.
-        factory_name: ``module:function`` of a `BackendFactory`; its module registers its options as a message.
+        socket: inherited descriptor of the socket.
+        memory: inherited descriptor of the shared memory.
+        factory_name: ``module:function`` of a `BackendFactory`. The module registers its options as a message.
     """
     connection = Connection(socket)
     try:
@@ -63,14 +63,14 @@ def _in_words(error: Exception) -> str:
 
 @contextlib.contextmanager
 def killed_with_parent() -> Iterator[None]:
-    """Within it, the kernel kills this process when its parent dies.
+    """Makes the kernel kill this process if its parent dies within the context.
 
-    For calls that may hang in a driver, where nothing checks the parent; the arm does not move yet.
+    For driver calls that may hang before the arm moves: no other code checks the parent then.
     """
     parent, library = os.getppid(), ctypes.CDLL(None, use_errno=True)
     if library.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
-    if os.getppid() != parent:  # it died before the kernel was told
+    if os.getppid() != parent:  # the parent died before the request to the kernel
         os.kill(os.getpid(), signal.SIGKILL)
     try:
         yield

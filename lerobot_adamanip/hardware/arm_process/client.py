@@ -1,4 +1,4 @@
-"""Client of the arm's process: starts it, sends targets, reads the newest state, ends it."""
+"""Client of the arm process: starts it, sends targets, reads the newest state, and ends it."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ from lerobot_adamanip.util.errors import RobotError
 PROGRAM = "lerobot_adamanip.hardware.arm_process"
 COMMAND_BYTES, STATUS_BYTES = 1024, 16384
 POLL = 0.002
-"""Between two checks of a key frame under way [s]."""
+"""Time between two checks of a running key frame [s]."""
 CLOSE_TIME = 1.8
-"""Time for the process to stop the arm and end [s]; then it is killed, so that closing takes under 2 s."""
+"""Time for the process to stop the arm and exit [s]. Then it is killed, so that closing takes under 2 s."""
 LOCKSTEP_TIME = 600.0
 """Longest step of a twin [s]."""
 
 
 class ArmClient:
-    """One arm's process, from `connect` to `close`. Targets and states may be used by one thread, frames by any.
+    """One arm process, from `connect` to `close`. Use targets and states in one thread, frames in any.
 
     Args:
-        factory: ``module:function`` of the backend, see `messages.BackendFactory`. A constant of the calling program.
-        options: of that backend, a registered `message`.
-        server: watchdogs of the process.
-        frames: name -> bytes of further mailboxes, which the backend fills.
-        connect_time: for the process to start and to connect [s].
+        factory: ``module:function`` of the backend, see `messages.BackendFactory`. A constant in the calling program.
+        options: backend options, a registered `message`.
+        server: watchdog settings of the process.
+        frames: name -> size of further mailboxes that the backend fills [bytes].
+        connect_time: time limit for start and connection [s].
     """
 
     def __init__(
@@ -79,14 +79,14 @@ class ArmClient:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the process was started and has not ended."""
+        """Whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
     def connect(self) -> dict[str, Any]:
-        """Starts the process, waits until its backend is connected, returns what the backend describes.
+        """Starts the process, waits until its backend is connected, and returns the backend's description.
 
         Raises:
-            RobotError: it is connected already, the backend cannot connect, or takes longer than ``connect_time``.
+            RobotError: already connected, the backend cannot connect, or takes longer than ``connect_time``.
         """
         if self._process is not None:
             raise RobotError("The arm's process was started already.")
@@ -108,29 +108,29 @@ class ArmClient:
         memory = create_memory(self._first.capacities)
         self._boxes = map_mailboxes(memory, self._first.capacities)
         try:
-            # A session of its own: Ctrl-C in the recorder's terminal must not reach the arm before the recorder does.
+            # A separate session: Ctrl-C in the recorder's terminal must reach the recorder before the arm process.
             self._process = subprocess.Popen(
                 [sys.executable, "-m", PROGRAM, str(theirs.fileno()), str(memory), self._factory],
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(), memory),
                 start_new_session=True,
-                # Without LeRobot, whose import takes seconds; with the modules that this process can import.
+                # Without LeRobot, whose import takes seconds, but with the import path of this process.
                 env={**os.environ, NO_PLUGIN: "1", "PYTHONPATH": os.pathsep.join(sys.path)},
             )
         finally:
             theirs.close()
             os.close(memory)
         self._connection = Connection(ours.detach())
-        with contextlib.suppress(OSError):  # a process that has ended already is told by its exit status
+        with contextlib.suppress(OSError):  # a process that has already ended is reported by its exit status
             self._connection.send_bytes(encode(self._first))
 
     def close(self) -> None:
-        """Ends the process, which stops the arm before; kills it after `CLOSE_TIME`. Idempotent, never raises."""
+        """Stops the arm and ends the process; kills it after `CLOSE_TIME`. Idempotent; never raises."""
         process, connection = self._process, self._connection
         if connection is not None:
-            with contextlib.suppress(OSError):  # without the lock: another thread may wait for an answer
+            with contextlib.suppress(OSError):  # without the lock, since another thread may wait for an answer
                 self._write(Request(0, "shutdown"))
-            connection.close()  # end of file, for a process that reads no messages
+            connection.close()  # sends end of file to a process that reads no messages
         if process is not None:
             try:
                 process.wait(CLOSE_TIME)
@@ -142,10 +142,10 @@ class ArmClient:
     # States ----------------------------------------------------------------------------------------------------------
 
     def status(self) -> ArmStatus:
-        """Returns the newest status, faulty or not.
+        """Returns the newest status, with or without a fault.
 
         Raises:
-            RobotError: the process has ended, or has published nothing for `ServerOptions.state_age` seconds.
+            RobotError: the process has ended, or published no status for `ServerOptions.state_age` seconds.
         """
         found = self._box(STATUS).read()
         if not self.is_connected or found is None:
@@ -154,7 +154,7 @@ class ArmClient:
         age = time.perf_counter() - status.beat
         if self.server.lockstep_fps is None and age > self.server.state_age:
             raise RobotError(
-                "The arm's process publishes no state any more; the arm is asked to stop.",
+                "The arm's process publishes no state any more; a stop was requested.",
                 got=f"a state that is {age:.2f} s old",
                 allowed=f"{self.server.state_age:g} s",
                 hint="is the robot reachable, and the machine not overloaded? Disconnect and connect again",
@@ -162,7 +162,7 @@ class ArmClient:
         return status
 
     def healthy(self) -> ArmStatus:
-        """Returns the newest status of a healthy arm. Raises `RobotError`, as `status` and for a fault."""
+        """Returns the newest status of a healthy arm. Raises `RobotError` for a fault, or as `status` does."""
         status = self.status()
         if status.fault is not None:
             hint = "disconnect and connect again" if status.lost else "see to the arm, then recover it"
@@ -171,7 +171,7 @@ class ArmClient:
         return status
 
     def frame(self, name: str) -> tuple[int, Any] | None:
-        """Returns (number, value) of the newest in a mailbox of the backend; None before the first. Thread-safe."""
+        """Returns (number, value) of the newest item in a backend mailbox; None before the first. Thread-safe."""
         return self._box(name).read()
 
     def _box(self, name: str) -> Mailbox:
@@ -182,7 +182,7 @@ class ArmClient:
     # Targets ---------------------------------------------------------------------------------------------------------
 
     def send(self, pose: NDArray[np.float32], execution: Execution) -> int:
-        """Sends a filtered target (10,) and returns its number, for `wait`. In lockstep, waits for its step.
+        """Sends a filtered target (10,) and returns its number for `wait`. In lockstep, waits for the step to finish.
 
         Raises:
             RobotError: see `healthy`.
@@ -194,10 +194,10 @@ class ArmClient:
         return number
 
     def wait(self, number: int, time_limit: float) -> ArmStatus:
-        """Waits for the end of the key frame of this number, and returns its status.
+        """Waits for the end of the key frame with this number and returns its status.
 
         Raises:
-            RobotError: see `healthy`; or ``time_limit`` [s] is over, and the arm is asked to stop.
+            RobotError: see `healthy`; or ``time_limit`` [s] is exceeded, and the arm is told to stop.
         """
         until = time.perf_counter() + time_limit
         while time.perf_counter() < until:
@@ -211,10 +211,10 @@ class ArmClient:
     # Requests --------------------------------------------------------------------------------------------------------
 
     def request(self, ask: str, values: Mapping[str, Any] | None = None, *, time_limit: float = 10.0) -> dict[str, Any]:
-        """Sends ``stop``, ``recover`` or a request of the backend, and returns the answer.
+        """Sends ``stop``, ``recover`` or a backend request and returns the answer.
 
         Raises:
-            RobotError: it refuses, has ended, or does not answer within ``time_limit`` [s].
+            RobotError: the process refuses, has ended, or does not answer within ``time_limit`` [s].
         """
         with self._lock:
             self._asked += 1
@@ -225,7 +225,7 @@ class ArmClient:
             return self._receive(self._asked, time_limit, ask)
 
     def post(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
-        """Sends a request without waiting for an answer; nothing happens if the process has ended."""
+        """Sends a request without waiting for an answer. Does nothing if the process has ended."""
         with self._lock, contextlib.suppress(OSError):
             self._write(Request(0, ask, dict(values or {})))
 
@@ -235,7 +235,7 @@ class ArmClient:
         self._connection.send_bytes(encode(request))
 
     def _receive(self, number: int, time_limit: float, ask: str) -> dict[str, Any]:
-        """Returns the values of the reply of this number; older replies are dropped."""
+        """Returns the values of the reply with this number. Drops older replies."""
         until = time.perf_counter() + time_limit
         while self._connection is not None:
             if not self._connection.poll(max(0.0, until - time.perf_counter())):
@@ -245,7 +245,7 @@ class ArmClient:
             except (EOFError, OSError) as error:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     if self._process is not None:
-                        self._process.wait(1.0)  # for its exit status
+                        self._process.wait(1.0)  # collects its exit status
                 raise RobotError(self._last_words(f"broke off at {ask!r} ({type(error).__name__})")) from None
             if reply.number in (number, 0):
                 if reply.error is not None:
@@ -254,9 +254,9 @@ class ArmClient:
         raise RobotError(self._last_words(f"cannot be asked for {ask!r}"))
 
     def _last_words(self, what: str) -> str:
-        """Returns a message with the error that the process sent before it ended.
+        """Returns a message with the last error of the process.
 
-        If another thread waits for an answer, that thread reads and reports it.
+        If another thread waits for an answer, that thread reads and reports the error.
         """
         told = ""
         if self._lock.acquire(blocking=False):

@@ -1,6 +1,6 @@
-"""Bytes of what the recorder's and the arm's process send each other: JSON, a zero byte, then the arrays' raw bytes.
+"""Message encoding between recorder and arm process: JSON, a zero byte, then the raw bytes of all arrays.
 
-In the JSON, ``{"@": NAME, ...}`` is an array, a tuple, or a registered dataclass or enumeration; the rest is as it is.
+In the JSON, ``{"@": NAME, ...}`` is an array, a tuple, or a registered dataclass or enumeration. The rest is plain.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ _registered: dict[str, type] = {}
 
 
 def message[Kind](kind: type[Kind]) -> type[Kind]:
-    """Registers a dataclass or enumeration, by its name. Both processes have to import the module that does it."""
+    """Registers a dataclass or enumeration by its name. Both processes must import its module."""
     _registered[kind.__name__] = kind
     return kind
 
 
 def encode(value: object) -> bytes:
-    """Returns the bytes of a value. Raises TypeError for an unregistered class, or a key that is no text."""
+    """Returns the bytes of a value. Raises TypeError for an unregistered class or a key that is not a string."""
     arrays: list[bytes] = []
     return json.dumps(_plain(value, arrays), separators=(",", ":")).encode() + b"\0" + b"".join(arrays)
 
 
 def decode[Value](data: bytes, kind: type[Value]) -> Value:
-    """Returns the value that `encode` was given; every number and array keeps its bits and type.
+    """Returns the value passed to `encode`. Numbers and arrays keep their bits and types.
 
     Raises:
-        RobotError: the bytes are truncated, of an unknown or another class, or of wrong fields.
+        RobotError: the bytes are truncated, or have an unknown class, another class or wrong fields.
     """
     head, zero, body = data.partition(b"\0")
     offset = 0
@@ -79,7 +79,7 @@ def _plain(value: Any, arrays: list[bytes]) -> Any:
         return {TAG: "tuple", "items": [_plain(each, arrays) for each in value]}
     if isinstance(value, Mapping):
         if TAG in value or not all(isinstance(key, str) for key in value):
-            raise TypeError(f"keys {list(value)} cannot be sent: texts other than {TAG!r} can")
+            raise TypeError(f"keys {list(value)} cannot be sent: keys must be strings other than {TAG!r}")
         return {key: _plain(each, arrays) for key, each in value.items()}
     if _registered.get(kind.__name__) is not kind:
         raise TypeError(f"{kind.__name__} cannot be sent: it is not registered by `message`")

@@ -1,4 +1,4 @@
-"""Latest-value mailboxes in memory that two processes share: one writer, any number of readers, nobody waits."""
+"""Latest-value mailboxes in shared memory: one writer, any number of readers, no locks."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
 from lerobot_adamanip.util.errors import RobotError
 
 HEADER_BYTES = 56
-"""Seven words: the published number, then number, length and checksum of each slot."""
+"""Header of seven words: the published number, then number, length and checksum of each slot."""
 TRIES = 1000
-"""The writer overtakes a reader a few times in a row at most; more means that the memory is not a mailbox."""
+"""Maximum read attempts. The writer overtakes a reader only a few times; more failures mean corrupt memory."""
 
 
 class Mailbox:
-    """The newest value of one writer.
+    """Mailbox with the newest value of one writer.
 
-    There are two slots. The writer fills the one that was not published last, then publishes it: a reader always finds
-    a whole value, also after the writer was killed in the middle of the next one. The checksum reveals a slot that was
-    overwritten while it was read.
+    There are two slots. The writer fills the unpublished slot, then publishes it. So a reader always finds a complete
+    value, even if the writer is killed during the next write. The checksum detects a slot that was overwritten
+    during a read.
 
     Args:
-        memory: shared, `Mailbox.size` bytes, zeros at first.
-        capacity: largest encoded value [bytes].
+        memory: shared memory of `Mailbox.size` bytes, initially zeros.
+        capacity: maximum size of an encoded value [bytes].
     """
 
     def __init__(self, memory: memoryview, capacity: int) -> None:
@@ -38,16 +38,16 @@ class Mailbox:
 
     @staticmethod
     def size(capacity: int) -> int:
-        """Returns the bytes of a mailbox; a multiple of eight."""
+        """Returns the size of a mailbox [bytes], a multiple of eight."""
         return HEADER_BYTES + (2 * capacity + 7) // 8 * 8
 
     @property
     def number(self) -> int:
-        """Number of the newest value: 0 before the first, then counting up by one."""
+        """Number of the newest value: 0 before the first, then increasing by one."""
         return int(self._words[0])
 
     def write(self, value: object) -> int:
-        """Publishes a value and returns its number. Only one thread writes. Raises ValueError if it is too large."""
+        """Publishes a value and returns its number. Only one thread may write. Raises ValueError for a large value."""
         content = encode(value)
         if len(content) > self.capacity:
             raise ValueError(f"{len(content)} bytes, more than {self.capacity}")
@@ -60,7 +60,7 @@ class Mailbox:
         return number
 
     def read(self) -> tuple[int, Any] | None:
-        """Returns (number, value) of the newest; None before the first. Raises `RobotError` if it cannot be read."""
+        """Returns (number, newest value); None before the first. Raises `RobotError` for corrupt memory."""
         for _ in range(TRIES):
             number = self.number
             if number == 0:
@@ -69,7 +69,7 @@ class Mailbox:
             content = bytes(self._bodies[number % 2][:size])
             if written == number == int(self._header(number)[0]) and zlib.crc32(content) == checksum:
                 return number, decode(content, object)
-        raise RobotError("A value in shared memory is never whole: two processes write it, or it is no mailbox.")
+        raise RobotError("A value in shared memory is never whole: two processes write it, or it is not a mailbox.")
 
     def _header(self, number: int) -> np.ndarray[Any, np.dtype[np.uint64]]:
         first = 1 + 3 * (number % 2)
@@ -77,14 +77,14 @@ class Mailbox:
 
 
 def create_memory(capacities: Mapping[str, int]) -> int:
-    """Returns the file descriptor of anonymous memory for mailboxes; it vanishes with its last user."""
+    """Returns the file descriptor of anonymous memory for mailboxes. The kernel frees it after its last user."""
     descriptor = os.memfd_create("arm")
     os.ftruncate(descriptor, sum(map(Mailbox.size, capacities.values())))
     return descriptor
 
 
 def map_mailboxes(descriptor: int, capacities: Mapping[str, int]) -> dict[str, Mailbox]:
-    """Returns the mailboxes by name; ``capacities`` (name -> bytes) are the same in both processes."""
+    """Returns the mailboxes by name. Pass the same ``capacities`` (name -> bytes) in both processes."""
     view = memoryview(mmap.mmap(descriptor, sum(map(Mailbox.size, capacities.values()))))
     boxes, offset = {}, 0
     for name, capacity in capacities.items():

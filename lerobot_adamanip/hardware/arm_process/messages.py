@@ -1,4 +1,4 @@
-"""What the recorder's and the arm's process send each other; `encoding` has the bytes."""
+"""Messages between the recorder and the arm process. See `encoding` for their bytes."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError
 
 COMMAND, STATUS = "command", "status"
-"""Mailboxes that there always are: an `ArmTarget`, an `ArmStatus`. Others are the backend's."""
+"""Names of the required mailboxes: `ArmTarget` and `ArmStatus`. A backend may add others."""
 RESET = "reset"
-"""Request that resets scene and arm; later measurements do not depend on earlier ones."""
+"""Request that resets scene and arm. Measurements after it do not depend on earlier ones."""
 MAX_TEXT = 2000
-"""Characters of an error that are kept."""
+"""Maximum length of an error text [characters]."""
 
 
 @message
 @dataclass(frozen=True)
 class ServerOptions:
-    """Watchdogs of the arm's process, and how time passes.
+    """Watchdog and clock settings of the arm process.
 
     Attributes:
-        state_age: a state that stands still for longer is a fault, which stops the arm [s].
-        command_age: a stream without a new target for longer is stopped [s]. The next target moves it on.
-        lockstep_fps: None: real time. A number: only targets advance the backend, each by 1/fps seconds, a
-            key frame to its end. For twins.
-        limits: of the recorder's filter, see `watch.malformed`; None checks nothing.
+        state_age: maximum age of the arm's state [s]. An older state is a fault and stops the arm.
+        command_age: maximum time without a streamed target [s]. Then the arm stops; the next target resumes.
+        lockstep_fps: None for real time. A number for twins in lockstep: each streamed target advances the backend
+            by 1/fps seconds, and each key frame runs to its end.
+        limits: limits of the recorder's filter, see `watch.malformed`; None disables the check.
     """
 
     state_age: float = 0.2
@@ -50,12 +50,12 @@ class ServerOptions:
 @message
 @dataclass(frozen=True)
 class Start:
-    """First message to the arm's process.
+    """First message to the arm process.
 
     Attributes:
-        options: of the backend, see its `BackendFactory`.
-        server: watchdogs and clock.
-        capacities: name -> bytes of every mailbox, in their order in memory.
+        options: backend options, see its `BackendFactory`.
+        server: watchdog and clock settings.
+        capacities: name -> size of every mailbox [bytes], in memory order.
     """
 
     options: Any
@@ -66,16 +66,16 @@ class Start:
 @message
 @dataclass(frozen=True)
 class ArmStatus:
-    """Published by the arm's process after each tick.
+    """Status that the arm process publishes after each tick.
 
     Attributes:
-        beat: when it was published, `time.perf_counter()` [s].
-        reading: the arm's state; None if it could not be read even once.
+        beat: publication time, `time.perf_counter()` [s].
+        reading: the arm's state; None if no reading has succeeded.
         accepted: number of the newest target that was passed to the backend; 0 before the first.
-        sent: (10,) float32, that target; None before the first.
-        holding: the arm was stopped: targets of a stream did not come, or `stop` was asked for.
-        fault: why no target is accepted until `recover`; None if all is well.
-        lost: the fault is a lost connection: connect again.
+        sent: (10,) float32 pose of that target; None before the first.
+        holding: whether the arm was stopped, by a missing streamed target or a `stop` request.
+        fault: reason why targets are refused until `recover`; None without a fault.
+        lost: whether the connection is lost; then connect again.
     """
 
     beat: float
@@ -90,7 +90,7 @@ class ArmStatus:
 @message
 @dataclass(frozen=True)
 class Request:
-    """A question or command beside targets; ``number`` 0 wants no reply."""
+    """Request other than a target. ``number`` 0 asks for no reply."""
 
     number: int
     ask: str
@@ -100,7 +100,7 @@ class Request:
 @message
 @dataclass(frozen=True)
 class Reply:
-    """Answer to the request of the same number; ``error`` says why there is none. Number 0: the process has ended."""
+    """Reply to the request with the same number; ``error`` gives the reason of a failure. 0: the process has ended."""
 
     number: int
     error: str | None = None
@@ -108,17 +108,17 @@ class Reply:
 
 
 Handler = Callable[[dict[str, Any]], dict[str, Any]]
-"""Answers a request, between two ticks: no watchdog runs meanwhile. Raises `AdaManipError` or ValueError to refuse."""
+"""Handles a request between two ticks; no watchdog runs meanwhile. Raises `AdaManipError` or ValueError to refuse."""
 
 
 @dataclass(frozen=True)
 class Served:
-    """A backend that is not yet connected, and the requests that it answers.
+    """An unconnected backend and its request handlers.
 
     Attributes:
-        backend: moves the arm.
-        handlers: request -> handler, e.g. `RESET`. ``step``, ``stop``, ``recover``, ``shutdown`` are the server's own.
-        describe: called once after `connect`: what the recorder should know.
+        backend: driver of the arm.
+        handlers: request -> handler, e.g. `RESET`. The server handles ``step``, ``stop``, ``recover``, ``shutdown``.
+        describe: called once after `connect`; returns the description for the recorder.
     """
 
     backend: ArmBackend

@@ -1,14 +1,14 @@
-"""Loop of the arm's process: targets in, states out; it stops the arm when the arm or the recorder fails.
+"""Loop of the arm process: receives targets, publishes states, stops the arm if the arm or the recorder fails.
 
-One thread does everything. A tick, every `ArmBackend.period` seconds: answer requests; pass a new target to a healthy
-arm; `ArmBackend.tick` and `ArmBackend.read`; check the watchdogs; publish the status.
+The loop has one thread. Each tick, every `ArmBackend.period` seconds: answer requests; pass a new target to a healthy
+arm; call `ArmBackend.tick` and `ArmBackend.read`; check the watchdogs; publish the status.
 
-In lockstep only ``step`` requests advance time: each takes the newest target and ticks, for a stream 1/fps seconds (the
-rest of a tick is carried over, so that 30 Hz on 50 Hz ticks stays exact), for a key frame until its outcome.
+In lockstep only ``step`` requests advance time. Each takes the newest target. A streamed target ticks for 1/fps
+seconds; the remainder is carried over, so 30 Hz on 50 Hz ticks stays exact. A key frame ticks until its outcome.
 
-A fault (errors of the arm, a state that stands still, a malformed target, an exception of the backend) stops the arm
-and refuses targets until ``recover``. When the recorder dies (end of file, or another parent), the arm is stopped and,
-once it rests, the process ends.
+A fault stops the arm and refuses targets until ``recover``: arm errors, a stale state, a malformed target or a backend
+exception. When the recorder dies (end of file, or another parent), the process stops the arm, waits until it rests,
+and exits.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
 from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 REST_SPEED = 0.005
-"""Fastest joint of an arm at rest [rad/s]."""
+"""Maximum joint speed of an arm at rest [rad/s]."""
 REST_WAIT = 2.0
-"""Longest wait for rest [s]."""
+"""Maximum wait for rest [s]."""
 KEYFRAME_LIMIT = 120.0
-"""Longest key frame in lockstep [s of the backend]; the backend's own limit is shorter."""
+"""Maximum duration of a key frame in lockstep [s of the backend]; the backend's own limit is shorter."""
 
 
 class ArmServer:
-    """Drives one connected backend for one recorder; `run` returns when the recorder is gone."""
+    """Drives one connected backend for one recorder. `run` returns when the recorder has ended."""
 
     def __init__(
         self, served: Served, connection: Connection, boxes: Mapping[str, Mailbox], options: ServerOptions
@@ -68,8 +68,8 @@ class ArmServer:
         self._backlog_s = 0.0
 
     def run(self) -> None:
-        """Ticks until the recorder is gone, then stops the arm and waits until it rests. Never raises `RobotError`."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder gets it as well, and ends this process in order
+        """Ticks until the recorder has ended, then stops the arm and waits for rest. Never raises `RobotError`."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder also gets it and ends this process cleanly
         signal.signal(signal.SIGTERM, self._end)
         self._observe()
         due = time.perf_counter()
@@ -83,7 +83,7 @@ class ArmServer:
             if not self._lockstep:
                 self._accept()
                 self._observe(tick=True)
-            due = max(due, time.perf_counter() - self._backend.period)  # ticks that were missed are not made up for
+            due = max(due, time.perf_counter() - self._backend.period)  # skip missed ticks
         self._come_to_rest()
 
     def _end(self, *_: object) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class ArmServer:
     # One tick --------------------------------------------------------------------------------------------------------
 
     def _answer(self, due: float) -> None:
-        """Answers requests until the next tick is due; one at least, so that late ticks do not starve requests."""
+        """Answers requests until the next tick is due, but at least one, so that late ticks do not starve them."""
         try:
             while self._connection.poll(max(0.0, due - time.perf_counter())):
                 request = decode(self._connection.recv_bytes(), Request)
@@ -117,7 +117,7 @@ class ArmServer:
             return Reply(request.number, str(error)[:MAX_TEXT] or type(error).__name__)
 
     def _accept(self) -> None:
-        """Passes a new target on, if the arm is healthy at this moment."""
+        """Passes a new target to the backend if the arm is healthy."""
         try:
             found = self._command.read()
         except RobotError as error:  # a target that cannot be read
@@ -144,7 +144,7 @@ class ArmServer:
             self._hold({})
 
     def _observe(self, *, tick: bool = False) -> None:
-        """Reads and publishes the state, a tick later if asked to."""
+        """Reads and publishes the state, after one tick if ``tick`` is set."""
         if tick:
             self._try(self._backend.tick)
         self._try(self._read)
@@ -167,7 +167,7 @@ class ArmServer:
     # Faults ----------------------------------------------------------------------------------------------------------
 
     def _try(self, call: Callable[[], None]) -> bool:
-        """Calls the backend and returns whether it succeeded; its `RobotError` becomes the fault."""
+        """Calls the backend and returns whether it succeeded. A `RobotError` becomes the fault."""
         try:
             call()
         except RobotError as error:
@@ -176,7 +176,7 @@ class ArmServer:
         return True
 
     def _fail(self, what: str, *, lost: bool = False) -> None:
-        """Publishes the first fault, then stops the arm, which takes a second if the arm does not answer."""
+        """Publishes the first fault, then stops the arm. The stop takes 1 s if the arm does not answer."""
         self._lost = self._lost or lost
         if self._fault is None:
             self._fault = what[:MAX_TEXT]
@@ -187,12 +187,12 @@ class ArmServer:
     # Requests --------------------------------------------------------------------------------------------------------
 
     def _observed(self, ask: str, handler: Handler) -> Handler:
-        """Returns a handler that publishes what it has changed: in lockstep no tick does so before it is observed."""
+        """Returns a handler that publishes the new state. In lockstep no tick would publish it before the next read."""
 
         def answer(values: dict[str, Any]) -> dict[str, Any]:
             began = time.perf_counter()
             told = handler(values)
-            self._advanced += time.perf_counter() - began  # the arm could not move on
+            self._advanced += time.perf_counter() - began  # the arm could not move during this time
             if ask == RESET:
                 self._backlog_s = 0.0
             self._observe()
@@ -206,9 +206,9 @@ class ArmServer:
         return {}
 
     def _recover(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Clears a fault; targets from before it are not executed."""
+        """Clears a fault. Drops targets sent before it."""
         if self._lost:
-            raise RobotError("The connection to the arm is lost, which recovering does not repair: connect again.")
+            raise RobotError("The connection to the arm is lost; recovery cannot restore it: connect again.")
         self._backend.recover()
         self._fault, self._holding, self._target = None, True, None
         self._accepted = self._command.number
@@ -219,10 +219,10 @@ class ArmServer:
         return {}
 
     def _step(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Takes the newest target and advances time by its share."""
+        """Takes the newest target and advances time by one step."""
         fps = self._options.lockstep_fps
         if fps is None:
-            raise RobotError("Time advances in real time here; steps are for lockstep.")
+            raise RobotError("This process runs in real time; steps need lockstep.")
         self._accept()
         period = self._backend.period
         whole = self._target is not None and self._target.execution is Execution.KEYFRAME

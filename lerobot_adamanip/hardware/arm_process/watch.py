@@ -1,4 +1,4 @@
-"""Checks of the arm's process: malformed targets, and readings after which the arm must not move."""
+"""Checks in the arm process: malformed targets, and readings that forbid motion."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.motion_outcome import pose_error
 
 ROTATION_ERROR = 1e-3
-"""Rows of a target's rotation are orthonormal within this: the safety filter makes them so."""
+"""Maximum orthonormality error of a target's rotation rows. The safety filter returns orthonormal rows."""
 MAX_LEADS = 2.0
-"""Multiple of the filter's lead that is allowed: this process's reading is a newer one."""
+"""Allowed multiple of the filter's lead. It exceeds 1 because this process has a newer reading."""
 BOX_ROUNDING = 1e-6
-"""[m]: float32 against the box's doubles."""
+"""Tolerance [m] for float32 targets against the float64 box."""
 STOPPED_MODES = {
     ArmMode.REFLEX: "The arm stopped itself (reflex)",
     ArmMode.USER_STOPPED: "The arm's user stop is pressed",
@@ -24,9 +24,9 @@ STOPPED_MODES = {
 
 
 def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> str | None:
-    """Returns why a target is refused, given the measured pose (4, 4); None for a good one.
+    """Returns why a target is refused, given the measured pose (4, 4); None for a valid target.
 
-    The recorder's filter lets no such target through: this notices a recorder without it.
+    The recorder's filter blocks such targets. This check detects a recorder without the filter.
     """
     pose = target.pose.astype(np.float64)
     if pose.shape != (ACTION_DIM,) or not np.isfinite(pose).all():
@@ -49,7 +49,7 @@ def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> 
 
 
 def trouble(reading: ArmReading, stood_still: float, state_age: float) -> str | None:
-    """Returns why an arm must not move; None if it may. ``stood_still``: seconds in which its clock did not advance."""
+    """Returns why the arm must not move; None if it may. ``stood_still``: time since its clock last advanced [s]."""
     if reading.mode in STOPPED_MODES or reading.errors:
         what = STOPPED_MODES.get(reading.mode, "The arm reports errors")
         return f"{what}: {', '.join(reading.errors) or 'no flag is set'}."

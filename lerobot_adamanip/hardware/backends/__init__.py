@@ -1,1 +1,1 @@
-"""What moves an arm: the real one, and a fake for tests. The twin's backend stands with the simulator."""
+"""Arm backends: the real arm and a fake for tests. The twin's backend is in the simulator package."""

@@ -1,6 +1,6 @@
-"""Backend of the real arm, by `franky-control` 2: compliant in its firmware, within limits of our own table.
+"""Backend of the real arm with `franky-control` 2: firmware impedance control, within the limits of our own table.
 
-The control loop (1 kHz) is franky's thread, in C++; this backend gives it motions and reads its states.
+The 1 kHz control loop is a C++ thread of franky. This backend sends it motions and reads its states.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
-"""Share of the dynamics after a recovery, for this long [s of the arm's clock]."""
+"""Fraction of the dynamics after a recovery, and its duration [s of the arm's clock]."""
 LEANS = 0.01
-"""Lag of an arm that leans on something [m]; the next key frame first releases it."""
+"""Lag of an arm that presses on something [m]. The next key frame first releases it."""
 STAYS = 5e-4
-"""Distance of a goal that is no motion [m, rad]."""
+"""Distance below which a goal needs no motion [m, rad]."""
 SAME = 5e-5
-"""Distance of equal streamed targets [m, rad]."""
+"""Distance below which streamed targets are equal [m, rad]."""
 RECOVERY_TIME = 0.5
-"""Longest wait for a state without errors [s]."""
+"""Maximum wait for a state without errors [s]."""
 STOP_TIME = 1.0
-"""Longest wait for a stop when closing [s]."""
+"""Maximum wait for a stop when closing [s]."""
 KEYFRAME_TIME_LIMIT = 30.0
-"""Longest key frame [s of the arm's clock]."""
+"""Maximum duration of a key frame [s of the arm's clock]."""
 
 
 class FrankyBackend:
@@ -69,7 +69,7 @@ class FrankyBackend:
         self._gentle_until = -1.0
         self.limits_read: dict[str, list[float]] = {}
 
-    # Life ------------------------------------------------------------------------------------------------------------
+    # Connection ------------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
         """Connects, checks the tool frame, sets limits, impedance and thresholds. Raises `RobotError`."""
@@ -88,11 +88,11 @@ class FrankyBackend:
         except RobotError:
             raise
         except Exception as error:
-            raise RobotError(f"The arm was connected, and could not be set up: {error}") from None
+            raise RobotError(f"The arm was connected but could not be configured: {error}") from None
         check_joints(self._state.q, self._options)
 
     def close(self) -> None:
-        """Stops the arm, ends the gripper's thread, disconnects. Idempotent; never raises."""
+        """Stops the arm, ends the gripper thread and disconnects. Idempotent; never raises."""
         robot, self._robot = self._robot, None
         if robot is not None and not self._lost:
             with contextlib.suppress(Exception):
@@ -105,16 +105,16 @@ class FrankyBackend:
     # States ----------------------------------------------------------------------------------------------------------
 
     def read(self) -> ArmReading:
-        """Returns the state. Raises `RobotError` where the connection is lost."""
+        """Returns the state. Raises `RobotError` if the connection is lost."""
         self._state = self._ask(lambda: self._robot.state)
         opening = 1.0 if self._hand is None else self._hand.opening
         return reading_of(self._state, opening, self._options.effort_sign, self._outcome)
 
     def tick(self) -> None:
-        """Judges the key frame. Raises `RobotError` for a motion that broke off, or a gripper that failed."""
+        """Updates the key frame's outcome. Raises `RobotError` if the motion was aborted or the gripper failed."""
         if self._hand is not None:
             self._hand.check()
-        # Raises what ended a motion. Its answer is not used: in franky 2.0.0 it is the opposite of the documented one.
+        # Raises the error that ended a motion. In franky 2.0.0 its return value is inverted, so it is not used.
         self._ask(self._robot.poll_motion)
         running = bool(self._ask(lambda: self._robot.is_in_control))
         if self._watch is not None:
@@ -144,12 +144,12 @@ class FrankyBackend:
     # Motions ---------------------------------------------------------------------------------------------------------
 
     def stream(self, target: ArmTarget) -> None:
-        """Replaces the target of a motion that holds its end; returns at once. Raises `RobotError`."""
+        """Replaces the target of a motion that holds its end. Returns at once. Raises `RobotError`."""
         goal, self._goal_opening = pose_from_vector(target.pose)
         streamed = self._streamed
         self._forget()
-        # franky plans a motion from a state some milliseconds old: planned anew 30 times a second, a braking arm passes
-        # its target by half of the braking distance. A target that rests keeps its motion.
+        # franky plans from a state that is some milliseconds old. Replanning at 30 Hz makes a braking arm overshoot by
+        # half of the braking distance. So a target that does not move keeps its motion.
         rests = streamed is not None and max(pose_error(streamed, goal)) < SAME
         if not (rests and self._ask(lambda: self._robot.is_in_control)):
             self._move(
@@ -162,7 +162,7 @@ class FrankyBackend:
         self._grip()
 
     def begin_keyframe(self, target: ArmTarget) -> None:
-        """Begins a motion that ends at its target, then the gripper's. Raises `RobotError`."""
+        """Starts a motion to the target, then the gripper's. Raises `RobotError`."""
         goal, _ = pose_from_vector(target.pose)
         self._forget()
         self._goal_opening = float(target.pose[GRIPPER_DIM])
@@ -172,12 +172,12 @@ class FrankyBackend:
         ways = [here, goal] if leaning else [goal]
         self._watch = OutcomeWatch(goal, self._options, now, self._time_limit(here, goal))
         if not leaning and max(pose_error(here, goal)) < STAYS:
-            return  # the fingers alone
+            return  # only the fingers move
         points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
         self._move(self._franky.CartesianWaypointMotion(points, relative_dynamics_factor=self._pace))
 
     def _time_limit(self, here: Array, goal: Array) -> float:
-        """Returns twice the time that the length takes [s], and some for starting and stopping."""
+        """Returns the time limit [s]: twice the travel time, plus time to start and stop."""
         limits, share = self._options.limits, self._options.dynamics * self._pace
         way, turn = pose_error(here, goal)
         needed = way / (limits.translation.velocity * share) + turn / (limits.rotation.velocity * share)
@@ -196,27 +196,27 @@ class FrankyBackend:
             self._hand.want(self._goal_opening)
 
     def stop(self) -> None:
-        """Decelerates within the limits and holds. Raises `RobotError` if the arm does not take it."""
+        """Decelerates within the limits and holds. Raises `RobotError` if the arm refuses."""
         self._watch = self._ending = self._streamed = None
         if self._robot is not None and not self._lost and self._ask(lambda: self._robot.is_in_control):
             self._move(self._franky.CartesianStopMotion())
 
     def recover(self) -> None:
-        """Clears a reflex; motions begin gently after it. Raises `RobotError` if the arm does not recover."""
+        """Clears a reflex. The next motions are slower. Raises `RobotError` if the arm does not recover."""
         self._forget()
         if self._hand is not None:
             self._hand.forgive()
-        with contextlib.suppress(Exception):  # the exception of the motion that broke off, told once
+        with contextlib.suppress(Exception):  # the exception of the aborted motion, raised once
             self._robot.poll_motion()
         recovered = bool(self._ask(self._robot.recover_from_errors))
         self._state = self._ask(lambda: self._robot.state)
-        # franky judges by a state that may be from before the arm has answered.
+        # franky may use a state from before the arm's answer.
         end = time.perf_counter() + RECOVERY_TIME
         while not recovered and time.perf_counter() < end:
             self._state = self._ask(lambda: self._robot.state)
             recovered = not flags_of(self._state.current_errors)
         if not recovered:
-            raise RobotError("The arm did not recover from its errors: see to it in Desk.")
+            raise RobotError("The arm did not recover from its errors: check it in Desk.")
         self._gentle_until = self._state.time.to_msec() / 1000.0 + GENTLE_TIME
 
     # Franky's errors -------------------------------------------------------------------------------------------------
@@ -225,13 +225,13 @@ class FrankyBackend:
         self._ask(lambda: self._robot.move(motion, asynchronous=True))
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Calls franky and translates its errors; a lost connection stays lost."""
+        """Calls franky and translates its errors. A lost connection stays lost."""
         if self._lost:
             raise RobotError(self._lost)
         try:
             return call()
         except self._franky.ControlException as error:
-            raise RobotError(f"The arm broke the motion off: {self._flags() or error}") from None
+            raise RobotError(f"The arm aborted the motion: {self._flags() or error}") from None
         except (self._franky.NetworkException, RuntimeError) as error:
             self._lost = f"The connection to the arm at {self._options.address} is lost: {error}"
             raise RobotError(self._lost) from None
@@ -246,7 +246,7 @@ class FrankyBackend:
 
 
 def serve_franky(options: FrankyOptions, _: Mapping[str, Mailbox]) -> Served:
-    """Returns the real arm's backend, see `BackendFactory`."""
+    """Returns the backend of the real arm, see `BackendFactory`."""
     backend = FrankyBackend(options)
 
     def gripper(_: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Options of the real arm's process: part of the robot's configuration."""
+"""Options of the real arm's process. They are part of the robot's configuration."""
 
 from __future__ import annotations
 
@@ -19,60 +19,60 @@ BOUNDS = {
 @message
 @dataclass(kw_only=True)
 class FrankyOptions:
-    """How the real arm is driven. `check` refuses what cannot be meant."""
+    """Options of the real arm. `check` validates them."""
 
     address: str = ""
     """Host name or IP address of the arm's controller."""
 
     model: str = ""
-    """fr3 or panda (FER): decides the limits."""
+    """Model of the arm: fr3 or panda (FER). It selects the limits."""
 
     dynamics: float = 0.05
-    """Share of the model's velocities, accelerations and jerks that motions are planned with."""
+    """Fraction of the model's maximum velocity, acceleration and jerk for planned motions."""
 
     stiffness: float = 1000.0
-    """Of the Cartesian impedance in the arm's firmware [N/m]."""
+    """Translational stiffness of the firmware's Cartesian impedance [N/m]."""
 
     rotational_stiffness: float = 40.0
-    """Likewise [N m/rad]."""
+    """Rotational stiffness of the firmware's Cartesian impedance [N m/rad]."""
 
     stall_force: float = 30.0
-    """A key frame that takes more force ends with the outcome STALLED [N]."""
+    """Force [N] above which a key frame ends with the outcome STALLED."""
 
     stall_torque: float = 1.1
-    """Likewise [N m]."""
+    """Torque [N m] above which a key frame ends with the outcome STALLED."""
 
     collision_force: float = 60.0
-    """The arm's own reflex [N]; above what a pull may take."""
+    """Force of the arm's own reflex [N]. Must be above the stall force."""
 
     collision_torque: float = 40.0
-    """Likewise of each joint [N m]."""
+    """Torque of the arm's own reflex, per joint [N m]."""
 
     effort_sign: float = 1.0
-    """1 or -1, so that `joint_i.effort` is what the arm exerts: measured once per arm, see docs/robot.md."""
+    """Sign, 1 or -1, that makes `joint_i.effort` the torque that the arm exerts. Measure it once, see docs/robot.md."""
 
     realtime: bool = True
-    """Demand a real-time kernel."""
+    """Whether to require a real-time kernel."""
 
     gripper: bool = True
-    """Whether Franka's hand is mounted."""
+    """Whether a Franka Hand is mounted."""
 
     gripper_speed: float = 0.1
-    """Of the fingers [m/s]."""
+    """Speed of the fingers [m/s]."""
 
     grasp_force: float = 30.0
     """[N]."""
 
     @property
     def limits(self) -> FrankaLimits:
-        """Of the model."""
+        """Limits of the model."""
         return MODELS[self.model]
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for a missing address or model, and for a value out of bounds."""
+        """Raises `ConfigurationError` for a missing address or model, or a value out of bounds."""
         if not self.address or not self.model:
             raise ConfigurationError(
-                "It is not said which arm this is.",
+                "It is not specified which arm to use.",
                 got=f"address={self.address!r}, model={self.model!r}",
                 allowed="the address of its controller; fr3 or panda",
                 hint="--robot.address=172.16.0.2 --robot.model=fr3",
@@ -91,10 +91,10 @@ class FrankyOptions:
                     hint=f"--robot.{name}={getattr(FrankyOptions, name)}",
                 )
         if self.effort_sign not in (1, -1):
-            raise ConfigurationError("effort_sign is a sign.", got=self.effort_sign, allowed="1 or -1", hint="1")
+            raise ConfigurationError("effort_sign must be a sign.", got=self.effort_sign, allowed="1 or -1", hint="1")
         if self.stall_force >= self.collision_force:
             raise ConfigurationError(
-                "A pull has to be given up before the arm's reflex comes.",
+                "A pull must stall before the arm's reflex stops it.",
                 got=f"stall_force {self.stall_force:g} N, collision_force {self.collision_force:g} N",
                 allowed="stall_force below collision_force",
                 hint="lower stall_force or raise collision_force",

@@ -1,4 +1,4 @@
-"""Translation from and to `franky`: errors, states, limits, the hand. Imports it on first use."""
+"""Translates errors, states, limits and hand commands from and to `franky`. Imports franky on first use."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ HINTS = {
     "IncompatibleVersionException": INSTALL,
 }
 DOCTOR = "adamanip doctor"
-"""What to try after an exception of franky, by its name, and after any other."""
+"""Hints by the name of a franky exception, and a default hint."""
 MODES = {
     "Idle": ArmMode.IDLE, "Move": ArmMode.MOVING, "Guiding": ArmMode.GUIDING, "Reflex": ArmMode.REFLEX,
     "UserStopped": ArmMode.USER_STOPPED, "AutomaticErrorRecovery": ArmMode.RECOVERING, "Other": ArmMode.OTHER,
 }  # fmt: skip
 TOOL_IN_FLANGE = transform((0.0, 0.0, 0.1034), rotation_about((0.0, 0.0, 1.0), -np.pi / 4))
-"""Tool centre point of the Franka Hand, as Desk sets it [m]."""
+"""Tool centre point of the Franka Hand as set by Desk [m]."""
 TOOL_MARGIN_M, TOOL_MARGIN_RAD = 0.001, 0.01
-"""Error up to which the arm's tool frame is that of the Franka Hand."""
+"""Tolerance when comparing the arm's tool frame with the Franka Hand's."""
 RANGE_MARGIN = 0.02
-"""Largest excess of a joint's range before another model of arm is suspected [rad]."""
+"""Tolerance of a joint's range [rad]. A larger excess means a wrong arm model."""
 
 
 def import_franky() -> Any:
-    """Returns the module. Raises `RobotError` where it is not installed."""
+    """Returns the module `franky`. Raises `RobotError` if it is not installed."""
     try:
         import franky
     except ImportError as error:
@@ -47,7 +47,7 @@ def import_franky() -> Any:
 
 
 def connect_robot(franky: Any, options: FrankyOptions) -> Any:
-    """Returns a connected `franky.Robot`. Raises `RobotError` with what to try."""
+    """Returns a connected `franky.Robot`. Raises `RobotError` with a hint."""
     realtime = franky.RealtimeConfig.Enforce if options.realtime else franky.RealtimeConfig.Ignore
     try:
         return franky.Robot(
@@ -65,9 +65,9 @@ def connect_robot(franky: Any, options: FrankyOptions) -> Any:
 
 
 def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
-    """Writes our limits, times ``dynamics``, and returns what is read back: name -> values.
+    """Writes our limits times ``dynamics`` and returns the values read back, by name.
 
-    Lower limits of `franky` stay. Raises `RobotError` if what is read back is not what was written.
+    Lower limits of `franky` stay. Raises `RobotError` if the values read back differ from the written ones.
     """
     read: dict[str, list[float]] = {}
     for name, wanted in wanted_limits(options):
@@ -81,7 +81,7 @@ def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
 
 
 def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
-    """Yields franky's name of a limit and its values in our table, times ``dynamics``."""
+    """Yields each limit as franky's name and our values times ``dynamics``."""
     for name in ("translation", "rotation", "elbow", "joint"):
         for what in ("velocity", "acceleration", "jerk"):
             values = np.atleast_1d(getattr(getattr(options.limits, name), what))
@@ -89,7 +89,7 @@ def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
 
 
 def check_joints(qpos: Any, options: FrankyOptions) -> None:
-    """Raises `RobotError` for joints outside the model's range: the arm is another one."""
+    """Raises `RobotError` for joints outside the model's range: the arm is another model."""
     lower, upper = np.array(options.limits.joint_lower), np.array(options.limits.joint_upper)
     outside = (np.asarray(qpos) < lower - RANGE_MARGIN) | (np.asarray(qpos) > upper + RANGE_MARGIN)
     if outside.any():
@@ -102,7 +102,7 @@ def check_joints(qpos: Any, options: FrankyOptions) -> None:
 
 
 def check_tool_frame(state: Any) -> None:
-    """Raises `RobotError` for another tool frame than the Franka Hand's."""
+    """Raises `RobotError` if the tool frame is not the Franka Hand's."""
     tool = np.array(state.F_T_EE.matrix, dtype=np.float64)
     off, turned = pose_error(tool, TOOL_IN_FLANGE)
     if off > TOOL_MARGIN_M or turned > TOOL_MARGIN_RAD:
@@ -132,39 +132,39 @@ def reading_of(state: Any, gripper: float, effort_sign: float, outcome: Outcome 
 
 
 def flags_of(errors: Any) -> tuple[str, ...]:
-    """Returns the names of the flags that are set, of 41."""
+    """Returns the names of the error flags that are set, out of 41."""
     return tuple(name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True)
 
 
 class FrankyHand:
-    """A `Hand` on `franky.Gripper`, with the speed of the fingers [m/s] and the force of a grasp [N]."""
+    """A `Hand` on `franky.Gripper`. ``speed``: finger speed [m/s]; ``force``: grasp force [N]."""
 
     def __init__(self, address: str, speed: float, force: float) -> None:
         self._hand = import_franky().Gripper(address)
         self._speed, self._force = speed, force
         self._max_width = float(self._hand.max_width)
         if self._max_width <= 0:
-            raise RobotError("The gripper's width is not known: home it once, in Desk or by franky's Gripper.homing().")
+            raise RobotError("The gripper's width is unknown: home it once, in Desk or with franky's Gripper.homing().")
 
     def open(self) -> None:
-        """Opens as far as it goes."""
+        """Opens the hand completely."""
         self._command(lambda: self._hand.move(self._max_width, self._speed))
 
     def close(self) -> None:
-        """Closes on an object of any width, and holds it."""
+        """Closes on an object of any width and holds it."""
         self._command(lambda: self._hand.grasp(0.0, self._speed, self._force, epsilon_outer=1.0))
 
     def _command(self, call: Callable[[], bool]) -> None:
-        """Calls; an empty grasp and a blocked move are no failures: the width shows them."""
+        """Calls the gripper. An empty grasp or a blocked move is not an error: the width shows it."""
         try:
             call()
         except import_franky().CommandException:
             return
 
     def opening(self) -> float:
-        """Returns width / largest width."""
+        """Returns the opening: width / maximum width."""
         return min(1.0, max(0.0, float(self._hand.width) / self._max_width))
 
     def stop(self) -> None:
-        """Ends a command under way."""
+        """Stops the current command."""
         self._hand.stop()

@@ -1,1 +1,1 @@
-"""Where a camera is and how it sees: found by a board in the robot's hand or beside it, kept in a file."""
+"""Camera calibration: pose and intrinsics, computed from pictures of a board and stored in a file."""

@@ -1,4 +1,4 @@
-"""The ChArUco board that is held before a camera: a chessboard with a marker in each white square."""
+"""ChArUco calibration board: a chessboard with a marker in each white square."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 DICTIONARY = "DICT_5X5_100"
 FEWEST_CORNERS = 8
-"""Inner corners that a picture has to show."""
+"""Minimum number of inner corners in a picture."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """Sizes as printed: measured with a ruler, since printers scale.
+    """Board sizes as printed. Measure them with a ruler, since printers scale.
 
     Attributes:
         columns, rows: squares along x and y.
-        square: side of a square [m].
-        marker: side of a marker [m], less than a square's.
+        square: side length of a square [m].
+        marker: side length of a marker [m], smaller than a square.
     """
 
     columns: int = 7
@@ -34,22 +34,22 @@ class Board:
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 14 and 3 <= self.rows <= 14 and 0.2 * self.square < self.marker < self.square < 1):
             raise ConfigurationError(
-                "No ChArUco board.",
+                "No ChArUco board has these sizes.",
                 got=f"{self.columns} x {self.rows} squares of {self.square} m, markers of {self.marker} m",
                 allowed="3 ... 14 squares along a side, less than 1 m, markers smaller than squares",
                 hint="--columns 7 --rows 5 --square 0.04 --marker 0.03",
             )
 
     def image(self, pixels_per_metre: float) -> NDArray[np.uint8]:
-        """Returns the board as a picture, white margin of half a square around it."""
+        """Returns an image of the board with a white margin of half a square."""
         square = round(self.square * pixels_per_metre)
         size, margin = (self.columns * square, self.rows * square), square // 2
         drawn = _aruco(self)[0].generateImage((size[0] + 2 * margin, size[1] + 2 * margin), marginSize=margin)
         return np.asarray(drawn, np.uint8)
 
     def detect(self, gray: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns the inner corners that a picture (H, W) shows, as points (K, 3) [m] in the board's frame (x right,
-        y down, from its first corner) and pixels (K, 2); none if they are fewer than `FEWEST_CORNERS`.
+        """Returns the inner corners in a picture (H, W) as points (K, 3) [m] and pixels (K, 2), or none if they are fewer
+        than `FEWEST_CORNERS`. The board frame starts at its first corner, x right, y down.
         """
         import cv2
 
@@ -57,8 +57,8 @@ class Board:
         corners, ids, _, _ = detector.detectBoard(gray)
         if ids is None or len(ids) < FEWEST_CORNERS:
             return np.zeros((0, 3)), np.zeros((0, 2))
-        # OpenCV up to 4.13 finds corners half a pixel too far right and down (its issue 25539), later ones do not: both
-        # lead to the same corner when it is refined, in a window that the markers' edges stay out of.
+        # OpenCV up to 4.13 finds corners half a pixel too far right and down (its issue 25539). Refinement gives the
+        # same corner in all versions if its window contains no marker edges.
         clear_of_markers = (self.square - self.marker) / (2 * self.square)
         window = int(np.clip(clear_of_markers * _spacing(np.asarray(corners).reshape(-1, 2)), 2, 8))
         ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
@@ -68,7 +68,7 @@ class Board:
 
 
 def _spacing(corners: NDArray[np.float64]) -> float:
-    """Median distance from each corner (K, 2) to the nearest other [px]."""
+    """Returns the median distance from each corner (K, 2) to its nearest neighbour [px]."""
     apart = np.linalg.norm(corners[:, None] - corners[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     return float(np.median(apart.min(axis=1)))
@@ -76,7 +76,7 @@ def _spacing(corners: NDArray[np.float64]) -> float:
 
 @functools.lru_cache(maxsize=4)
 def _aruco(board: Board) -> tuple[Any, Any]:
-    """OpenCV's board and its detector."""
+    """Returns OpenCV's board and its detector."""
     import cv2
 
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))

@@ -1,4 +1,4 @@
-"""The calibration file: where the cameras of a set-up are and how they see. JSON, checked strictly, versioned."""
+"""Calibration file: poses and intrinsics of a set-up's cameras, as strictly checked, versioned JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lerobot_adamanip.util.files import write_atomically
 
 VERSION = 1
 RIGID_WITHIN = 1e-6
-"""Largest error of a rotation matrix that a program wrote."""
+"""Tolerance for rotation matrices in the file."""
 _NUMBER = json_fields.number(-1e6, 1e6)
 _POSE = json_fields.listing(json_fields.listing(_NUMBER, 4, 4), 4, 4)
 _INTRINSICS = json_fields.table(
@@ -34,7 +34,7 @@ check_name = json_fields.text(r"[^\x00-\x1f]{1,200}", "a serial number or name")
 
 
 def check_pose(name: str, value: object) -> NDArray[np.float64]:
-    """Returns a rigid transform (4, 4); raises ValueError for anything else."""
+    """Returns a rigid transform (4, 4). Raises ValueError for any other value."""
     pose = np.array(_POSE(name, value), np.float64)
     rotation = pose[:3, :3]
     rigid = np.abs(rotation @ rotation.T - np.eye(3)).max() < RIGID_WITHIN and np.linalg.det(rotation) > 0
@@ -44,11 +44,11 @@ def check_pose(name: str, value: object) -> NDArray[np.float64]:
 
 
 def check_intrinsics(name: str, value: object) -> Intrinsics:
-    """Returns the intrinsics of a pinhole camera with 0, 5 or 8 coefficients; raises ValueError for anything else."""
+    """Returns pinhole intrinsics with 0, 5 or 8 coefficients. Raises ValueError for any other value."""
     found = _INTRINSICS(name, value)
     (fx, skew, _), (low, fy, _), last = found["matrix"]
     if fx <= 0 or fy <= 0 or skew != 0 or low != 0 or last != (0, 0, 1):
-        raise ValueError(f"{name}.matrix is no pinhole's: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+        raise ValueError(f"{name}.matrix is no pinhole matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
     if len(found["distortion"]) not in (0, 5, 8):
         raise ValueError(f"{name}.distortion has {len(found['distortion'])} coefficients, not 0, 5 or 8")
     matrix, distortion = np.array(found["matrix"], np.float64), np.array(found["distortion"], np.float64)
@@ -72,13 +72,13 @@ _CHECK = json_fields.table(
 
 
 def to_json(content: object, indent: int | None = None) -> bytes:
-    """Returns JSON; arrays become lists, dataclasses their fields."""
+    """Returns JSON. Arrays become lists, dataclasses become objects."""
     text = json.dumps(content, indent=indent, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else vars(v))
     return text.encode()
 
 
 def read_calibrations(path: Path) -> dict[str, CameraCalibration]:
-    """Returns camera key -> calibration; raises `ConfigurationError` for a missing or wrong file."""
+    """Returns camera key -> calibration. Raises `ConfigurationError` for a missing or invalid file."""
     cameras = _checked(path, lambda: json_fields.read(path))
     for told in cameras.values():
         del told["found"]
@@ -88,16 +88,16 @@ def read_calibrations(path: Path) -> dict[str, CameraCalibration]:
 def save_calibration(
     path: Path, key: str, calibration: CameraCalibration, found: Mapping[str, float | str] | None = None
 ) -> None:
-    """Writes one camera into a file, atomically; its other cameras stay.
+    """Writes the calibration of one camera to a file atomically. Other cameras in the file stay.
 
     Args:
-        path: of the file; made if it is not there.
-        key: of the camera in the robot's configuration, ``front`` for instance.
-        calibration: of it.
-        found: how it was found and how well, for people: names and numbers or words.
+        path: path of the file, created if missing.
+        key: camera key in the robot's configuration, e.g. ``front``.
+        calibration: calibration of the camera.
+        found: notes on method and accuracy for human readers: name -> number or text.
 
     Raises:
-        ConfigurationError: the existing file is no calibration file (it is not touched), or the calibration is none.
+        ConfigurationError: the existing file is not a calibration file (it is kept), or the calibration is invalid.
     """
     cameras = _checked(path, lambda: json_fields.read(path)) if path.exists() else {}
     cameras[key] = {**vars(calibration), "found": dict(found or {})}
@@ -112,10 +112,10 @@ def _checked(path: Path, parse: Callable[[], Any]) -> dict[str, Any]:
         cameras: dict[str, Any] = _CHECK("the file", parse())["cameras"]
         for key, told in cameras.items():
             if (told["depth_in_base"] is None) == (told["depth_in_tcp"] is None):
-                raise ValueError(f"{key} stands in the base's frame and on the tool, or in neither")
+                raise ValueError(f"{key} has a pose in the base's frame and on the tool, or neither")
     except (OSError, ValueError) as error:
         raise ConfigurationError(
-            "No calibration of cameras.",
+            "No valid camera calibration.",
             got=f"{path}: {error}",
             allowed=f"a file of version {VERSION} that `adamanip calibrate` wrote",
             hint="adamanip calibrate",

@@ -1,8 +1,8 @@
 """Hand-eye calibration from pictures of a board at known poses of the tool.
 
-One equation for a fixed camera with the board in the hand, and a camera on the hand with a fixed board:
-``board_in_camera = inv(camera) @ moved @ board``, where ``moved`` is the tool's pose in the base, or its inverse.
-Park & Martin (1994) solve it from the board's poses; then both poses are refined on all corners, which is more exact.
+A fixed camera with the board in the hand and a camera on the hand with a fixed board share one equation:
+``board_in_camera = inv(camera) @ moved @ board``. Here ``moved`` is the tool's pose in the base, or its inverse.
+Park & Martin (1994) solve it from the board's poses. Then both poses are refined on all corners for accuracy.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from lerobot_adamanip.util.errors import ConfigurationError
 Array = NDArray[np.float64]
 FEWEST_VIEWS = 12
 LEAST_SPREAD = np.deg2rad(30)
-"""Least turn of the tool about two axes."""
+"""Minimum rotation range of the tool about two axes [rad]."""
 WORST_RMS = 1.0
-"""Largest error of an accepted calibration [px]."""
+"""Maximum error of an accepted calibration [px]."""
 _DRAWS, _DRAWN = 60, 6
-"""Solutions from small subsets: one or two wrong poses spoil a solution from all."""
+"""Number of solutions from small subsets. One or two wrong poses spoil a solution from all views."""
 
 
 class Mounting(enum.StrEnum):
-    """Where the camera is: beside the robot, or on its hand."""
+    """Mounting of the camera: beside the robot, or on its hand."""
 
     FIXED = "fixed"
     WRIST = "wrist"
@@ -40,10 +40,10 @@ class View:
     """One picture of the board.
 
     Attributes:
-        name: of the picture.
-        tcp_in_base: (4, 4) pose of the tool when it was taken [m].
+        name: name of the picture.
+        tcp_in_base: (4, 4) tool pose at the exposure [m].
         points: (K, 3) corners in the board's frame [m].
-        pixels: (K, 2) where they are seen.
+        pixels: (K, 2) pixel coordinates of the corners.
     """
 
     name: str
@@ -54,13 +54,13 @@ class View:
 
 @dataclass(frozen=True)
 class Residual:
-    """How far a view is from the solution.
+    """Residual of one view.
 
     Attributes:
-        name: of the view.
+        name: name of the view.
         pixels: root mean square over its corners [px].
-        position: between the board where the view alone sees it and where the solution has it [m].
-        angle: likewise [rad].
+        position: distance between the board pose from this view alone and from the solution [m].
+        angle: angle between these two poses [rad].
     """
 
     name: str
@@ -71,15 +71,15 @@ class Residual:
 
 @dataclass(frozen=True)
 class HandEye:
-    """The solution.
+    """Result of a hand-eye calibration.
 
     Attributes:
-        mounting: where the camera is.
-        camera: (4, 4) its pose, in the base's frame if it is fixed, in the tool's if it is on the hand [m].
-        board: (4, 4) the board's pose, in the tool's frame if the camera is fixed, else in the base's [m].
-        rms: over all corners [px].
-        residuals: of each view.
-        position_spread, angle_spread: farthest that the camera moves if one view is left out [m, rad].
+        mounting: mounting of the camera.
+        camera: (4, 4) camera pose, base frame if fixed, tool frame if on the hand [m].
+        board: (4, 4) board pose, tool frame if the camera is fixed, else base frame [m].
+        rms: root mean square error over all corners [px].
+        residuals: residual of each view.
+        position_spread, angle_spread: maximum change of the camera pose if one view is left out [m, rad].
     """
 
     mounting: Mounting
@@ -92,11 +92,11 @@ class HandEye:
 
 
 def solve(views: Sequence[View], intrinsics: Intrinsics, mounting: Mounting) -> HandEye:
-    """Returns the camera's pose from views of one board.
+    """Returns the camera pose from views of one board.
 
     Raises:
-        ConfigurationError: views are too few or too much alike, some contradict the others (they are named), or none
-            fit.
+        ConfigurationError: the views are too few, too similar or do not fit, or some contradict the others (the error
+            names them).
     """
     moved = _moved(views, mounting)
     _require_variety(views, moved)
@@ -116,7 +116,7 @@ def solve(views: Sequence[View], intrinsics: Intrinsics, mounting: Mounting) -> 
 
 
 def _apart(first: Array, second: Array) -> tuple[float, float]:
-    """Returns the distance of two (4, 4) poses [m, rad]."""
+    """Returns the distance between two (4, 4) poses [m, rad]."""
     return float(np.linalg.norm(first[:3, 3] - second[:3, 3])), angle_between(first[:3, :3], second[:3, :3])
 
 
@@ -138,12 +138,12 @@ class _Problem:
         return np.asarray(_project(points[:, :3], self.intrinsics) - self.pixels[chosen])
 
     def rms_of_views(self, camera: Array, board: Array) -> Array:
-        """Returns the errors (V,) [px] of the views."""
+        """Returns the error of each view (V,) [px]."""
         squares = np.square(self.errors(camera, board)).mean(axis=1)
         return np.asarray(np.sqrt(np.bincount(self.view, squares) / np.bincount(self.view)))
 
     def refined(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-        """Returns the poses of least error; far corners count less (soft L1)."""
+        """Returns the poses with the smallest error. Outliers count less (soft L1)."""
         from scipy.optimize import least_squares
 
         def poses(step: Array) -> tuple[Array, Array]:
@@ -157,7 +157,7 @@ class _Problem:
 
 
 def _project(points_in_camera: Array, intrinsics: Intrinsics) -> Array:
-    """Points (K, 3) [m] -> pixels (K, 2); points behind the camera land far outside of any picture."""
+    """Projects points (K, 3) [m] to pixels (K, 2). Points behind the camera land far outside any picture."""
     import cv2
 
     points, none = np.ascontiguousarray(points_in_camera), np.zeros(3)
@@ -166,7 +166,7 @@ def _project(points_in_camera: Array, intrinsics: Intrinsics) -> Array:
 
 
 def _moved(views: Sequence[View], mounting: Mounting) -> Array:
-    """(V, 4, 4), see the equation above."""
+    """Returns ``moved`` (V, 4, 4) of the equation above."""
     poses = np.reshape([view.tcp_in_base for view in views], (-1, 4, 4))
     return poses if mounting is Mounting.FIXED else np.linalg.inv(poses)
 
@@ -183,7 +183,7 @@ def _board_in_camera(view: View, intrinsics: Intrinsics) -> Array:
 
 
 def _best_start(problem: _Problem, moved: Array, seen: Array) -> tuple[Array, Array]:
-    """Returns the solution, of all views or a small subset, with the least median error."""
+    """Returns the solution with the smallest median error, from all views or a small subset."""
     rng = np.random.default_rng(0)
     subsets = [np.arange(len(moved)), *(rng.choice(len(moved), _DRAWN, replace=False) for _ in range(_DRAWS))]
     starts = [found for subset in subsets if (found := _park(moved[subset], seen[subset])) is not None]
@@ -194,7 +194,7 @@ def _park(moved: Array, seen: Array) -> tuple[Array, Array] | None:
     """Returns Park & Martin's solution with the median board pose; None if it is not finite."""
     import cv2
 
-    hand = np.linalg.inv(moved)  # OpenCV's "gripper to base" of a camera on the gripper
+    hand = np.linalg.inv(moved)  # OpenCV's "gripper to base" for a camera on the gripper
     rotation, position = cv2.calibrateHandEye(
         list(hand[:, :3, :3]),
         list(hand[:, :3, 3]),
@@ -215,7 +215,7 @@ def _require_variety(views: Sequence[View], moved: Array) -> None:
     if len(views) < FEWEST_VIEWS:
         raise ConfigurationError(
             "Too few pictures of the board.",
-            got=f"{len(views)} in which it was found",
+            got=f"the board found in {len(views)}",
             allowed=f"at least {FEWEST_VIEWS}; 20 are better",
             hint="more poses, board whole in the picture and lit evenly",
         )
@@ -231,7 +231,7 @@ def _require_variety(views: Sequence[View], moved: Array) -> None:
 
 
 def _rotation_spread(poses: Array) -> Array:
-    """Returns the range of the turns of poses (V, 4, 4) about their principal axes, the largest first (3,) [rad]."""
+    """Returns the rotation ranges (3,) [rad] of poses (V, 4, 4) about their principal axes, largest first."""
     from scipy.spatial.transform import Rotation
 
     rotations = Rotation.from_matrix(poses[:, :3, :3])
@@ -241,12 +241,12 @@ def _rotation_spread(poses: Array) -> Array:
 
 
 def _require_agreement(views: Sequence[View], rms: Array) -> None:
-    """Raises `ConfigurationError` with the views that contradict the others, or for a bad fit."""
+    """Raises `ConfigurationError` for a bad fit, or with the views that contradict the others."""
     wrong = np.flatnonzero(rms > max(3 * WORST_RMS, 5 * float(np.median(rms))))
     if len(wrong):
         named = ", ".join(f"{views[index].name} ({rms[index]:.1f} px)" for index in wrong)
         raise ConfigurationError(
-            "Pictures contradict the others: pose and picture do not belong together, or the arm moved.",
+            "Some pictures contradict the others: pose and picture do not match, or the arm moved.",
             got=named,
             allowed=f"rms below {WORST_RMS:.0f} px, the others' median is {np.median(rms):.2f}",
             hint="leave them out, or take them again",
@@ -254,7 +254,7 @@ def _require_agreement(views: Sequence[View], rms: Array) -> None:
     overall = float(np.sqrt(np.mean(np.square(rms))))
     if overall > WORST_RMS:
         raise ConfigurationError(
-            "The board is not seen where the solution has it.",
+            "The solution does not fit the pictures.",
             got=f"rms {overall:.2f} px",
             allowed=f"at most {WORST_RMS:.0f} px",
             hint="measure the printed squares; hold the board flat; rest at each pose; is the mounting right?",

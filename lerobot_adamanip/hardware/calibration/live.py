@@ -1,4 +1,4 @@
-"""Takes pictures of the board with a robot and its camera while a person moves the arm."""
+"""Takes pictures of the board with the robot's camera while a person moves the arm."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from lerobot_adamanip.hardware.calibration.views import FILE, ViewFolder
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 MOVED, TURNED = 0.0005, 0.002
-"""Largest motion of an arm at rest while a picture is taken [m, rad]."""
+"""Maximum motion of the arm during a picture [m, rad]."""
 FRAME_TIMEOUT = 2.0
 """[s]"""
 
 
 def robot_from_file(path: Path) -> Any:
-    """Returns the robot that a JSON file of ``--robot.*`` options describes; raises `ConfigurationError`."""
+    """Returns the robot from a JSON file of ``--robot.*`` options. Raises `ConfigurationError`."""
     import draccus
     from lerobot.robots import make_robot_from_config
     from lerobot.robots.config import RobotConfig
@@ -38,12 +38,12 @@ def robot_from_file(path: Path) -> Any:
             "The file describes no robot.",
             got=f"{path}: {error}",
             allowed='JSON of the options after --robot: {"type": "adamanip_franka", ..., "cameras": {...}}',
-            hint="the options that lerobot-record is given",
+            hint="use the --robot options of your lerobot-record command",
         ) from error
 
 
 def camera_of(robot: Any, key: str) -> Any:
-    """Returns a robot's camera; raises `ConfigurationError` if it has none such, or one without own intrinsics."""
+    """Returns a robot's camera. Raises `ConfigurationError` if it is missing or has no intrinsics."""
     cameras: Mapping[str, Any] = getattr(robot, "cameras", {})
     camera = cameras.get(key)
     if not hasattr(camera, "color_intrinsics"):
@@ -57,11 +57,11 @@ def camera_of(robot: Any, key: str) -> Any:
 
 
 def begin(folder: Path, camera: Any, mounting: Mounting, board: Board) -> ViewFolder:
-    """Returns a folder of pictures to add to: the existing one, or a new one with the camera's own intrinsics.
+    """Opens an existing folder of pictures, or creates one with the camera's intrinsics.
 
     Raises:
-        ConfigurationError: the existing pictures are of another camera, mounting or board.
-        RobotError: the camera does not know its intrinsics.
+        ConfigurationError: the existing pictures show another camera, mounting or board.
+        RobotError: the camera does not report its intrinsics.
     """
     depth = camera.depth_in_color()
     new = ViewFolder(
@@ -89,9 +89,9 @@ def begin(folder: Path, camera: Any, mounting: Mounting, board: Board) -> ViewFo
 def take_views(
     robot: Any, camera: Any, folder: ViewFolder, ask: Callable[[], bool], tell: Callable[[str], None]
 ) -> ViewFolder:
-    """Takes a picture whenever ``ask`` returns True, until it returns False; returns the folder with them.
+    """Takes pictures while ``ask`` returns True, and returns the folder with them.
 
-    A picture is kept if it shows the board and the arm was at rest; ``tell`` gets a line about each.
+    Keeps a picture if it shows the board and the arm was at rest. ``tell`` gets one line per picture.
     """
     import cv2
 
@@ -121,5 +121,5 @@ def take_views(
 
 
 def tcp_in_base(observation: Mapping[str, Any]) -> NDArray[np.float64]:
-    """Returns the tool's pose (4, 4) [m] of an observation."""
+    """Returns the tool pose (4, 4) [m] of an observation."""
     return pose_from_vector([observation[name] for name in POSE_NAMES])[0]

@@ -1,4 +1,4 @@
-"""A folder of pictures of the board with the tool's poses: ``views.json``, ``view_000.png`` and so on."""
+"""Folder of board pictures with tool poses: ``views.json``, ``view_000.png`` and so on."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ _CHECK = json_fields.table(
 
 @dataclass(frozen=True)
 class ViewFolder:
-    """Pictures of one board by one camera.
+    """Pictures of one board from one camera.
 
     Attributes:
-        folder: that holds them.
+        folder: path of the folder.
         camera: serial number or name.
         mounting, board: see `Mounting`, `Board`.
-        color: intrinsics of the imager that took the pictures.
-        depth: of the imager of depth; None if that is the same.
-        depth_in_color: (4, 4) pose of that imager in the other's frame [m]; None if they are one.
-        tcp_in_base: of each picture, (4, 4) [m].
+        color: intrinsics of the colour imager, which takes the pictures.
+        depth: intrinsics of the depth imager; None if it is the colour imager.
+        depth_in_color: (4, 4) pose of the depth imager in the colour frame [m]; None if they are the same.
+        tcp_in_base: (4, 4) tool pose of each picture [m].
     """
 
     folder: Path
@@ -65,7 +65,7 @@ class ViewFolder:
 
     @classmethod
     def open(cls, folder: Path) -> ViewFolder:
-        """Reads ``views.json``; raises `ConfigurationError` where it is missing or none."""
+        """Reads ``views.json``. Raises `ConfigurationError` if it is missing or invalid."""
         try:
             read = json_fields.read(folder / FILE)
             if isinstance(read, dict) and isinstance(read.get("board"), dict):
@@ -84,7 +84,7 @@ class ViewFolder:
         return cls(folder, **{**told, "mounting": Mounting(told["mounting"]), "board": Board(**told["board"])})
 
     def added(self, color: NDArray[np.uint8], tcp_in_base: NDArray[np.float64]) -> ViewFolder:
-        """Writes one more picture (H, W, 3) RGB with its pose, and returns the folder with it."""
+        """Adds a picture (H, W, 3) RGB with its pose and returns the new folder."""
         import cv2
 
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -97,10 +97,10 @@ class ViewFolder:
         return more
 
     def views(self, tell: Callable[[str], None] = lambda line: None) -> list[View]:
-        """Finds the board in each picture; ``tell`` gets a line about each picture without it.
+        """Finds the board in each picture. ``tell`` gets one line per picture without it.
 
         Raises:
-            ConfigurationError: a picture is missing or of another size, or none shows the board.
+            ConfigurationError: a picture is missing or has another size, or no picture shows the board.
         """
         import cv2
 
@@ -110,7 +110,7 @@ class ViewFolder:
             gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
             if gray is None or gray.shape != (self.color.height, self.color.width):
                 raise ConfigurationError(
-                    f"The picture {path} is of no use.",
+                    f"The picture {path} cannot be used.",
                     got="none" if gray is None else f"{gray.shape[1]} x {gray.shape[0]}",
                     allowed=f"a picture of {self.color.width} x {self.color.height}",
                     hint="take them again",
@@ -130,7 +130,7 @@ class ViewFolder:
         return found
 
     def calibration(self, solved: HandEye) -> CameraCalibration:
-        """Returns the calibration of the imager of depth, given the pose of the imager of the pictures."""
+        """Returns the calibration of the depth imager, given the pose of the colour imager."""
         depth_pose = solved.camera if self.depth_in_color is None else solved.camera @ self.depth_in_color
         fixed = solved.mounting is Mounting.FIXED
         return CameraCalibration(

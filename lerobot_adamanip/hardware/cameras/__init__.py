@@ -1,1 +1,1 @@
-"""Depth cameras with stamps; each class is beside its light configuration."""
+"""Depth cameras with timestamps. Each class has a separate configuration module that imports fast."""

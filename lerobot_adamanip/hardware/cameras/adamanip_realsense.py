@@ -1,7 +1,7 @@
-"""RealSense cameras: LeRobot's, with the depth scale applied, colour and depth of one exposure, and stamps.
+"""RealSense cameras based on LeRobot's: depth in millimetres, colour and depth of one exposure, timestamps.
 
-LeRobot's class (0.6.1) returns the sensor's counts as millimetres (a D405 counts 0.1 mm), stamps pictures with their
-arrival, and reads colour and depth by two calls.
+LeRobot's class (0.6.1) returns raw sensor counts as millimetres, but a D405 counts 0.1 mm. It stamps pictures at
+arrival and reads colour and depth in two calls.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
 WAIT_MS = 200
 MAX_LATENCY = 1.0
-"""A frame that claims to be older at arrival [s] is stamped by its arrival: a clock was set, or is the device's own."""
+"""Maximum plausible age of a frame at arrival [s]. An older frame, after a clock change, gets its arrival time."""
 PINHOLES = ("none", "brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
-"""Models whose five coefficients are OpenCV's, the latter two up to second order."""
+"""Distortion models with OpenCV's five coefficients; the last two models match up to second order."""
 
 
 class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
-    """A RealSense camera: opening, settings and resets are LeRobot's, reading is ours."""
+    """A RealSense camera. LeRobot's class opens, configures and resets it; this class reads frames."""
 
     def __init__(self, config: AdamanipRealsenseConfig) -> None:
         self.name = config.serial_number_or_name
@@ -39,29 +39,29 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         super().__init__(RealSenseCameraConfig(**vars(config)))
 
     def connect(self, warmup: bool = True) -> None:
-        """Opens it; with ``warmup``, waits for frames, and resets it where none come. Raises `RobotError`."""
+        """Opens the camera. With ``warmup``, waits for frames and resets it if none come. Raises `RobotError`."""
         try:
             super().connect(warmup)
         except AdaManipError:
             raise
-        except Exception as error:  # SDK and LeRobot raise half a dozen kinds
+        except Exception as error:  # SDK and LeRobot raise many types
             raise self._error("It cannot be opened.", error, "a camera that is plugged in and free") from error
 
     def depth_intrinsics(self) -> Intrinsics:
-        """Returns the factory's calibration; raises `RobotError` while not connected."""
+        """Returns the factory calibration of the depth imager. Raises `RobotError` if not connected."""
         return self._intrinsics(stock.rs.stream.depth)
 
     def color_intrinsics(self) -> Intrinsics:
-        """Returns the factory's calibration of the colour imager."""
+        """Returns the factory calibration of the colour imager."""
         return self._intrinsics(stock.rs.stream.color)
 
     def depth_in_color(self) -> NDArray[np.float64] | None:
-        """Returns the (4, 4) pose [m] of the depth imager in the colour imager's frame; None without both."""
+        """Returns the pose (4, 4) [m] of the depth imager in the colour frame; None unless both are enabled."""
         if not (self.use_rgb and self.use_depth):
             return None
         told = self._stream(stock.rs.stream.depth).get_extrinsics_to(self._stream(stock.rs.stream.color))
         pose = np.eye(4)
-        pose[:3, :3] = np.reshape(told.rotation, (3, 3)).T  # librealsense tells it by columns
+        pose[:3, :3] = np.reshape(told.rotation, (3, 3)).T  # librealsense stores it column by column
         pose[:3, 3] = told.translation
         return pose
 
@@ -73,11 +73,11 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
     def _intrinsics(self, kind: Any) -> Intrinsics:
         told = self._stream(kind).as_video_stream_profile().get_intrinsics()
         if told.model.name not in PINHOLES:
-            raise self._error("Its lens is no pinhole's.", told.model.name, ", ".join(PINHOLES))
+            raise self._error("Its lens model is no pinhole model.", told.model.name, ", ".join(PINHOLES))
         matrix = np.array([[told.fx, 0.0, told.ppx], [0.0, told.fy, told.ppy], [0.0, 0.0, 1.0]])
         return Intrinsics(matrix, np.array(told.coeffs, np.float64), told.width, told.height)
 
-    # What LeRobot's class calls -------------------------------------------------------------------------------------
+    # Hooks of LeRobot's class ---------------------------------------------------------------------------------------
 
     def _start_read_thread(self) -> None:
         if self.use_depth:
@@ -91,7 +91,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         self.frames.clear()
 
     def _run_warmup(self) -> None:
-        """Raises ConnectionError, after which LeRobot's `connect` tries again, and resets the camera at last."""
+        """Waits for frames or raises ConnectionError. LeRobot's `connect` then retries and finally resets the camera."""
         end = time.perf_counter() + max(self.warmup_s, 1)
         try:
             self.frame_after(float("-inf"), timeout=end - time.perf_counter())
@@ -104,7 +104,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         self._deliver(self._take, self.stop_event)
 
     def _take(self, _: Event) -> Frame | None:
-        """Returns the next exposure; None if it is incomplete, repeated, or there is none yet."""
+        """Returns the next exposure; None if it is incomplete, repeated or not ready."""
         assert self.rs_pipeline is not None
         came, pair = self.rs_pipeline.try_wait_for_frames(timeout_ms=WAIT_MS)
         arrival = time.perf_counter()
@@ -113,12 +113,12 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         color = pair.get_color_frame() if self.use_rgb else None
         depth = pair.get_depth_frame() if self.use_depth else None
         if (self.use_rgb and not color) or (self.use_depth and not depth):
-            self.dropped += 1  # half a pair
+            self.dropped += 1  # incomplete pair
             return None
         first: Any = depth if self.use_depth else color
         number = int(first.get_frame_number())
         if number == self._last_number:
-            self.dropped += 1  # the pipeline repeats a frame to pair it with a new one of the other imager
+            self.dropped += 1  # the pipeline repeats a frame to pair it with a new frame of the other imager
             return None
         self._last_number = number
         return Frame(
@@ -136,6 +136,6 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         return np.where(depth <= np.iinfo(np.uint16).max, depth, 0).astype(np.uint16)
 
     def _stamp(self, frame: Any, arrival: float) -> float:
-        """Returns when a frame was exposed, by the host's calendar clock, to which the SDK maps the device's."""
+        """Returns a frame's exposure time on the host's wall clock. The SDK maps the device clock to it."""
         latency = time.time() - (time.perf_counter() - arrival) - frame.get_timestamp() / 1e3
         return arrival - latency if 0 <= latency <= MAX_LATENCY else arrival

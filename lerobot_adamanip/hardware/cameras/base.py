@@ -1,4 +1,4 @@
-"""Base of the cameras: frames with stamps, waiting for one, and an error instead of a stale one."""
+"""Base class of the cameras: timestamped frames, waiting for a frame, and an error for a stale frame."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_AGE = 0.5
-"""Largest age of a camera's latest frame [s]: no camera here is slower than 4 Hz."""
+"""Maximum age of a camera's latest frame [s]. All supported cameras run at 4 Hz or faster."""
 STOP_TIMEOUT = 2.0
-"""Longest wait for a thread that reads frames to end [s]."""
+"""Maximum wait for the reading thread to end [s]."""
 
 
 class LatestFrame:
-    """The newest frame, between the thread that delivers frames and those that want one. Thread-safe."""
+    """Newest frame, shared between the reading thread and its consumers. Thread-safe."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self.clear()
 
     def clear(self) -> None:
-        """Removes frame and failure."""
+        """Removes the frame and the failure."""
         self._taken = -1
         self._set(None, None)
 
@@ -39,7 +39,7 @@ class LatestFrame:
         self._set(frame, self.failure)
 
     def fail(self, error: Exception) -> None:
-        """Ends the frames: waiting and later calls return None."""
+        """Stores a failure: waiting and later calls return None."""
         self._set(self._frame, error)
 
     def _set(self, frame: Frame | None, failure: Exception | None) -> None:
@@ -48,15 +48,15 @@ class LatestFrame:
             self._changed.notify_all()
 
     def latest(self) -> Frame | None:
-        """Returns the last frame, however old; None before the first."""
+        """Returns the last frame of any age; None before the first."""
         return self._frame
 
     def after(self, stamp: float, timeout: float) -> Frame | None:
-        """Returns a frame exposed after ``stamp`` [s]; None if none comes within ``timeout`` [s]."""
+        """Returns a frame exposed after ``stamp`` [s]; None after ``timeout`` [s]."""
         return self._wait(lambda frame: frame.stamp > stamp, timeout)
 
     def next(self, timeout: float) -> Frame | None:
-        """Returns a frame that `next` has not returned yet, as `after` does: LeRobot's ``async_read``."""
+        """Returns a frame that `next` has not returned yet; None after ``timeout`` [s]. Used by ``async_read``."""
         frame = self._wait(lambda frame: frame.number != self._taken, timeout)
         self._taken = self._taken if frame is None else frame.number
         return frame
@@ -71,13 +71,13 @@ class LatestFrame:
 
 
 class FrameReader:
-    """Mixin of a LeRobot camera whose thread puts frames into ``frames``: all ways to read one.
+    """Mixin with all read methods for a LeRobot camera whose thread fills ``frames``.
 
-    A frame that is too old is never returned: `RobotError` with the camera's name is raised instead.
+    The methods never return a frame that is too old. They raise `RobotError` with the camera's name instead.
 
     Attributes:
-        name: of the camera in errors.
-        frames: where the thread puts them.
+        name: camera name in errors.
+        frames: buffer that the thread fills.
         use_rgb, use_depth: whether frames have colour, depth.
     """
 
@@ -87,13 +87,13 @@ class FrameReader:
     use_depth: bool
 
     def wake(self, *, new: bool = False) -> None:
-        """Called before each reading, for a camera that takes frames on demand; ``new``: one that was not read yet."""
+        """Requests a frame, if the camera takes frames on demand. Called before each read. ``new``: an unread frame."""
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
         """Returns the last frame at once.
 
         Raises:
-            RobotError: there is none yet, its exposure is more than ``max_age`` [s] ago, or the camera has failed.
+            RobotError: there is no frame yet, its exposure is older than ``max_age`` [s], or the camera has failed.
         """
         self.wake()
         frame = self.frames.latest()
@@ -106,22 +106,22 @@ class FrameReader:
         return frame
 
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
-        """Returns a frame exposed after ``stamp`` (`time.perf_counter()`, [s]), e.g. since the arm is at rest.
+        """Returns a frame exposed after ``stamp`` (`time.perf_counter()`, [s]), e.g. after the arm came to rest.
 
         Raises:
-            RobotError: none came within ``timeout`` [s], or the camera has failed.
+            RobotError: no frame came within ``timeout`` [s], or the camera has failed.
         """
         self.wake(new=True)
         return self._given(self.frames.after(stamp, timeout), timeout)
 
-    # LeRobot's ways to read: colour (H, W, 3), depth (H, W, 1) [mm]; all raise `RobotError`.
+    # LeRobot's read methods: colour (H, W, 3), depth (H, W, 1) [mm]. All raise `RobotError`.
 
     def read(self) -> NDArray[np.uint8]:
-        """Returns the colour of a frame exposed from now on."""
+        """Returns the colour of a frame exposed after this call."""
         return self._color(self.frame_after(time.perf_counter(), timeout=2 * MAX_AGE))
 
     def read_depth(self, timeout_ms: float = 2e3 * MAX_AGE) -> NDArray[np.uint16]:
-        """Returns the depth of a frame exposed from now on."""
+        """Returns the depth of a frame exposed after this call."""
         return self._depth(self.frame_after(time.perf_counter(), timeout_ms / 1e3))
 
     def read_latest(self, max_age_ms: float = 1e3 * MAX_AGE) -> NDArray[np.uint8]:
@@ -133,11 +133,11 @@ class FrameReader:
         return self._depth(self.latest_frame(max_age_ms / 1e3))
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[np.uint8]:
-        """Returns the colour of a frame that was not read this way before."""
+        """Returns the colour of a frame that no async method has returned yet."""
         return self._color(self._next_frame(timeout_ms / 1e3))
 
     def async_read_depth(self, timeout_ms: float = 200) -> NDArray[np.uint16]:
-        """Returns the depth of a frame that was not read this way before."""
+        """Returns the depth of a frame that no async method has returned yet."""
         return self._depth(self._next_frame(timeout_ms / 1e3))
 
     def _next_frame(self, timeout: float) -> Frame:
@@ -167,31 +167,31 @@ class FrameReader:
         return error
 
     def _error(self, what: str, got: object, allowed: str) -> RobotError:
-        hint = "its cable and port, then connect again; `lerobot-find-cameras` lists what is connected"
+        hint = "check cable and port, then connect again; `lerobot-find-cameras` lists connected cameras"
         return RobotError(f"Camera {self.name}: {what}", got=got, allowed=allowed, hint=hint)
 
     def _deliver(self, take: Callable[[threading.Event], Frame | None], stop: threading.Event) -> None:
-        """Loop of the thread: puts frames until ``stop`` is set; an exception becomes the failure."""
+        """Runs in the thread: stores frames until ``stop`` is set. An exception becomes the failure."""
         try:
             while not stop.is_set():
                 frame = take(stop)
                 if frame is not None and not stop.is_set():
                     self.frames.put(frame)
-        except Exception as error:  # of any SDK
+        except Exception as error:  # any SDK may raise any type
             if not stop.is_set():
                 self.frames.fail(error)
 
 
 class ThreadedCamera(FrameReader, Camera):
-    """A LeRobot camera with one thread that takes frames, from `connect` to `disconnect`.
+    """A LeRobot camera with one reading thread from `connect` to `disconnect`.
 
     Args:
-        config: LeRobot's.
-        name: of the camera in errors.
+        config: LeRobot's camera configuration.
+        name: camera name in errors.
     """
 
     warmup_seconds = 5.0
-    """Longest wait for the first frame [s]."""
+    """Maximum wait for the first frame [s]."""
 
     def __init__(self, config: CameraConfig, name: str) -> None:
         super().__init__(config)
@@ -203,28 +203,28 @@ class ThreadedCamera(FrameReader, Camera):
 
     @abc.abstractmethod
     def _open(self) -> None:
-        """Opens the device; sets ``width``, ``height`` and ``fps`` where they were left to it. Raises `RobotError`."""
+        """Opens the device and fills in unset ``width``, ``height`` and ``fps``. Raises `RobotError`."""
 
     @abc.abstractmethod
     def _take(self, stop: threading.Event) -> Frame | None:
-        """Waits some tenths of a second for the next frame; None if there is none yet. May raise anything."""
+        """Returns the next frame; None after some tenths of a second. May raise any exception."""
 
     @abc.abstractmethod
     def _close(self) -> None:
-        """Closes the device; idempotent."""
+        """Closes the device. Idempotent."""
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Returns no camera: this kind cannot be listed."""
+        """Returns an empty list: cameras of this kind cannot be listed."""
         return []
 
     @property
     def is_connected(self) -> bool:
-        """Whether it is open; a failed camera stays so until `disconnect`."""
+        """Whether the camera is open. A failed camera stays open until `disconnect`."""
         return self._thread is not None
 
     def connect(self, warmup: bool = True) -> None:
-        """Opens the device and starts the thread; with ``warmup``, waits for the first frame. Raises `RobotError`."""
+        """Opens the device and starts the thread. With ``warmup``, waits for the first frame. Raises `RobotError`."""
         if self.is_connected:
             raise self._error("It is connected already.", "a second connect()", "one, or disconnect() before")
         self._open()
@@ -241,7 +241,7 @@ class ThreadedCamera(FrameReader, Camera):
                 raise
 
     def disconnect(self) -> None:
-        """Stops the thread and closes the device; idempotent."""
+        """Stops the thread and closes the device. Idempotent."""
         thread, self._thread = self._thread, None
         self._stop.set()
         if thread is not None and thread is not threading.current_thread():

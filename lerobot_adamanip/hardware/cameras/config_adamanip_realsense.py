@@ -1,4 +1,4 @@
-"""Options of a RealSense camera. Not LeRobot's class: to import that one loads OpenCV, and the SDK if there is one."""
+"""Options of a RealSense camera. Not LeRobot's class, whose import loads OpenCV and the SDK."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from lerobot.cameras.configs import CameraConfig
 @CameraConfig.register_subclass("adamanip_realsense")
 @dataclass(kw_only=True)
 class AdamanipRealsenseConfig(CameraConfig):
-    """A RealSense camera whose depth is in millimetres whatever the model, with stamps and intrinsics.
+    """A RealSense camera with depth in millimetres for every model, timestamps and intrinsics.
 
-    As LeRobot's ``intelrealsense``: of ``fps``, ``width`` and ``height`` all are given or none. Pictures are not
-    rotated, since intrinsics belong to them as they are taken.
+    As for LeRobot's ``intelrealsense``, set all of ``fps``, ``width`` and ``height`` or none. Pictures are not
+    rotated, since the intrinsics belong to the unrotated picture.
     """
 
     serial_number_or_name: str
-    """Of the camera; `lerobot-find-cameras realsense` lists them."""
+    """Serial number or name of the camera. `lerobot-find-cameras realsense` lists them."""
 
     use_rgb: bool = True
     """Whether frames have colour."""
@@ -26,10 +26,10 @@ class AdamanipRealsenseConfig(CameraConfig):
     """Whether frames have depth."""
 
     warmup_s: int = 1
-    """Frames are taken and dropped for so long after connecting [s], so that the exposure settles."""
+    """Time to drop frames after connecting [s], so that the exposure settles."""
 
     exposure: int | None = None
-    """Fixed exposure of the colour imager; automatic if not given."""
+    """Fixed exposure of the colour imager; automatic by default."""
 
     gain: int | None = None
     """Likewise."""

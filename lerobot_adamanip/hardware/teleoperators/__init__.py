@@ -1,1 +1,1 @@
-"""Teleoperators that integrate one absolute tool goal. LeRobot finds the classes of `config_devices` in `devices`."""
+"""Teleoperators that integrate one absolute tool goal. LeRobot loads their classes from `devices`."""

@@ -9,7 +9,7 @@ from lerobot.teleoperators.config import TeleoperatorConfig
 from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
 CLUTCH_KEYS = ("shift_r", "shift", "menu", "insert")
-"""pynput's names. Control and Alt would send shortcuts to the window that has the focus."""
+"""Clutch keys by pynput name. Control and Alt are excluded: they would send shortcuts to the focused window."""
 
 
 @dataclass(kw_only=True)
@@ -17,10 +17,10 @@ class TcpTeleopConfig(TeleoperatorConfig):
     """Options that all teleoperators of a tool pose share."""
 
     robot_id: str | None = None
-    """Id of the robot it drives (``--robot.id``); left out, the only robot of the command."""
+    """Id of the robot to drive (``--robot.id``). Default: the only robot of the command."""
 
     speed: float = 0.10
-    """At full deflection [m/s]; the robot's own limit comes on top."""
+    """Speed at full deflection [m/s]. The robot's own limit also applies."""
 
     angular_speed: float = 0.4
     """Likewise [rad/s]."""
@@ -29,13 +29,13 @@ class TcpTeleopConfig(TeleoperatorConfig):
 @TeleoperatorConfig.register_subclass("adamanip_keyboard")
 @dataclass(kw_only=True)
 class AdamanipKeyboardConfig(TcpTeleopConfig):
-    """Keys that are held, by pynput: X11, macOS and Windows, not Wayland or a remote shell.
+    """Keyboard control with pynput: works on X11, macOS and Windows, not on Wayland or in a remote shell.
 
-    Keys are heard in every window: they count only while the clutch key is held.
+    pynput sees keys in every window. They count only while the clutch key is held.
     """
 
     clutch_key: str = "shift_r"
-    """Key that has to be held for any other to count: shift_r (right shift), shift (left), menu or insert."""
+    """Key to hold while driving: shift_r (right shift), shift (left), menu or insert."""
 
     def __post_init__(self) -> None:
         """Raises `AdaManipError` for another clutch key."""
@@ -46,43 +46,43 @@ class AdamanipKeyboardConfig(TcpTeleopConfig):
 @TeleoperatorConfig.register_subclass("adamanip_gamepad")
 @dataclass(kw_only=True)
 class AdamanipGamepadConfig(TcpTeleopConfig):
-    """A gamepad by pygame; numbers of axes and buttons are those of an Xbox pad under Linux."""
+    """A gamepad, read with pygame. Default axis and button numbers fit an Xbox pad under Linux."""
 
     index: int = 0
-    """Which pad, where there are several."""
+    """Index of the pad, if several are connected."""
 
     dead_zone: float = 0.12
-    """A stick that is deflected by less is at rest."""
+    """Stick deflection that counts as rest, 0 ... 1."""
 
     axis_left_x: int = 0
-    """Left stick to the right: to the robot's right (-y)."""
+    """Axis of the left stick, right: moves to the robot's right (-y)."""
     axis_left_y: int = 1
-    """Left stick back: towards the robot (-x)."""
+    """Axis of the left stick, back: moves towards the robot (-x)."""
     axis_right_x: int = 3
-    """Right stick to the right: turn about the vertical axis."""
+    """Axis of the right stick, right: turns about the vertical axis."""
     axis_right_y: int = 4
-    """Right stick back: down (-z)."""
+    """Axis of the right stick, back: moves down (-z)."""
 
     button_gripper: int = 0
-    """A: toggle the gripper."""
+    """Button A: toggles the gripper."""
     button_success: int = 3
-    """Y: the task is done."""
+    """Button Y: marks the task as done."""
     button_reset: int = 6
-    """Back: reset a twin's scene."""
+    """Button Back: resets a twin's scene."""
     button_clutch: int = 5
-    """Right shoulder: the pad drives while it is held."""
+    """Right shoulder button: hold it to drive."""
 
 
 @TeleoperatorConfig.register_subclass("adamanip_spacemouse")
 @dataclass(kw_only=True)
 class AdamanipSpacemouseConfig(TcpTeleopConfig):
-    """A 3D mouse by pyspacemouse, axes as ROS has them: x forward, y left, z up."""
+    """A 3D mouse, read with pyspacemouse. Axes as in ROS: x forward, y left, z up."""
 
     device_index: int = 0
-    """Which one, where there are several."""
+    """Index of the device, if several are connected."""
 
     dead_zone: float = 0.08
-    """A cap that is deflected by less is at rest."""
+    """Cap deflection that counts as rest, 0 ... 1."""
 
     rotation: bool = True
-    """Whether the cap turns the tool as well."""
+    """Whether the cap also turns the tool."""

@@ -1,6 +1,6 @@
-"""Gamepad, SpaceMouse and keyboard: LeRobot looks for their classes beside `config_devices`.
+"""Gamepad, SpaceMouse and keyboard. LeRobot looks for their classes in this module, next to `config_devices`.
 
-The SDK of a device is imported when it is opened.
+The SDK of a device is imported when the device is opened.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from lerobot_adamanip.hardware.teleoperators.tcp_teleop import Jog, JogTeleop, d
 from lerobot_adamanip.util.errors import RobotError
 
 SHIFTS = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "u": (2, 1.0), "j": (2, -1.0)}
-"""Key -> axis of the base frame (x forward, y left, z up) and direction. LeRobot's commands leave all these free."""
+"""Key -> axis of the base frame (x forward, y left, z up) and direction. LeRobot's commands use none of these keys."""
 TURNS = {"o": (0, 1.0), "l": (0, -1.0), "i": (1, 1.0), "k": (1, -1.0), "f": (2, 1.0), "h": (2, -1.0)}
-"""Key -> axis of the base frame to turn about, and direction."""
+"""Key -> rotation axis of the base frame and direction."""
 GRIPPER, SUCCESS, RESET = "g", "y", "backspace"
-"""Keys that are reported once each time they are pressed."""
+"""Keys that are reported once per press."""
 MAX_REPORTS = 64
-"""Reports of a SpaceMouse taken at once: each has a part of the state, and they queue up between two calls."""
+"""Maximum SpaceMouse reports per read. Each has a part of the state, and they queue up between two calls."""
 REST_AFTER_S, LOST_AFTER_S = 0.2, 1.0
-"""A SpaceMouse's deflection not reported again for so long counts as rest; then the device counts as lost."""
+"""Time without a report after which a deflected SpaceMouse counts as at rest, then as lost [s]."""
 
 
 class AdamanipGamepad(JogTeleop):
-    """Drives the tool while the right shoulder button is held; by pygame, which needs no window.
+    """Drives the tool while the right shoulder button is held. Uses pygame, which needs no window.
 
-    Left stick in the plane, right stick up and about the vertical, cross for the other two turns.
+    Left stick: plane. Right stick: up, down and turn about the vertical. Cross: the other two turns.
     """
 
     config_class = AdamanipGamepadConfig
@@ -89,7 +89,7 @@ class AdamanipGamepad(JogTeleop):
 
 
 class AdamanipSpacemouse(JogTeleop):
-    """Drives the tool by the cap's deflection, without a clutch; left button for the gripper, right for success."""
+    """Drives the tool by the cap's deflection, without a clutch. Left button: gripper; right button: success."""
 
     config_class = AdamanipSpacemouseConfig
     name = "adamanip_spacemouse"
@@ -107,7 +107,7 @@ class AdamanipSpacemouse(JogTeleop):
                 hint="pip install pyspacemouse; on Debian apt install libhidapi-hidraw0, and a udev rule",
             ) from None
         try:
-            # The default convention is deprecated and not right-handed.
+            # the default convention is deprecated and not right-handed
             convention = pyspacemouse.AxisConvention.ROS
             self._device = pyspacemouse.open(device_index=self.config.device_index, axis_convention=convention)
         except (RuntimeError, OSError, ValueError) as error:
@@ -132,7 +132,7 @@ class AdamanipSpacemouse(JogTeleop):
         return Jog(shift=values[:3], turn=turn, toggle=0 in new, success=1 in new)
 
     def _newest(self) -> Any:
-        """Returns the state after all queued reports; without any, the library repeats its last state."""
+        """Returns the state after all queued reports. Without any, the library repeats its last state."""
         try:
             state, told = self._device.read(), None
             for _ in range(MAX_REPORTS):
@@ -140,17 +140,17 @@ class AdamanipSpacemouse(JogTeleop):
                     break
                 told = state.t
                 state = self._device.read()
-        except Exception as error:  # of hidapi, by whichever binding
+        except Exception as error:  # depends on the hidapi binding
             raise RobotError(
                 "The SpaceMouse cannot be read any more.", got=error, allowed="a connected device", hint="plug it in"
             ) from None
         return state
 
     def _is_stale(self, report: float, *, driving: bool) -> bool:
-        """Returns whether a deflected cap, which reports all the time, has not done so for `REST_AFTER_S`.
+        """Returns whether a deflected cap has sent no report for `REST_AFTER_S`. A deflected cap reports constantly.
 
         Raises:
-            RobotError: it has not done so for `LOST_AFTER_S`.
+            RobotError: the cap has sent no report for `LOST_AFTER_S`.
         """
         now = self._clock()
         if report != self._report or not driving:
@@ -158,10 +158,10 @@ class AdamanipSpacemouse(JogTeleop):
         age = now - self._reported_at
         if age > LOST_AFTER_S:
             raise RobotError(
-                "The SpaceMouse does not report any more, and its last report asks for a motion.",
+                "The SpaceMouse does not report any more, and its last report requests a motion.",
                 got=f"no report for {age:.1f} s",
                 allowed=f"{LOST_AFTER_S:g} s",
-                hint="see to its cable, battery or connection, and start the command again",
+                hint="check its cable, battery or connection, and start the command again",
             )
         return age > REST_AFTER_S
 
@@ -172,7 +172,7 @@ class AdamanipSpacemouse(JogTeleop):
 
 
 class AdamanipKeyboard(JogTeleop):
-    """Drives the tool while keys, and the clutch key, are held; pynput listens in a thread of its own."""
+    """Drives the tool while the clutch key and other keys are held. pynput listens in its own thread."""
 
     config_class = AdamanipKeyboardConfig
     name = "adamanip_keyboard"
@@ -188,9 +188,9 @@ class AdamanipKeyboard(JogTeleop):
     def _listen(self) -> Any:
         try:
             from pynput import keyboard
-        except Exception as error:  # pynput fails in its own ways where there is no display
+        except Exception as error:  # pynput raises various types without a display
             raise RobotError(
-                "The keyboard cannot be listened to.",
+                "The keyboard cannot be read.",
                 got=f"{type(error).__name__}: {error}",
                 allowed="pynput with an X11 display",
                 hint="a gamepad or a SpaceMouse works without a display",
@@ -202,14 +202,14 @@ class AdamanipKeyboard(JogTeleop):
         return listener
 
     def press(self, key: str) -> None:
-        """Handles a key that goes down, or repeats."""
+        """Handles a key press or repeat."""
         with self._lock:
             if key not in self._held and self.config.clutch_key in self._held:
                 self._pressed.add(key)
             self._held.add(key)
 
     def release(self, key: str) -> None:
-        """Handles a key that goes up."""
+        """Handles a key release."""
         with self._lock:
             self._held.discard(key)
 

@@ -1,4 +1,4 @@
-"""Base of the teleoperators: one absolute tool goal, anchored at the measured pose, through the robot's filter."""
+"""Base class of the teleoperators: one absolute tool goal that starts at the measured pose and passes the filter."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConf
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_PAUSE_S = 1.0
-"""After a longer pause between calls the goal is anchored again: the arm may be elsewhere."""
+"""Maximum pause between calls [s]. After a longer one the goal is anchored again, since the arm may have moved."""
 
 
 class TcpTeleop(Teleoperator):
-    """Drives one absolute tool goal. Returned goals have passed the robot's `SafetyFilter`, which changes them no more.
+    """Drives one absolute tool goal. Returned goals have passed the `SafetyFilter`, so the robot does not change them.
 
-    The goal is anchored at the measured pose of the first reading after a reset, when an episode begins or is given up,
-    and after a second without calls. LeRobot shows a teleoperator no observation: it reads the `RobotRegistry`.
+    The goal is anchored at the measured pose after a reset, when an episode starts or is abandoned, and after a second
+    without calls. LeRobot passes a teleoperator no observation, so it reads the `RobotRegistry`.
 
     Args:
         config: see `TcpTeleopConfig`.
-        clock: returns seconds.
+        clock: returns the time [s].
     """
 
     config_class = TcpTeleopConfig
@@ -52,13 +52,13 @@ class TcpTeleop(Teleoperator):
     # LeRobot's teleoperator -------------------------------------------------------------------------------------------
 
     def calibrate(self) -> None:
-        """Nothing to calibrate."""
+        """Does nothing: there is nothing to calibrate."""
 
     def configure(self) -> None:
-        """Nothing to configure."""
+        """Does nothing: there is nothing to configure."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Opens the device; raises `RobotError` where it, or its SDK, is missing."""
+        """Opens the device. Raises `RobotError` if the device or its SDK is missing."""
         if self.is_connected:
             raise RobotError(f"Teleoperator {self.name} is connected already.")
         self._open()
@@ -66,7 +66,7 @@ class TcpTeleop(Teleoperator):
         self.reset()
 
     def disconnect(self) -> None:
-        """Closes the device; idempotent."""
+        """Closes the device. Idempotent."""
         if self.is_connected:
             self.is_connected = False
             self._close()
@@ -78,7 +78,7 @@ class TcpTeleop(Teleoperator):
         """Returns the goal by name, see `schema.POSE_NAMES`.
 
         Raises:
-            RobotError: it is not connected, no robot was observed yet, or the device has failed.
+            RobotError: not connected, no robot has been observed yet, or the device has failed.
         """
         session, reading = self._robot()
         now = self._clock()
@@ -89,7 +89,7 @@ class TcpTeleop(Teleoperator):
                 return _named(pose_vector(reading.tcp_in_base, reading.gripper))
             self._filter = SafetyFilter(session.safety)
             self._filter.anchor(reading.tcp_in_base, reading.gripper)
-            dt = 0.0  # the robot, too, counts no time before its first target: both filters go on in step
+            dt = 0.0  # the robot also counts no time before its first target, so both filters stay equal
         return _named(self._advance(session, reading, dt))
 
     # The goal --------------------------------------------------------------------------------------------------------
@@ -106,15 +106,15 @@ class TcpTeleop(Teleoperator):
             raise RobotError(
                 f"Teleoperator {self.name} finds no robot.",
                 got=f"robot_id={self.config.robot_id!r}",
-                allowed="a connected robot of this plugin, which has been observed once",
+                allowed="a connected robot of this plugin that has been observed once",
                 hint="--robot.type=adamanip_franka or adamanip_franka_sim; with several robots --teleop.robot_id=ID",
             )
         return session, session.reading
 
     def _passed(self, session: RobotSession, now: float) -> float:
-        """Returns the time since the last call [s]; drops the anchor if it was long or an episode has begun."""
+        """Returns the time since the last call [s]. Drops the anchor after a long pause or at a new episode."""
         step = session.details.get(LOCKSTEP_DT)
-        dt = now - self._called if step is None else float(step)  # where time passes by steps, no call is late
+        dt = now - self._called if step is None else float(step)  # in lockstep no call is late
         begun = session is not self._session or session.episodes != self._episode
         if begun or dt > MAX_PAUSE_S:
             self._session, self._episode = session, session.episodes
@@ -124,24 +124,24 @@ class TcpTeleop(Teleoperator):
         return min(dt, MAX_PAUSE_S)
 
     def _to(self, wanted: Target, reading: ArmReading, dt: float) -> Target:
-        """Moves the goal towards a target (10,), as far as the robot would let it."""
+        """Moves the goal towards a target (10,), within the robot's limits."""
         assert self._filter is not None
         return self._filter.stream(wanted, reading.tcp_in_base, dt)
 
     # Subclasses ------------------------------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        """Opens the device, if there is one. Raises `RobotError`."""
+        """Opens the device, if any. Raises `RobotError`."""
 
     def _close(self) -> None:
-        """Closes it; idempotent."""
+        """Closes the device, if any. Idempotent."""
 
     @abc.abstractmethod
     def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
-        """Returns the next goal (10,), ``dt`` [s] after the last one, through `_to`."""
+        """Returns the next goal (10,) from `_to`, ``dt`` [s] after the last one."""
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
-        """Called before the goal is anchored."""
+        """Prepares a new anchor. Called before the goal is anchored."""
 
 
 @dataclass(frozen=True)
@@ -149,12 +149,12 @@ class Jog:
     """One reading of a device.
 
     Attributes:
-        shift: (3,) deflection along the base frame's axes, -1 ... 1 each; times the teleoperator's speed.
-        turn: (3,) likewise about them; times its angular speed.
-        toggle: whether to open a closed gripper, or close an open one.
-        clutch: whether the device drives: while False the goal stays; closing it anchors at the measured pose.
-        success: the operator says that the task is done.
-        reset: the operator wants a twin's scene reset.
+        shift: (3,) deflection along the base frame's axes, -1 ... 1 each, multiplied by the teleoperator's speed.
+        turn: (3,) deflection about these axes, -1 ... 1 each, multiplied by its angular speed.
+        toggle: whether to open a closed gripper or close an open one.
+        clutch: whether the device drives. While False the goal stays; True anchors it at the measured pose.
+        success: whether the operator marks the task as done.
+        reset: whether the operator requests a reset of a twin's scene.
     """
 
     shift: Array = field(default_factory=lambda: np.zeros(3))
@@ -166,19 +166,19 @@ class Jog:
 
 
 def dead_zone(values: Array, width: float) -> Array:
-    """Returns deflections (N,), zero below ``width``, continuous there and 1 at 1."""
+    """Returns deflections (N,) that are zero below ``width`` and rise continuously to 1."""
     size = np.minimum(np.abs(values), 1.0)
     return np.asarray(np.sign(values) * np.maximum(size - width, 0.0) / (1.0 - width))
 
 
 class JogTeleop(TcpTeleop):
-    """Integrates the deflections of a device, which `_read` reports."""
+    """Integrates the deflections that `_read` returns."""
 
     _driving = False
 
     @abc.abstractmethod
     def _read(self) -> Jog:
-        """Returns the present deflections; pressed keys are reported once. Never waits. Raises `RobotError`."""
+        """Returns the current deflections. Reports each key press once. Never waits. Raises `RobotError`."""
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
         self._driving = False
@@ -195,7 +195,7 @@ class JogTeleop(TcpTeleop):
         if jog.clutch and not self._driving:
             held = self._filter.last
             self._filter.anchor(reading.tcp_in_base, reading.gripper if held is None else float(held[GRIPPER_DIM]))
-            dt = 0.0  # deflections from before the clutch closed move nothing
+            dt = 0.0  # deflections from before the clutch was held cause no motion
         self._driving = jog.clutch
         last = self._filter.last
         assert last is not None
