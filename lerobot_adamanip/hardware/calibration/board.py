@@ -48,8 +48,8 @@ class Board:
         return np.asarray(drawn, np.uint8)
 
     def detect(self, gray: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns the inner corners in a picture (H, W) as points (K, 3) [m] and pixels (K, 2), or none if they are fewer
-        than `FEWEST_CORNERS`. The board frame starts at its first corner, x right, y down.
+        """Returns the inner corners in a picture (H, W) as points (K, 3) [m] and pixels (K, 2); none if fewer than
+        `FEWEST_CORNERS` are found. The board frame starts at its first corner, x right, y down.
         """
         import cv2
 

@@ -91,7 +91,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         self.frames.clear()
 
     def _run_warmup(self) -> None:
-        """Waits for frames or raises ConnectionError. LeRobot's `connect` then retries and finally resets the camera."""
+        """Waits for frames. Raises ConnectionError; LeRobot's `connect` then retries and finally resets the camera."""
         end = time.perf_counter() + max(self.warmup_s, 1)
         try:
             self.frame_after(float("-inf"), timeout=end - time.perf_counter())
