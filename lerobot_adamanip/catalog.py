@@ -12,12 +12,14 @@ import importlib
 import os
 import re
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from lerobot_adamanip.assets import AssetSource, PlacementCheck, is_asset_id
-from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.objects.base import ArticulatedObject
+from lerobot_adamanip.contract.categories import CATEGORIES, is_asset_id
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+
+if TYPE_CHECKING:  # assets and objects need scipy, and a command checks its ids first
+    from lerobot_adamanip.assets import PlacementCheck
+    from lerobot_adamanip.objects.base import ArticulatedObject
 
 SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""
@@ -136,12 +138,18 @@ def select_objects(
     """Returns the ids of generated objects, or of external assets in the folder ``assets``; see `AssetSource`."""
     if assets is None:
         return parse_object_selection(category, selection)
+    from lerobot_adamanip.assets import AssetSource
+
     return AssetSource(Path(assets), placement_problem).select(category, selection)
 
 
 def get_object(identifier: str, assets: str | os.PathLike[str] | None = None) -> ArticulatedObject:
     """Makes a generated object, or loads an external asset of the folder ``assets``, by id."""
-    return make_object(identifier) if assets is None else AssetSource(Path(assets)).load(identifier)
+    if assets is None:
+        return make_object(identifier)
+    from lerobot_adamanip.assets import AssetSource
+
+    return AssetSource(Path(assets)).load(identifier)
 
 
 def category_of(identifier: str) -> str:

@@ -130,6 +130,16 @@ def _collected(root: Path, **options: Any) -> None:
     collect(root / "dataset", make_spec(**options), fakes(), patiently())
 
 
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Collections are recorded in this process: without seconds of start, and with a test's crash points."""
+    from demos_helpers import InThisProcess
+
+    from lerobot_adamanip.util import jobs
+
+    monkeypatch.setattr(jobs, "WorkerPool", InThisProcess)
+
+
 @pytest.fixture(scope="session")
 def published(once: Once) -> Path:
     """A complete dataset with late starts and attempts that failed."""

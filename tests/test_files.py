@@ -68,15 +68,3 @@ def test_a_move_is_durable(tmp_path: Path, synced: list[Path]) -> None:
     files.move_durably(tmp_path / "from" / "here", tmp_path / "to" / "there")
     assert (tmp_path / "to" / "there").is_dir()
     assert synced == [tmp_path / "to", tmp_path / "from"]
-
-
-def test_crash_points_do_nothing_until_a_test_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert files.on_crash_point is None
-    for name in files.CRASH_POINTS:
-        files.crash_point(name)
-    heard: list[str] = []
-    monkeypatch.setattr(files, "on_crash_point", heard.append)
-    files.crash_point("cleaned")
-    assert heard == ["cleaned"]
-    with pytest.raises(AssertionError):
-        files.crash_point("nowhere")

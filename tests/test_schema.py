@@ -74,18 +74,6 @@ def test_lerobot_makes_no_label_an_input() -> None:
     assert set(found) == {schema.POINT_CLOUD, schema.STATE, schema.EFFORT, schema.FRONT_IMAGE, schema.ACTION}
 
 
-@pytest.mark.parametrize(("points", "pixels"), [(1, 64), (4096, 128)])
-def test_sizes_are_as_asked_for(points: int, pixels: int) -> None:
-    features = schema.dataset_features(points, pixels)
-    assert features[schema.POINT_CLOUD]["shape"] == (3 * points,)
-    assert features[schema.FRONT_IMAGE]["shape"] == (pixels, pixels, 3)
-
-
-def test_a_changed_table_changes_no_other() -> None:
-    schema.dataset_features()[schema.STATE]["names"].clear()
-    assert len(schema.dataset_features()[schema.STATE]["names"]) == 24
-
-
 @pytest.mark.parametrize("key", POSES)
 def test_rotation_and_gripper_get_their_true_range_and_nothing_else_changes(key: str) -> None:
     stats = statistics(DIMS)
@@ -96,14 +84,6 @@ def test_rotation_and_gripper_get_their_true_range_and_nothing_else_changes(key:
         assert np.all(fixed[key][name][3:10] == value)
         assert np.array_equal(fixed[key][name][others], stats[key][name][others])
     assert fixed[key]["count"] is stats[key]["count"]
-
-
-def test_normalising_by_fixed_ranges_leaves_a_constant_dimension_as_it_is() -> None:
-    constant = np.full(10, 0.7)
-    stats = {schema.ACTION: {"min": constant, "max": constant + 1e-7}}
-    fixed = schema.fix_pose_statistics(stats)[schema.ACTION]
-    normalised = 2 * (constant + 0.1 - fixed["min"]) / (fixed["max"] - fixed["min"]) - 1
-    assert normalised[3:] == pytest.approx(0.8)
 
 
 def test_fixing_statistics_changes_no_argument_and_nothing_the_second_time() -> None:

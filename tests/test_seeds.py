@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,11 +27,6 @@ def test_a_scene_belongs_to_its_split_and_stays_what_it_is(seed: int, split: str
         assert split_of(scene) == split
         assert scene_seed(scene, split) == scene
         assert scene < 2**31  # what simulators take
-
-
-def test_ranges_are_disjoint() -> None:
-    ranges = sorted(SPLITS.values())
-    assert all(end <= first for (_, end), (first, _) in itertools.pairwise(ranges))
 
 
 def test_seeds_that_follow_each_other_are_different_scenes() -> None:

@@ -10,9 +10,9 @@ from lerobot_adamanip.assets.source import (
     AssetReport,
     AssetSource,
     PlacementCheck,
-    is_asset_id,
     load_object,
     parse_asset_id,
 )
+from lerobot_adamanip.contract.categories import is_asset_id
 
 __all__ = ["AssetReport", "AssetSource", "PlacementCheck", "is_asset_id", "load_object", "parse_asset_id"]

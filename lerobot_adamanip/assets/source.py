@@ -24,11 +24,6 @@ MAX_NAME_BYTES = 100
 ALLOWED_NAMES = f"letters, digits, spaces and _ . + -, no dot or space first, no space last, {MAX_NAME_BYTES} bytes"
 
 
-def is_asset_id(identifier: str) -> bool:
-    """Whether an id names an external asset (``safe:sa1``) rather than a generated one (``safe_001``)."""
-    return ":" in identifier
-
-
 def parse_asset_id(identifier: str) -> tuple[str, str]:
     """Returns ("safe", "sa1") for ``safe:sa1``; raises `ConfigurationError` for anything else."""
     category, colon, name = identifier.partition(":")

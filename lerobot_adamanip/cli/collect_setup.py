@@ -1,4 +1,4 @@
-"""What `adamanip collect` decides before anything is recorded: objects, pictures, and what it says at the start."""
+"""Parts of `adamanip collect`: choice of objects and pictures, first and last output."""
 
 from __future__ import annotations
 
@@ -6,23 +6,26 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lerobot_adamanip.catalog import SEEN_COUNTS, object_split, select_objects
-from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec
-from lerobot_adamanip.datasets.manifest import stored_images
 from lerobot_adamanip.util.errors import GET_PICTURES, ConfigurationError, no_vulkan_device
 from lerobot_adamanip.util.jobs import preload
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.collection.summary import CollectSummary
+    from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 
 _WORKER_MODULES = (
     "lerobot_adamanip.collection.record",
     "lerobot_adamanip.experts",
     "lerobot_env_adamanip.fork_server_preload",
 )
-"""Modules that recording workers need: imported while this process is busy with its own."""
+"""Modules of recording workers, to be imported while this process does other things."""
 
 
 def select_placeable(categories: Iterable[str], selection: str, assets: Path | None, poses: str) -> tuple[str, ...]:
-    """Returns ids of objects, see `select_objects`; external assets that the arm cannot reach are left out."""
+    """Returns ids of objects, see `select_objects`, without external assets that the arm cannot reach."""
     placeable = None
     if assets is not None:
         from lerobot_env_adamanip.simulator import placement_check
@@ -43,7 +46,7 @@ def objects_to_collect(categories: Sequence[str], selection: str, assets: Path |
     if unseen and ":" in selection:
         count = min(SEEN_COUNTS[each] for each in categories)
         raise ConfigurationError(
-            f"This range of objects holds {_count(len(unseen), 'unseen object')}, which are there for tests.",
+            f"This range of objects includes {_count(len(unseen), 'unseen object')}, which are for tests.",
             got=f"--objects {selection}",
             allowed=f"numbers up to {count}, seen, unseen, novel, nFIRST:nEND, or ids separated by commas",
             hint=f"--objects 0:{count}, or --objects unseen",
@@ -52,7 +55,7 @@ def objects_to_collect(categories: Sequence[str], selection: str, assets: Path |
 
 
 def begin(spec: CollectionSpec, workers: int, cluster: str | None, part: str | None) -> None:
-    """Prints what is about to be recorded, and lets workers begin to import the simulator."""
+    """Prints what will be recorded, and makes workers begin to import the simulator."""
     episodes = _count(len(spec.objects) * spec.episodes_per_object, "episode")
     splits = Counter(object_split(name) or "external" for name in spec.objects)
     kinds = ", ".join(f"{number} {split}" for split, number in splits.items())
@@ -65,14 +68,14 @@ def begin(spec: CollectionSpec, workers: int, cluster: str | None, part: str | N
 
 
 def can_render() -> bool:
-    """Returns whether anything renders on this machine."""
+    """Returns whether this machine can render."""
     from lerobot_env_adamanip.sim.render_device import can_render as probe
 
     return probe()
 
 
 def require_renderer() -> None:
-    """Raises `SimulatorError` if nothing renders on this machine."""
+    """Raises `SimulatorError` if this machine cannot render."""
     if not can_render():
         raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
 
@@ -80,23 +83,26 @@ def require_renderer() -> None:
 def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
     """Returns whether a collection has pictures.
 
-    An existing collection keeps its own choice; a new one has pictures where something renders, and a line on stderr
-    says so where nothing does.
+    An existing collection keeps its choice. A new one has pictures on a machine that can render; otherwise a line on
+    stderr says that there are none.
 
     Args:
-        roots: of the dataset, and of parts whose episodes it takes over.
+        roots: of the dataset, and of adopted parts.
         wanted: --images was given.
         refused: --no-images was given.
 
     Raises:
         ConfigurationError: both were given.
-        SimulatorError: pictures are wanted, and nothing renders here.
+        SimulatorError: --images was given, and this machine cannot render.
     """
+    from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+    from lerobot_adamanip.datasets.manifest import stored_images
+
     if wanted and refused:
         raise ConfigurationError(
             "Contradicting options.",
             got="--images --no-images",
-            allowed="one of them, or neither: pictures where something renders",
+            allowed="one of them, or neither: pictures on a machine that can render",
             hint="leave one out",
         )
     if refused:
@@ -113,6 +119,35 @@ def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
         file=sys.stderr,
     )
     return False
+
+
+def summary_text(summary: CollectSummary, part: str | None, adopted: Sequence[Path], driver: str) -> str:
+    """Returns the command's last output.
+
+    Args:
+        summary: of the run.
+        part: that was recorded, if any.
+        adopted: roots of imported parts.
+        driver: ``expert`` or ``policy``.
+    """
+    if part is not None:
+        return f"Part {part}: {summary.episodes} episodes in {summary.root}, {summary.recorded} of them new."
+    if summary.recorded == 0 and not adopted:
+        return f"Complete already: {summary.episodes} episodes in {summary.root}"
+    lines = [
+        f"{summary.episodes} episodes in {summary.root} ({summary.bytes / 1e6:.1f} MB): "
+        f"{summary.recorded} recorded in {summary.recording_seconds:.0f} s, "
+        f"{summary.episodes_per_minute:.1f} per minute; the {driver} succeeded in "
+        f"{100 * summary.success_rate:.1f} % of its {summary.attempted} attempts."
+    ]
+    if len(summary.categories) > 1:
+        lines.append(
+            f"{'category':16} {'episodes':>8} {'attempts':>8} {'key frames':>10} {'per worker and minute':>21}"
+        )
+        for name, row in summary.categories.items():
+            rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
+            lines.append(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")
+    return "\n".join([*lines, *(f"missing: {line}" for line in summary.failures)])
 
 
 def _count(number: int, what: str) -> str:

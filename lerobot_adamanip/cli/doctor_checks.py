@@ -194,18 +194,6 @@ def check_cuda() -> Check:
     return Check("CUDA", True, f"{torch.cuda.get_device_name()} (CUDA {torch.version.cuda})", advice, required=False)
 
 
-def check_mixed_precision() -> Check:
-    """A training step in half precision."""
-    import torch
-
-    from lerobot_adamanip.util.mixed_precision import mixed_precision_problem
-
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    problem = mixed_precision_problem(device)
-    found = f"{device} trains in it" if problem is None else f"not on {device}: {problem}"
-    return Check("Mixed precision", problem is None, found, "train without --policy.use_amp=true", required=False)
-
-
 def check_video() -> Check:
     """A short video, encoded and decoded as LeRobotDataset does."""
     ok, answer = run_probe("lerobot_adamanip.cli.video_probe")
@@ -244,7 +232,6 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
     check_render_backend,
     check_franka,
     check_cuda,
-    check_mixed_precision,
     check_video,
     check_hub_cache,
     check_disk,

@@ -1,48 +1,44 @@
-"""From episode files to a LeRobotDataset: built beside its place, synced, read back, and only then put there."""
+"""Making a LeRobotDataset of episode files: built beside its final place, synced, and read back."""
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.collection.executors import ExecutorFactory
 from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.datasets.cards.collected import dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.encoding import (
-    EpisodeFile,
-    PreparedEpisode,
-    preparing_session,
-)
+from lerobot_adamanip.datasets.encoding import EpisodeFile, PreparedEpisode, preparing_session
 from lerobot_adamanip.datasets.manifest import Manifest, write_manifest
 from lerobot_adamanip.datasets.reading import JSON_COLUMNS, read_back
 from lerobot_adamanip.datasets.shards import read_shard
 from lerobot_adamanip.datasets.statistics import sort_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset, to_json
-from lerobot_adamanip.util import files
+from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import DatasetError
-from lerobot_adamanip.util.jobs import JobResult, WorkerError
 
 _PLAIN_COLUMNS = (
     "object_id", "seed", "expert", "tries", "failed_tries", "success", "attempts", "attempt", "slot", "late",
     "fingerprint",
 )  # fmt: skip
+MIN_EPISODES_PER_WORKER = 32
+"""To prepare: a worker process first imports LeRobot, which takes as long as ten episodes."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What a dataset is made of.
+    """Contents of a dataset.
 
     Attributes:
         manifest: of the collection.
         shards: files of its episodes, in order.
-        attempts: all that were made for the collection.
-        repo_id: written into its card.
+        attempts: all of the collection.
+        repo_id: for its card.
     """
 
     manifest: Manifest
@@ -52,26 +48,22 @@ class Contents:
 
 
 def assemble(
-    folder: Path,
-    name: str,
-    contents: Contents,
-    progress: Callable[[int, int], None],
-    executors: ExecutorFactory | None = None,
+    folder: Path, name: str, contents: Contents, progress: Callable[[int, int], None], workers: int = 1
 ) -> Path:
-    """Writes a dataset, syncs it and reads it back. Its bytes do not depend on ``executors``.
+    """Writes a dataset, syncs it and reads it back. Its bytes do not depend on ``workers``.
 
     Args:
         folder: that does not exist.
-        name: of the folder that it is to be in at the end.
-        contents: what it is made of.
-        progress: told of episodes written, and all.
-        executors: prepare episodes, where there are enough of them; else this process does.
+        name: of the folder in which the dataset will be finally.
+        contents: of the dataset.
+        progress: called with the episodes written, and all.
+        workers: processes that prepare episodes, if there are enough episodes.
 
     Returns:
         ``folder``.
 
     Raises:
-        DatasetError: if there are no shards, or one is damaged, or what was written cannot be read back.
+        DatasetError: there are no shards, or one is damaged, or the written dataset cannot be read back.
     """
     if not contents.shards:
         raise DatasetError(
@@ -79,7 +71,7 @@ def assemble(
         )
     files.crash_point("assembly begun")
     dataset = _empty(folder, contents)
-    records, lengths = append_shards(dataset, contents.shards, progress, executors)
+    records, lengths = append_shards(dataset, contents.shards, progress, workers)
     files.crash_point("dataset written")
     _describe(folder, contents, records)
     card = dataset_card(folder, name, contents.repo_id, contents.manifest.spec.environment.assets)
@@ -102,12 +94,12 @@ def _empty(folder: Path, contents: Contents) -> Any:
 
 
 def append_shards(
-    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], executors: ExecutorFactory | None = None
+    dataset: Any, shards: list[Path], progress: Callable[[int, int], None], workers: int = 1
 ) -> tuple[list[dict[str, Any]], list[int]]:
     """Writes all episodes, and finalises the dataset; returns their records and their numbers of rows."""
     records: list[dict[str, Any]] = []
     lengths: list[int] = []
-    appended = _appended(dataset, shards, executors) if can_append(dataset) else _written_by_lerobot(dataset, shards)
+    appended = _appended(dataset, shards, workers) if can_append(dataset) else _written_by_lerobot(dataset, shards)
     for record, length in appended:
         records.append(record)
         lengths.append(length)
@@ -117,31 +109,35 @@ def append_shards(
     return records, lengths
 
 
-def _appended(
-    dataset: Any, shards: list[Path], executors: ExecutorFactory | None
-) -> Iterator[tuple[dict[str, Any], int]]:
-    """Appends episodes that an executor prepares, or this process; yields each one's record and number of rows."""
+def _appended(dataset: Any, shards: list[Path], workers: int) -> Iterator[tuple[dict[str, Any], int]]:
+    """Prepares and appends episodes; yields each one's record and number of rows."""
     items = [EpisodeFile(number, path) for number, path in enumerate(shards)]
-    features, fps = dataset.meta.features, dataset.meta.fps
-    with contextlib.ExitStack() as stack:
-        executor = executors.preparing(features, fps, len(items)) if executors is not None else None
-        if executor is None:
-            work = stack.enter_context(preparing_session(features, fps))
-            prepared: Iterator[PreparedEpisode] = (work(item, lambda: None) for item in items)
-        else:
-            prepared = in_order(map(_prepared, stack.enter_context(executor).run(items)))
-        for episode in prepared:
-            yield episode.record, append(dataset, episode)
+    session = functools.partial(preparing_session, dataset.meta.features, dataset.meta.fps)
+    workers = min(workers, len(items) // MIN_EPISODES_PER_WORKER)
+    for episode in _prepared_by_workers(session, workers, items) if workers > 1 else _prepared(session, items):
+        yield episode.record, append(dataset, episode)
 
 
-def _prepared(result: JobResult[EpisodeFile]) -> tuple[int, PreparedEpisode]:
-    if not isinstance(result.value, PreparedEpisode):
-        raise WorkerError(f"{result.item.path.name} could not be prepared: its worker died twice ({result.death})")
-    return result.item.number, result.value
+def _prepared(session: Any, items: list[EpisodeFile]) -> Iterator[PreparedEpisode]:
+    with session() as work:
+        for item in items:
+            yield work(item, lambda: None)
+
+
+def _prepared_by_workers(session: Any, workers: int, items: list[EpisodeFile]) -> Iterator[PreparedEpisode]:
+    def numbered(result: jobs.JobResult[EpisodeFile]) -> tuple[int, PreparedEpisode]:
+        if result.death is not None:
+            raise jobs.WorkerError(
+                f"{result.item.path.name} could not be prepared: its worker crashed ({result.death})"
+            )
+        return result.item.number, result.value
+
+    with jobs.WorkerPool[EpisodeFile](session, workers) as pool:
+        yield from in_order(map(numbered, pool.run(items)))
 
 
 def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict[str, Any], int]]:
-    """As `_appended`, by LeRobot's writer: slower, and what the other has to equal."""
+    """Writes episodes with LeRobot's writer: slower than `_appended`, whose result must be equal."""
     for path in shards:
         episode = read_shard(path)
         for row in range(len(episode)):

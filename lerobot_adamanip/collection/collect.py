@@ -1,8 +1,10 @@
-"""Collecting demonstrations: durable per episode, resumable, the same data whatever interrupts it."""
+"""Collecting demonstrations: durable per episode, resumable, with the same data after any interruption."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -11,14 +13,13 @@ from pathlib import Path
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
-from lerobot_adamanip.collection.executors import ExecutorFactory, open_executors
 from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.folder_identity import is_own_partial, prepare_partial, require_finished
-from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, ItemReport, write_given_up, write_outcome
-from lerobot_adamanip.collection.parts import Part, adopt, belongs, failed_attempts, given_up
-from lerobot_adamanip.collection.ray_cluster import require_usable
-from lerobot_adamanip.collection.record import Factories, RecordingJob
-from lerobot_adamanip.collection.summary import CollectSummary, ItemResult, summarize, summarize_part
+from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, write_outcome
+from lerobot_adamanip.collection.parts import Part, belongs, failed_attempts, given_up, import_parts
+from lerobot_adamanip.collection.ray_cluster import connected, require_usable
+from lerobot_adamanip.collection.record import Factories, RecordingJob, recording_session, writing_session
+from lerobot_adamanip.collection.summary import CollectSummary, Results, Run
 from lerobot_adamanip.datasets.attempts import all_attempts, count
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec
 from lerobot_adamanip.datasets.manifest import Manifest
@@ -33,35 +34,34 @@ from lerobot_adamanip.datasets.output_folder import (
 from lerobot_adamanip.datasets.reading import read_back
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.shards import read_record
-from lerobot_adamanip.util import files
+from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.util.jobs import DEFAULT_TIMEOUT, JobResult
 
 Listener = Callable[[str, int, int], None]
-"""Told of progress: stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, in all."""
-_LEAST_ROWS = 3
+"""Called with a stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, and all."""
+_MIN_ROWS = 3
 """Rows that an episode has at least."""
 
 
 @dataclass(frozen=True)
 class CollectOptions:
-    """How a collection is made; nothing of it changes the data.
+    """How a collection is made; no option changes the data.
 
     Attributes:
-        workers: processes, each with a simulator of its own; or actors of the cluster, 0 for one per CPU of it.
+        workers: processes with a simulator each; or actors of the cluster, 0 for one per CPU of it.
         worker_timeout: a worker without a heartbeat for so long is replaced [s]; on a cluster, one whose item takes
             longer.
         max_attempts: seeds to try per episode until the expert succeeds.
         allow_missing: make a dataset even if some episodes were given up.
-        repo_id: written into the dataset card; ``local/<folder name>`` by default.
+        repo_id: for the dataset card; ``local/<folder name>`` by default.
         cluster: Ray cluster that records: ``HOST:PORT``, ``auto`` or ``local``; None for processes of this machine.
-        insecure_cluster: whether that may do without a token.
-        part: of the episodes that alone is recorded, without making a dataset; None for all.
-        adopt: roots of parts whose episodes are taken over first.
+        insecure_cluster: whether the cluster may go without a token.
+        part: of the episodes, to record it alone, without making a dataset; None for all.
+        adopt: roots of parts whose episodes are imported first.
     """
 
     workers: int = 1
-    worker_timeout: float = DEFAULT_TIMEOUT
+    worker_timeout: float = jobs.DEFAULT_TIMEOUT
     max_attempts: int = 5
     allow_missing: bool = False
     repo_id: str | None = None
@@ -90,90 +90,66 @@ def collect(
 ) -> CollectSummary:
     """Records the episodes that ``root`` still lacks and makes a LeRobotDataset of them all.
 
-    Neither workers nor interruptions change the data. A complete one is left as it is, and may be read-only; until then
-    episodes are kept in ``<root>.partial``; nothing there is removed before the dataset is synced and read back.
+    Neither workers nor interruptions change the data. A complete dataset is left as it is, and may be read-only. Until
+    then episodes are kept in ``<root>.partial``; none is removed before the dataset is synced and read back.
 
     Args:
         root: of the dataset.
-        spec: what to collect.
+        spec: of the collection.
         factories: of environments and experts.
-        options: how.
-        listener: told of progress.
+        options: of this run.
+        listener: called with the progress.
 
     Raises:
-        DatasetError: if ``root`` holds something else, another collection of it is running, or episodes were given up.
-        WorkerError: if a worker failed for good.
+        DatasetError: ``root`` holds something else, another command is at work there, or episodes were given up.
+        WorkerError: a worker failed for good.
     """
     begin = time.monotonic()
-    _require_cluster(options)
+    if options.cluster is not None:
+        require_usable(options.cluster, insecure=options.insecure_cluster)
     paths = CollectionPaths(resolve_output(root))
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
         require_finished(paths.root, Manifest.of(spec, _fingerprint(spec, factories)))
-        return summarize(paths.root, spec, [], begin=begin)
+        return Run(begin).summarize(paths.root, spec)
     with _claimed(paths, spec) as output:
         manifest = Manifest.of(spec, _fingerprint(spec, factories))
         if _is_complete(output, paths, manifest):
-            return summarize(paths.root, spec, [], begin=begin)
+            return Run(begin).summarize(paths.root, spec)
         prepare_partial(paths, manifest)
+        import_parts(paths, manifest, options.adopt)
         job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
-        summary = _collected(job, paths, manifest, options, listener=listener, begin=begin)
-        if options.part is None:
-            output.discard()
-    return summary
-
-
-def _require_cluster(options: CollectOptions) -> None:
-    if options.cluster is not None:
-        require_usable(options.cluster, insecure=options.insecure_cluster)
-
-
-def _collected(
-    job: RecordingJob,
-    paths: CollectionPaths,
-    manifest: Manifest,
-    options: CollectOptions,
-    *,
-    listener: Listener,
-    begin: float,
-) -> CollectSummary:
-    """Records what is missing; publishes the dataset, unless this is a part of it."""
-    with _executors(options) as executors:
-        adopt(paths, manifest, options.adopt)
-        results = _record(job, paths, options, executors, listener)
-        recording = time.monotonic() - begin
-        failures = _require_all(results, options)
+        results = _record(job, paths, options, listener)
+        run = Run(begin, results, time.monotonic() - begin, _require_all(results, options))
         files.crash_point("all recorded")
         if options.part is not None:
-            mine = options.part.of(job.spec.items())
-            return summarize_part(paths, mine, results, begin=begin, recording=recording, failures=failures)
-        _publish(paths, manifest, options, executors, lambda done, total: listener("assemble", done, total))
-    return summarize(paths.root, job.spec, results, begin=begin, recording=recording, failures=failures)
+            return run.summarize_part(paths, options.part.of(spec.items()))
+        _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
+        output.discard()
+    return run.summarize(paths.root, spec)
 
 
 def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
-    env = factories.environment(spec.environment_of(spec.categories[0]))
-    try:
+    with contextlib.closing(factories.environment(spec.environment_of(spec.categories[0]))) as env:
         return collection_fingerprint(env)
-    finally:
-        env.close()
+
+
+# Folders --------------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def _claimed(paths: CollectionPaths, spec: CollectionSpec) -> Iterator[OutputFolder]:
-    """Locks the output folders; where no dataset is yet, one can be put there."""
+    """Locks the output folders; checks that the dataset can be put there, if it is missing."""
     failed = lock_output(paths.failed) if spec.keep_failed else contextlib.nullcontext()
     with owned_output(paths.root, COLLECTING) as output, failed:
         if not paths.manifest.exists():
             output.require_free()
-            output.require_room(_least_bytes(spec))
+            # The clouds alone, as episode files and as a dataset.
+            output.require_room(2 * _MIN_ROWS * len(spec.items()) * spec.environment.num_points * 3 * 4)
         yield output
 
 
 def _is_complete(output: OutputFolder, paths: CollectionPaths, manifest: Manifest) -> bool:
-    """Returns whether the dataset is there.
-
-    Where its episode files are still beside it, it is read back once more before they are removed.
-    """
+    """Returns whether the dataset is there; reads it back before removing episode files that are left beside it."""
     if not paths.manifest.exists():
         return False
     require_finished(paths.root, manifest)
@@ -184,65 +160,66 @@ def _is_complete(output: OutputFolder, paths: CollectionPaths, manifest: Manifes
     return True
 
 
-def _least_bytes(spec: CollectionSpec) -> int:
-    """Returns a lower bound for the size of the clouds of a collection, as episode files and as a dataset."""
-    return 2 * _LEAST_ROWS * len(spec.items()) * spec.environment.num_points * 3 * 4
+# Recording ------------------------------------------------------------------------------------------------------------
 
 
-def _executors(options: CollectOptions) -> contextlib.AbstractContextManager[ExecutorFactory]:
-    return open_executors(
-        options.workers, options.worker_timeout, cluster=options.cluster, insecure=options.insecure_cluster
-    )
-
-
-def _record(
-    job: RecordingJob, paths: CollectionPaths, options: CollectOptions, executors: ExecutorFactory, listener: Listener
-) -> list[ItemResult]:
+def _record(job: RecordingJob, paths: CollectionPaths, options: CollectOptions, listener: Listener) -> Results:
+    """Records the missing episodes; returns the results of this run, items that a part has given up included."""
     items = job.spec.items() if options.part is None else options.part.of(job.spec.items())
-    missing = [item for item in items if not _is_recorded(paths, item)]
-    # What a part has given up would fail again: every attempt follows from its seed.
+    missing = [item for item in items if read_record(paths.episodes / item.file_name) is None]
+    # An item that a part has given up would fail again: each attempt follows from its seed.
     results = given_up(paths, missing, options.max_attempts) if options.adopt else []
     missing = [item for item in missing if item not in {result.item for result in results}]
-    # Category by category, because changing it costs a worker seconds. The dataset's order is another one.
+    # By category, because changing it costs a worker seconds. The dataset's order is another one.
     missing.sort(key=lambda item: job.spec.categories.index(category_of(item.object_id)))
     totals = Counter(category_of(item.object_id) for item in items)
     done = totals - Counter(category_of(item.object_id) for item in missing)
     for category, total in totals.items():
         listener(f"record {category}", done[category], total)
-    with executors.recording(job, paths, len(missing)) as executor:
-        for outcome in executor.run(missing):
-            results.append(_result(paths, outcome))
-            category = category_of(outcome.item.object_id)
-            done[category] += results[-1].report.kept
+    with _recorder(job, paths, options, len(missing)) as run:
+        for result in run(missing):
+            outcome = result.value or _lost(result)
+            if result.value is None or options.cluster is not None:
+                outcome = write_outcome(paths, result.item, outcome)
+            results.append(replace(result, value=outcome))
+            category = category_of(result.item.object_id)
+            done[category] += outcome.kept
             listener(f"record {category}", done[category], totals[category])
             listener("record", done.total(), len(items))
     return results
 
 
-def _result(paths: CollectionPaths, outcome: JobResult[EpisodeSpec]) -> ItemResult:
-    if isinstance(outcome.value, ItemReport):
-        return ItemResult(outcome.item, outcome.value, outcome.seconds)
-    if isinstance(outcome.value, ItemOutcome):
-        write_outcome(paths, outcome.item, outcome.value)
-        return ItemResult(outcome.item, outcome.value.report, outcome.seconds)
-    lost = Attempt(0, None, False, f"its worker died twice ({outcome.death})", 0, False)
-    write_given_up(paths, outcome.item, [lost])
-    return ItemResult(outcome.item, ItemReport((lost,)), outcome.seconds)
+@contextlib.contextmanager
+def _recorder(
+    job: RecordingJob, paths: CollectionPaths, options: CollectOptions, items: int
+) -> Iterator[Callable[[list[EpisodeSpec]], Iterator[jobs.JobResult[EpisodeSpec]]]]:
+    """Yields a function that records items: in processes, which also write the episodes, or on a cluster."""
+    if options.cluster is None:
+        writing = functools.partial(writing_session, job, paths)
+        workers = min(options.workers, max(1, items))
+        with jobs.WorkerPool[EpisodeSpec](writing, workers, timeout=options.worker_timeout) as pool:
+            yield pool.run
+        return
+    with connected(options.cluster, workers=options.workers, insecure=options.insecure_cluster) as cpus:
+        from lerobot_adamanip.collection.ray_executor import RayExecutor
+
+        recording = functools.partial(recording_session, job)
+        workers = max(1, min(options.workers or cpus, items))
+        with RayExecutor[EpisodeSpec](recording, workers, timeout=options.worker_timeout) as executor:
+            yield executor.run
 
 
-def _is_recorded(paths: CollectionPaths, item: EpisodeSpec) -> bool:
-    path = paths.episodes / item.file_name
-    return path.exists() and read_record(path) is not None
+def _lost(result: jobs.JobResult[EpisodeSpec]) -> ItemOutcome:
+    return ItemOutcome((Attempt(0, None, False, f"its workers crashed ({result.death})", 0, False),))
 
 
-def _reasons(result: ItemResult) -> str:
-    reasons = "; ".join(f"seed {attempt.seed}: {attempt.reason}" for attempt in result.report.attempts)
-    return f"{result.item}: {reasons}"
-
-
-def _require_all(results: list[ItemResult], options: CollectOptions) -> tuple[str, ...]:
+def _require_all(results: Results, options: CollectOptions) -> tuple[str, ...]:
     """Returns why episodes were given up; raises `DatasetError` if any was and `options` allow none."""
-    failures = tuple(_reasons(each) for each in results if not each.report.kept)
+    failures = tuple(
+        f"{each.item}: " + "; ".join(f"seed {attempt.seed}: {attempt.reason}" for attempt in each.value.attempts)
+        for each in results
+        if not each.value.kept
+    )
     if failures and not options.allow_missing:
         raise DatasetError(
             f"{len(failures)} episodes could not be recorded.",
@@ -253,34 +230,34 @@ def _require_all(results: list[ItemResult], options: CollectOptions) -> tuple[st
     return failures
 
 
+# The dataset ----------------------------------------------------------------------------------------------------------
+
+
 def _publish(
-    paths: CollectionPaths,
-    manifest: Manifest,
-    options: CollectOptions,
-    executors: ExecutorFactory,
-    progress: Callable[[int, int], None],
+    paths: CollectionPaths, manifest: Manifest, options: CollectOptions, progress: Callable[[int, int], None]
 ) -> None:
-    """Assembles the dataset, and that of failed episodes, and puts both in place; the kept one last."""
+    """Assembles the dataset, and that of failed episodes, and moves both into place; the kept one last."""
     items = manifest.spec.items()
     shards = [path for item in items if (path := paths.episodes / item.file_name).exists()]
     records = [record for path in shards if (record := read_record(path)) is not None]
     attempts = all_attempts(paths, items, records)
     counted = replace(manifest, attempts=count(attempts, len(items)))
     repo_id = options.repo_id or f"local/{paths.root.name}"
-    if manifest.spec.keep_failed and (failed := _failed(paths, manifest)):
+    workers = options.workers if options.cluster is None else os.cpu_count() or 1
+    if manifest.spec.keep_failed and (failed := _failed_shards(paths, manifest)):
         contents = Contents(counted, failed, attempts, f"{repo_id}-failed")
         files.remove_tree(paths.building_failed)
-        built = assemble(paths.building_failed, paths.failed.name, contents, progress, executors)
-        # What an interrupted run has put there: `prepare_partial` has seen that it is of this collection.
-        files.remove_tree(paths.failed)
+        built = assemble(paths.building_failed, paths.failed.name, contents, progress, workers)
+        files.remove_tree(paths.failed)  # of this collection, as `prepare_partial` has checked
         files.move_durably(built, paths.failed)
     files.remove_tree(paths.building)
-    built = assemble(paths.building, paths.root.name, Contents(counted, shards, attempts, repo_id), progress, executors)
+    contents = Contents(counted, shards, attempts, repo_id)
+    built = assemble(paths.building, paths.root.name, contents, progress, workers)
     files.move_durably(built, paths.root)
     files.crash_point("dataset in place")
 
 
-def _failed(paths: CollectionPaths, manifest: Manifest) -> list[Path]:
+def _failed_shards(paths: CollectionPaths, manifest: Manifest) -> list[Path]:
     """Returns the files of failed attempts at items of this collection."""
     return sorted(
         path

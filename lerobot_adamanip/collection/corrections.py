@@ -1,9 +1,9 @@
-"""Corrections: a policy drives, and every state that it gets into is labelled with what an expert would do from there.
+"""Corrections: a policy drives, and an expert labels every state with its own action.
 
-DAgger (Ross et al. 2011). Key frame by key frame either the policy or the expert acts; the expert, which takes over
-from any state and believes what has been felt so far, in any hand, says each time what it would do. That becomes the
-row's ``action``; what was really sent is the column ``complementary_info.executed``, of which a policy's history is
-made. So a policy sees its own mistakes, and how to go on from them.
+DAgger (Ross et al. 2011). At each key frame either the policy or the expert acts. The expert takes over from any state,
+with a belief from all tries so far; its action becomes the row's ``action``. The action that was sent is the column
+``complementary_info.executed``, from which a policy's history is made. So the data has the policy's mistakes, and how
+to recover from them.
 """
 
 from __future__ import annotations
@@ -22,43 +22,40 @@ from lerobot_adamanip.experts import Belief
 
 Action = NDArray[np.float32]
 BEYOND = 1
-"""Key frames past success, about as many as demonstrations have."""
+"""Key frames after success, about as many as in demonstrations."""
 STREAM = 3
-"""Tells these draws from any other that starts from the episode's seed."""
+"""Makes these draws differ from others with the episode's seed."""
 
 
 class Actor(Protocol):
-    """A policy at work in one environment."""
+    """A policy acting in one environment."""
 
     def reset(self, seed: int) -> None:
-        """Begins an episode; whatever it leaves to chance follows from the seed."""
+        """Begins an episode; random draws follow from the seed."""
 
     def act(self, observation: Observation, instruction: str) -> Action:
-        """Returns the (10,) action that it would take."""
+        """Returns its (10,) action."""
 
     def executed(self, action: Action) -> None:
-        """Is told that another (10,) action was taken instead of its latest one."""
+        """Replaces its latest action, in its memory, by the (10,) action that was sent instead."""
 
 
 ActorFactory = Callable[[], Actor]
 """Loads an actor. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
 
 
-class TakeOver(Protocol):
-    """Makes experts that take over from the environment's present state."""
-
-    def __call__(self, *, belief: Belief, generator: np.random.Generator) -> KeyFrames:
-        """Returns one that believes what has been tried; ``generator`` decides what it leaves to chance."""
+TakeOver = Callable[..., KeyFrames]
+"""Takes ``belief`` and ``generator``; returns an expert that takes over from the environment's present state."""
 
 
 @dataclass(frozen=True)
 class Correcting:
-    """Who acts in an episode.
+    """Policy and expert of an episode.
 
     Attributes:
         actor: the policy; reset by `corrected_rollout`.
-        take_over: returns the expert that labels, and now and then acts.
-        expert_share: probability that a key frame is the expert's.
+        take_over: returns the expert that labels, and sometimes acts.
+        expert_share: probability that the expert acts at a key frame.
         seed: of the episode.
     """
 
@@ -74,13 +71,13 @@ def corrected_rollout(
     correcting: Correcting,
     on_key_frame: Callable[[KeyFrame], None],
 ) -> RolloutResult:
-    """Lets a policy act on a freshly reset environment, corrected by an expert, until just past success.
+    """Runs a policy, corrected by an expert, in a freshly reset environment until just after success.
 
     Args:
         env: reset; ``observation`` is what its reset returned.
         observation: the first one.
-        correcting: who acts.
-        on_key_frame: observer, told of every key frame.
+        correcting: policy and expert.
+        on_key_frame: called with every key frame.
     """
     actor, rng = correcting.actor, np.random.default_rng([correcting.seed, STREAM])
     actor.reset(correcting.seed)

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, manifest_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same, write_manifest
 from lerobot_adamanip.datasets.output_folder import count_episodes, is_free
 from lerobot_adamanip.datasets.reading import load_check
-from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
 
 def require_finished(root: Path, manifest: Manifest) -> None:
-    """Raises `DatasetError` unless a dataset is the whole result of this collection.
-
-    Parts of a dataset (`adamanip filter`, `adamanip split`) have its manifest, too; so has a repaired dataset.
-    """
-    stored = read_manifest(manifest_path(root), manifest.spec.environment.assets)
-    require_same(stored, manifest, root)
-    _require_no_part(root)
+    """Raises `DatasetError` unless a dataset is the whole result of this collection, and no part of it."""
+    stored = _require_same(manifest_path(root), manifest, root)
     found = load_check(root)["total_episodes"]
     kept = None if stored.attempts is None else stored.attempts.kept
     if found != kept:
@@ -32,29 +27,33 @@ def require_finished(root: Path, manifest: Manifest) -> None:
         )
 
 
+def _require_same(path: Path, manifest: Manifest, where: Path) -> Manifest:
+    stored = read_manifest(path, manifest.spec.environment.assets)
+    require_same(stored, manifest, where)
+    return stored
+
+
 def is_own_partial(paths: CollectionPaths, manifest: Manifest) -> bool:
-    """Whether the partial folder is of this collection, or holds no episodes."""
+    """Returns whether the partial folder is of this collection, or holds no episodes."""
     if not paths.partial_manifest.exists():
         return count_episodes(paths.partial) == 0
-    try:
-        _require_same_partial(paths, manifest)
-    except DatasetError:
-        return False
-    return True
+    with contextlib.suppress(DatasetError):
+        return bool(_require_same(paths.partial_manifest, manifest, paths.partial))
+    return False
 
 
 def prepare_partial(paths: CollectionPaths, manifest: Manifest) -> None:
-    """Makes the partial folder, or checks that the one there is of this collection.
+    """Makes the partial folder, or checks that the existing one is of this collection.
 
     Raises:
         DatasetError: it, or the dataset of failed episodes, holds episodes of another collection.
     """
     if manifest.spec.keep_failed and not is_free(paths.failed):
-        _require_replaceable(paths.failed, manifest)
+        _require_same(manifest_path(paths.failed), manifest, paths.failed)
     if count_episodes(paths.partial):
-        _require_same_partial(paths, manifest)
+        _require_same(paths.partial_manifest, manifest, paths.partial)
     elif not (paths.partial_manifest.exists() and is_own_partial(paths, manifest)):
-        files.remove_tree(paths.attempts)  # another collection's accounts of items that it gave up
+        files.remove_tree(paths.attempts)  # of items that another collection gave up
         write_manifest(paths.partial_manifest, manifest)
     for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
         folder.mkdir(exist_ok=True)
@@ -62,31 +61,3 @@ def prepare_partial(paths: CollectionPaths, manifest: Manifest) -> None:
     files.sync_tree(paths.partial)
     files.sync(paths.root.parent)
     files.crash_point("collection prepared")
-
-
-def _require_same_partial(paths: CollectionPaths, manifest: Manifest) -> None:
-    stored = read_manifest(paths.partial_manifest, manifest.spec.environment.assets)
-    require_same(stored, manifest, paths.partial)
-
-
-def _require_replaceable(root: Path, manifest: Manifest) -> None:
-    """Raises `DatasetError` unless a dataset of failed episodes is an earlier one of this collection."""
-    if not manifest_path(root).exists():
-        raise DatasetError(
-            "There is something else where the failed episodes are to be.",
-            got=root,
-            allowed="a folder that does not exist, or is empty",
-            hint="another folder, or without --keep-failed",
-        )
-    require_same(read_manifest(manifest_path(root), manifest.spec.environment.assets), manifest, root)
-    _require_no_part(root)
-
-
-def _require_no_part(root: Path) -> None:
-    if selection_path(root).exists():
-        raise DatasetError(
-            "There is a part of a dataset, not a collection.",
-            got=f"{root}, made by `adamanip filter`, `split` or `merge`",
-            allowed="a folder that does not exist, is empty, or was made by `adamanip collect`",
-            hint="another folder",
-        )

@@ -1,8 +1,8 @@
-"""Late starts: episodes that begin where another hand has left off, with its grip torn.
+"""Late starts: episodes that start from perturbed mid-task states.
 
-An expert that knows the hidden state drives some key frames, unrecorded; then the fingers open and the hand is moved
-off by a random way. What is recorded begins there. So a policy learns to go on with an ajar door, which it reaches
-itself whenever a grip slips, and experts that start at rest hardly ever show.
+An expert that knows the hidden state drives some key frames, unrecorded; then the fingers open and the hand moves away
+at random. The recording begins there. So a policy learns to continue, for instance with an ajar door after a lost grip:
+experts that start at rest hardly ever show that.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.episode.rollout import KeyframeEnvironment, SimulatedEnvironment, next_goal
 
 KEY_FRAMES = (3, 12)
-"""An expert drives at least and at most so many. Fewer than it needs to succeed."""
+"""Least and largest number that an expert drives. Fewer than it needs to succeed."""
 BACK, SIDEWAYS, TURN = (0.05, 0.15), 0.03, 0.15
-"""The hand is moved back by so much [m], and by normal draws of these deviations sideways [m] and in rotation [rad]."""
+"""Motion of the hand: range backwards [m], standard deviations sideways [m] and of the rotation [rad]."""
 _STREAM = 2
-"""Tells these draws from any other that starts from the episode's seed."""
+"""Makes these draws differ from others with the episode's seed."""
 
 Actions = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class LateStart:
-    """How an episode starts late.
+    """A late start of an episode.
 
     Attributes:
         key_frames: that an expert drives at most.
-        move: (4, 4) pose to which the hand is moved off, in its own frame at the time [m].
+        move: (4, 4) motion of the hand away from the part, in the hand's frame [m].
         seed: of the episode.
     """
 
@@ -47,12 +47,12 @@ class LateStart:
 
     @property
     def generator(self) -> np.random.Generator:
-        """Returns a fresh generator for the expert that drives."""
+        """A fresh generator for the expert that drives."""
         return np.random.default_rng([self.seed, _STREAM, 1])
 
 
 def draw_start(seed: int, share: float) -> LateStart | None:
-    """Draws how the episode of ``seed`` starts: None at rest; depends on nothing else, so not on the expert."""
+    """Draws the start of an episode from its seed alone; None for a start at rest."""
     rng = np.random.default_rng([seed, _STREAM])
     if rng.random() >= share:
         return None
@@ -67,16 +67,16 @@ def start_late(
     reset: Callable[[], Observation],
     make_expert: Callable[[np.random.Generator], KeyFrames],
 ) -> tuple[Observation, Actions]:
-    """Brings an environment into a late state that is no success yet: fewer key frames are driven if one succeeds.
+    """Drives an environment to a late start; with fewer key frames if one succeeds, for it must not be a success yet.
 
     Args:
-        env: to be brought there.
-        start: how.
+        env: to be driven.
+        start: of the episode.
         reset: starts the episode anew; returns its first observation.
         make_expert: returns the expert that drives.
 
     Returns:
-        The observation there, and the (n, 10) actions that led to it.
+        The observation at the start, and the (n, 10) actions that led to it.
     """
     for limit in range(start.key_frames, 0, -1):
         reset()

@@ -1,12 +1,14 @@
-"""Connecting to a Ray cluster: to one of this machine's own, or to one that demands a token."""
+"""Connecting to a Ray cluster, of this machine alone or one that demands a token; and versions of its nodes."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib.metadata
 import importlib.util
 import ipaddress
 import logging
 import os
+import platform
 import re
 import secrets
 import subprocess
@@ -17,14 +19,16 @@ from pathlib import Path
 from lerobot_adamanip.util.errors import ConfigurationError
 
 LOCAL, AUTO = "local", "auto"
-_PRIVATE = {
+EQUAL = ("lerobot_env_adamanip", "lerobot", "mani_skill", "sapien", "numpy", "torch", "embreex", "fpsample", "scipy")
+"""Distributions whose versions must be the driver's on every node: an episode's data may depend on them."""
+# Loopback stays loopback (Ray would replace it by the first interface's address), and no usage statistics are sent.
+_RAY_SETTINGS = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
 }
-"""Loopback stays loopback (Ray would replace it by the first interface's address), and nothing is reported anywhere."""
 _PROBE_SECONDS = 30
-# Ray itself tries for 20 s and then does not say why. Private, but what `ray.init` begins with.
+# `ray.init` tries for 20 s and then gives no reason. This is private, but what `ray.init` begins with.
 _PROBE = """
 import sys
 from ray._raylet import GcsClient
@@ -36,77 +40,75 @@ except AuthenticationError:
 else:
     print("open")
 """
+_SET_A_TOKEN = """ray get-auth-token --generate   (once; then copy ~/.ray/auth_token to every machine)
+           export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=~/.ray/auth_token
+           ray stop; ray start ...   (on every machine, then the same command here)
+           or --insecure-cluster, where nobody else reaches its ports"""
 
 
-def require_ray() -> None:
-    """Raises `ConfigurationError` that names the extra if Ray is not installed."""
-    try:
-        absent = importlib.util.find_spec("ray") is None
-    except ImportError:
-        absent = True
-    if absent:
+def node_versions() -> dict[str, str]:
+    """Returns this machine's versions of `EQUAL`, and its name as ``host``."""
+    found = {"host": platform.node()}
+    for name in EQUAL:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def require_equal_versions(driver: Mapping[str, str], node: Mapping[str, str]) -> None:
+    """Raises `ConfigurationError` naming each package whose version on a node differs from the driver's."""
+    if different := [name for name in EQUAL if driver[name] != node[name]]:
+        raise ConfigurationError(
+            f"A node of the cluster has other versions: {', '.join(different)}.",
+            got=f"{node['host']}: " + "; ".join(f"{name} {node[name]}" for name in different),
+            allowed="; ".join(f"{name} {driver[name]}" for name in different) + ", as here",
+            hint="install the same packages on every node (pip install -c constraints.txt), then start it again",
+        )
+
+
+def is_loopback(address: str) -> bool:
+    """Returns whether other machines cannot reach ``HOST:PORT``."""
+    host = address.rpartition(":")[0].strip("[]")
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
+
+
+def require_usable(address: str, *, insecure: bool) -> None:
+    """Raises `ConfigurationError` for mistakes that are found without asking the cluster. See `connected`."""
+    if importlib.util.find_spec("ray") is None:
         raise ConfigurationError(
             "Ray is not installed.",
             got="--cluster",
             allowed="ray >= 2.60, < 3, on every machine of the cluster",
             hint="pip install 'lerobot_env_adamanip[cluster]', or --part K/N, which needs no Ray",
         )
-
-
-def is_loopback(address: str) -> bool:
-    """Whether ``HOST:PORT`` cannot be reached from another machine."""
-    host = address.rpartition(":")[0].strip("[]")
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def require_address(address: str) -> None:
-    """Raises `ConfigurationError` unless this is ``local``, ``auto`` or ``HOST:PORT``."""
     if address not in (LOCAL, AUTO) and not re.fullmatch(r"[\w\[][\w.\-\[\]:]*:\d{1,5}", address):
         raise ConfigurationError(
             "No such cluster.", got=repr(address), allowed="local, auto, or HOST:PORT", hint="--cluster 10.0.0.5:6379"
         )
-
-
-def require_token(environment: Mapping[str, str]) -> None:
-    """Raises `ConfigurationError` unless Ray is told to authenticate, and with what.
-
-    Ray runs any code that is sent to its ports.
-    """
-    default = Path.home() / ".ray" / "auth_token"
-    path = Path(environment.get("RAY_AUTH_TOKEN_PATH") or default)
-    if environment.get("RAY_AUTH_MODE") == "token" and (environment.get("RAY_AUTH_TOKEN") or path.is_file()):
-        return
-    raise ConfigurationError(
-        "This cluster can be reached over a network, and no token is set.",
-        got=f"RAY_AUTH_MODE={environment.get('RAY_AUTH_MODE', '')}",
-        allowed="RAY_AUTH_MODE=token and RAY_AUTH_TOKEN_PATH (or RAY_AUTH_TOKEN), on every machine and here",
-        hint="\n           ".join(
-            (
-                "ray get-auth-token --generate   (once; then copy ~/.ray/auth_token to every machine)",
-                "export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=~/.ray/auth_token",
-                "ray stop; ray start ...   (on every machine, then the same command here)",
-                "or --insecure-cluster, where nobody else reaches its ports",
-            )
-        ),
-    )
-
-
-def require_usable(address: str, *, insecure: bool) -> None:
-    """Raises `ConfigurationError` for what can be told without asking the cluster. See `connected`."""
-    require_ray()
-    require_address(address)
     if not insecure and (address == AUTO or (address != LOCAL and not is_loopback(address))):
         require_token(os.environ)
 
 
+def require_token(environment: Mapping[str, str]) -> None:
+    """Raises `ConfigurationError` unless Ray is set to authenticate: it runs any code that is sent to its ports."""
+    path = Path(environment.get("RAY_AUTH_TOKEN_PATH") or Path.home() / ".ray" / "auth_token")
+    mode = environment.get("RAY_AUTH_MODE", "")
+    if mode != "token" or not (environment.get("RAY_AUTH_TOKEN") or path.is_file()):
+        raise ConfigurationError(
+            "This cluster can be reached over a network, and no token is set.",
+            got=f"RAY_AUTH_MODE={mode}",
+            allowed="RAY_AUTH_MODE=token and RAY_AUTH_TOKEN_PATH (or RAY_AUTH_TOKEN), on every machine and here",
+            hint=_SET_A_TOKEN,
+        )
+
+
 @contextlib.contextmanager
 def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
-    """Connects this process to a cluster, and yields how many CPUs that has.
+    """Connects this process to a cluster, and yields the number of its CPUs.
 
     Args:
         address: ``HOST:PORT``; ``auto`` for the one this machine belongs to; ``local`` for one of this machine alone,
@@ -121,32 +123,25 @@ def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
     _set_environment(address)
     import ray
 
-    if ray.is_initialized():
-        yield _cpus()
-        return
-    if address == LOCAL:
+    began_here = not ray.is_initialized()
+    if began_here and address == LOCAL:
         cpus = workers or os.cpu_count()
         ray.init(LOCAL, num_cpus=cpus, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
-    else:
+    elif began_here:
         _connect(address, insecure=insecure)
     try:
-        yield _cpus()
+        yield int(ray.cluster_resources().get("CPU", 0))  # type: ignore[no-untyped-call,unused-ignore]
     finally:
-        ray.shutdown()
-
-
-def _cpus() -> int:
-    import ray
-
-    return int(ray.cluster_resources().get("CPU", 0))  # type: ignore[no-untyped-call,unused-ignore]
+        if began_here:
+            ray.shutdown()
 
 
 def _set_environment(address: str) -> None:
-    """Sets what Ray and the processes it starts read from the environment; so a token is in no command line.
+    """Sets the variables of Ray and of the processes that it starts; so a token is in no command line.
 
-    Ray reads it once, when it is imported, so it stays for the life of this process.
+    Ray reads them once, when it is imported, so they stay for the life of this process.
     """
-    for name, value in _PRIVATE.items():
+    for name, value in _RAY_SETTINGS.items():
         os.environ.setdefault(name, value)
     if address == LOCAL and "ray" not in sys.modules:
         os.environ.update(RAY_AUTH_MODE="token", RAY_AUTH_TOKEN=secrets.token_hex(32))
@@ -155,29 +150,30 @@ def _set_environment(address: str) -> None:
 def _connect(address: str, *, insecure: bool) -> None:
     import ray
 
-    found = _address_of_this_machine() if address == AUTO else address
-    match _answer(found, os.environ):
-        case "refused":
-            raise ConfigurationError(
-                "The cluster refuses the token.",
-                got=f"{found}, RAY_AUTH_MODE={os.environ.get('RAY_AUTH_MODE', '')}",
-                allowed="the token that it was started with",
-                hint="export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=FILE, with a copy of its ~/.ray/auth_token",
-            )
-        case "open":
-            pass
-        case told:
-            raise ConfigurationError(
-                "The cluster cannot be reached.",
-                got=f"{found}: {told}",
-                allowed="a cluster that runs",
-                hint="ray status",
-            )
-    if not insecure and not is_loopback(found):
-        require_closed(found)
+    if address == AUTO:
+        from ray._private.services import canonicalize_bootstrap_address
+
+        address = str(canonicalize_bootstrap_address(AUTO) or "")
+    answer = _answer(address, os.environ) if address else "this machine belongs to none"
+    if answer == "refused":
+        raise ConfigurationError(
+            "The cluster refuses the token.",
+            got=f"{address}, RAY_AUTH_MODE={os.environ.get('RAY_AUTH_MODE', '')}",
+            allowed="the token that it was started with",
+            hint="export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=FILE, with a copy of its ~/.ray/auth_token",
+        )
+    if answer != "open":
+        raise ConfigurationError(
+            "The cluster cannot be reached.",
+            got=f"{address or AUTO}: {answer}",
+            allowed="a running cluster, after `ray start`",
+            hint="ray status; or --cluster local",
+        )
+    if not insecure and not is_loopback(address):
+        require_closed(address)
     try:
-        ray.init(found, log_to_driver=False, logging_level=logging.ERROR)
-    except (ConnectionError, RuntimeError) as error:  # another Python or another Ray, which Ray says itself
+        ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+    except (ConnectionError, RuntimeError) as error:  # another Python or another Ray, as Ray's message says
         raise ConfigurationError(
             "Cannot join the cluster.",
             got=str(error).strip(),
@@ -199,7 +195,7 @@ def require_closed(address: str) -> None:
 
 
 def _answer(address: str, environment: Mapping[str, str]) -> str:
-    """Returns ``open``, ``refused``, or why there was no answer; asked in a process of its own, for Ray asks once."""
+    """Returns ``open``, ``refused``, or why there was no answer; asks in a new process: Ray reads a token once."""
     line = [sys.executable, "-c", _PROBE, address]
     try:
         done = subprocess.run(
@@ -207,19 +203,5 @@ def _answer(address: str, environment: Mapping[str, str]) -> str:
         )
     except subprocess.TimeoutExpired:
         return f"no answer within {_PROBE_SECONDS} s"
-    told = [line for line in (done.stdout or done.stderr).strip().splitlines() if line]
-    return told[-1] if told else f"exit status {done.returncode}"
-
-
-def _address_of_this_machine() -> str:
-    from ray._private.services import canonicalize_bootstrap_address
-
-    found = canonicalize_bootstrap_address(AUTO)
-    if not found:
-        raise ConfigurationError(
-            "This machine belongs to no cluster.",
-            got="--cluster auto",
-            allowed="after `ray start`",
-            hint="--cluster local",
-        )
-    return str(found)
+    lines = [line for line in (done.stdout or done.stderr).strip().splitlines() if line]
+    return lines[-1] if lines else f"exit status {done.returncode}"

@@ -1,259 +1,178 @@
-"""Actors on a Ray cluster.
+"""Recording on actors of a Ray cluster, with the interface of `lerobot_adamanip.util.jobs.WorkerPool`.
 
-Ray is imported only here and in `ray_cluster`.
-
-An actor is what a worker of `lerobot_adamanip.util.jobs.WorkerPool` is here: it holds what a session makes from item to
-item. Items go to it and results come back; nothing is read from or written to a folder that machines would share.
+Ray's own restarts and `ray.util.ActorPool` are not enough: a restarted actor waits for a CPU of its own with its item,
+while others are idle; an item that crashes every actor is not given up; and one that hangs is not noticed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import re
 import time
-import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import ray
 from ray.exceptions import RayError
-from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from lerobot_adamanip.collection.item_queue import ItemQueue
-from lerobot_adamanip.collection.ray_nodes import NodeFacts, node_facts, require_equal_versions
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
-from lerobot_adamanip.util.jobs import MAX_DEATHS, MAX_DEATHS_IN_A_ROW, JobResult, Session, Work, WorkerError
+from lerobot_adamanip.collection.ray_cluster import node_versions, require_equal_versions
+from lerobot_adamanip.util.jobs import (
+    MAX_CONSECUTIVE_CRASHES,
+    THREAD_LIMITS,
+    Crashes,
+    JobResult,
+    Session,
+    Work,
+    WorkerError,
+    error_text,
+)
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "LP_NUM_THREADS")
-"""One thread each, for an actor has one core: arithmetic then takes its sums in one order, wherever it runs."""
+MAX_CRASHES = 3
+"""Crashes after which an item is given up: one more than on one machine, as a node may crash whatever it runs."""
 _POLL_SECONDS = 0.5
-_VERDICT_SECONDS = 60.0
-"""A node that does not run a trivial task for so long is taken for dead [s]."""
 
 
 class SessionActor[Item]:
-    """What runs in an actor's process. It makes its session with the first item."""
+    """Runs in a process of a node. It creates its session with the first item."""
 
     def __init__(self, session: Session[Item]) -> None:
-        self._stack = contextlib.ExitStack()
-        self._session = session
+        self._stack, self._session = contextlib.ExitStack(), session
         self._work: Work[Item] | None = None
 
-    def greet(self) -> NodeFacts:
-        """Returns where this is, and which versions are installed there."""
-        return node_facts(ray.get_runtime_context().get_node_id())
+    def greet(self) -> Mapping[str, str]:
+        """Returns the node's `node_versions`."""
+        return node_versions()
 
-    def do(self, item: Item, content: object) -> tuple[str, object]:
-        """Runs an item: ``result`` and its value, or ``error`` and its text, so that no exception travels."""
+    def do(self, item: Item) -> tuple[str, object]:
+        """Runs an item: ``result`` and its value, or ``error`` and its text."""
         try:
             if self._work is None:
                 self._work = self._stack.enter_context(self._session())
-            return "result", self._work(cast("Item", item if content is None else content), _no_beat)
-        except Exception as error:  # the driver shows it
-            return "error", str(error) if isinstance(error, AdaManipError) else traceback.format_exc()
-
-
-def _no_beat() -> None:
-    """Signs of life would need a second channel: an item as a whole has a time limit instead."""
-
-
-def _nothing() -> None:
-    """What a node has to run to be taken for alive."""
-
-
-@dataclass(eq=False)
-class _Actor:
-    handle: Any
-    node: str | None = None
-    category: str | None = None
+            return "result", self._work(item, lambda: None)  # no heartbeats: the item as a whole has a time limit
+        except Exception as error:
+            return "error", error_text(error)
 
 
 @dataclass
 class _Call[Item]:
-    """Something Ray will answer: a greeting (no item), an item, or (``death`` set) whether its node still lives."""
+    """A call that Ray will answer: a greeting (no item), or an item."""
 
-    actor: _Actor
+    actor: Any
     item: Item | None = None
-    death: str | None = None
-    begin: float = field(default_factory=time.monotonic)
-    worked: float = 0.0
+    started: float = field(default_factory=time.monotonic)
 
 
 class RayExecutor[Item]:
     """Runs items on actors of the cluster that this process is connected to. Use as a context manager.
 
-    An actor has one CPU of the cluster and one item at a time. One that dies, or works on an item for too long, costs
-    that item's work so far: the item goes to another one, and is given up if it takes two with it. Where a whole node
-    died, items are not the cause. Six consecutive crashes, or an error of the work itself, end everything.
+    An actor has one CPU of the cluster and one item at a time. If it crashes, or works on an item for too long, another
+    one runs the item; after `MAX_CRASHES` the item is given up.
 
     Args:
-        session: makes what an actor holds from item to item; a function of a module, or a partial of one, that travels.
+        session: creates what an actor keeps from item to item; a function of a module, or a partial of one.
         count: of actors at most.
-        timeout: a longer work on one item [s] is taken for hanging, and so is longer waiting for a first free CPU.
-        category: an actor gets items of its last one's category while there are any, else of the largest one left.
-        load: makes of an item what an actor gets, where that is too large to be kept for all items.
+        timeout: a longer work on one item [s] counts as a crash; a longer wait for a first free CPU is an error.
     """
 
-    def __init__(
-        self,
-        session: Session[Item],
-        count: int,
-        *,
-        timeout: float,
-        category: Callable[[Item], str] = lambda item: "",
-        load: Callable[[Item], object] | None = None,
-    ) -> None:
-        if count < 1 or not timeout > 0:
-            raise ConfigurationError(
-                "No such executor.",
-                got=f"{count} actors, timeout {timeout} s",
-                allowed="1 or more, above 0",
-                hint="--workers 2",
-            )
+    def __init__(self, session: Session[Item], count: int, *, timeout: float) -> None:
         self._session, self._count, self._timeout = session, count, timeout
-        self._category, self._load = category, load
-        self._expected = node_facts("driver")
+        self._versions = node_versions()
+        self._queue: deque[Item] = deque()
         self._calls: dict[Any, _Call[Item]] = {}
-        self._actors: list[_Actor] = []
-        self._deaths: dict[Item, int] = {}
-        self._deaths_in_a_row = self._failed_starts = 0
+        self._actors: list[Any] = []
+        self._idle: list[Any] = []
+        # A node that crashes takes all its actors with it.
+        self._crashes = Crashes[Item](MAX_CRASHES, MAX_CONSECUTIVE_CRASHES + count)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for actor in self._actors:
-            _kill(actor)
-        self._actors.clear()
+        for actor in list(self._actors):
+            self._end(actor)
         self._calls.clear()
 
     def run(self, items: Iterable[Item]) -> Iterator[JobResult[Item]]:
         """Yields the result of each item, in the order they finish; raises `WorkerError`."""
-        queue = ItemQueue(items, self._category)
-        idle: list[_Actor] = []
-        while queue or any(call.item is not None for call in self._calls.values()):
-            while queue and idle:
-                self._assign(idle.pop(), queue)
-            self._recruit(queue)
+        self._queue = deque(items)
+        while self._queue or self._running():
+            while self._queue and self._idle:
+                actor, item = self._idle.pop(), self._queue.popleft()
+                self._calls[actor.do.remote(item)] = _Call(actor, item)
+            while len(self._actors) < min(self._count, len(self._queue) + self._running()):
+                self._start_actor()
             ready, _ = ray.wait(list(self._calls), num_returns=1, timeout=_POLL_SECONDS)
             for reference in ready:
-                call = self._calls.pop(reference)
-                yield from self._answered(call, reference, queue, idle)
-            self._overdue(queue)
+                yield from self._answered(self._calls.pop(reference), reference)
+            yield from self._overdue()
 
-    def _recruit(self, queue: ItemQueue[Item]) -> None:
-        """Asks for as many actors as there is work for."""
-        working = sum(call.item is not None and call.death is None for call in self._calls.values())
-        while len(self._actors) < min(self._count, len(queue) + working):
-            options = {
-                "num_cpus": 1, "max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD",
-                "runtime_env": {"env_vars": dict.fromkeys(THREADS, "1")},
-            }  # fmt: skip
-            actor = _Actor(ray.remote(SessionActor).options(**options).remote(self._session))
-            self._actors.append(actor)
-            self._calls[actor.handle.greet.remote()] = _Call(actor)
+    def _running(self) -> int:
+        return sum(call.item is not None for call in self._calls.values())
 
-    def _assign(self, actor: _Actor, queue: ItemQueue[Item]) -> None:
-        item, actor.category = queue.take(actor.category)
-        content = None if self._load is None else self._load(item)
-        self._calls[actor.handle.do.remote(item, content)] = _Call(actor, item)
+    def _start_actor(self) -> None:
+        options = {
+            "num_cpus": 1, "max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD",
+            "runtime_env": {"env_vars": {**THREAD_LIMITS, "LP_NUM_THREADS": "1"}},
+        }  # fmt: skip
+        actor: Any = ray.remote(SessionActor).options(**options).remote(self._session)
+        self._actors.append(actor)
+        self._calls[actor.greet.remote()] = _Call(actor)
 
-    def _answered(
-        self, call: _Call[Item], reference: Any, queue: ItemQueue[Item], idle: list[_Actor]
-    ) -> Iterator[JobResult[Item]]:
+    def _answered(self, call: _Call[Item], reference: Any) -> Iterator[JobResult[Item]]:
         try:
             answer = ray.get(reference)
         except RayError as error:
-            if call.death is not None:
-                self._node_died(call, queue)
-            else:
-                self._died(call, crash(error), reason(error))
+            yield from self._crashed(call, crash(error), reason(error))
             return
-        if call.death is not None:
-            yield from self._actor_died(call, queue)
-            return
+        self._idle.append(call.actor)
         if call.item is None:
-            require_equal_versions(self._expected, answer)
-            call.actor.node, self._failed_starts = answer.node, 0
-        else:
-            kind, value = cast("tuple[str, object]", answer)
-            if kind == "error":
-                raise WorkerError(f"{call.item}: {value}")
-            self._deaths_in_a_row = 0
-            yield JobResult(call.item, value, seconds=time.monotonic() - call.begin)
-        idle.append(call.actor)
+            require_equal_versions(self._versions, answer)
+            return
+        kind, value = answer
+        if kind == "error":
+            raise WorkerError(f"{call.item}: {value}")
+        self._crashes.consecutive = 0
+        yield JobResult(call.item, value, seconds=time.monotonic() - call.started)
 
-    def _overdue(self, queue: ItemQueue[Item]) -> None:
-        now = time.monotonic()
-        for reference, call in list(self._calls.items()):
-            waited = now - call.begin
-            if call.death is not None and waited > _VERDICT_SECONDS:
+    def _overdue(self) -> Iterator[JobResult[Item]]:
+        late = {key: call for key, call in self._calls.items() if time.monotonic() - call.started > self._timeout}
+        for reference, call in late.items():
+            if call.item is not None:
                 del self._calls[reference]
-                self._node_died(call, queue)
-            elif call.death is None and call.item is not None and waited > self._timeout:
-                del self._calls[reference]
-                self._died(call, f"hung: it took more than {self._timeout:g} s")
-        if all(call.item is None and now - call.begin > self._timeout for call in self._calls.values()) and self._calls:
+                cause = f"hung: it took more than {self._timeout:g} s"
+                yield from self._crashed(call, cause, cause)
+        if late and len(late) == len(self._calls) and not self._running():
             raise WorkerError(f"No CPU of the cluster became free within {self._timeout:g} s.")
 
-    # Deaths -----------------------------------------------------------------------------------------------------
-
-    def _died(self, call: _Call[Item], cause: str, told: str = "") -> None:
-        """Lets an actor go, and asks whether its node still lives, to tell which of the two crashed.
+    def _crashed(self, call: _Call[Item], cause: str, details: str) -> Iterator[JobResult[Item]]:
+        """Lets an actor go; its item is tried again or given up.
 
         Args:
             call: that it did not answer.
             cause: of the crash, as a dataset may say it.
-            told: by Ray, for the screen.
+            details: from Ray, for the screen.
         """
-        _kill(call.actor)
-        self._actors.remove(call.actor)
-        if call.actor.node is None:
-            self._failed_starts += 1
-            # One node's death may end all starts once; what cannot be imported there cannot be the next time either.
-            if "creation task" in told or self._failed_starts > MAX_DEATHS_IN_A_ROW + self._count:
-                raise WorkerError(f"No worker starts on a node of the cluster: {told or cause}")
-            return
-        alone = NodeAffinitySchedulingStrategy(call.actor.node, soft=False)
-        ping = ray.remote(_nothing).options(num_cpus=0, max_retries=0, scheduling_strategy=alone).remote()
-        self._calls[ping] = _Call(call.actor, call.item, death=cause, worked=time.monotonic() - call.begin)
+        self._end(call.actor)
+        is_final = self._crashes.is_final(call.item, details)
+        if is_final:
+            yield JobResult(call.item, death=cause, seconds=time.monotonic() - call.started)  # type: ignore[arg-type]
+        elif call.item is not None:
+            self._queue.appendleft(call.item)
 
-    @staticmethod
-    def _node_died(call: _Call[Item], queue: ItemQueue[Item]) -> None:
-        if call.item is not None:
-            queue.put_back(call.item)
-
-    def _actor_died(self, call: _Call[Item], queue: ItemQueue[Item]) -> Iterator[JobResult[Item]]:
-        self._deaths_in_a_row += 1
-        if self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW:
-            raise WorkerError(
-                f"{self._deaths_in_a_row} workers in a row ended by themselves, the last one: {call.death}"
-            )
-        if call.item is None:
-            return
-        self._deaths[call.item] = self._deaths.get(call.item, 0) + 1
-        if self._deaths[call.item] < MAX_DEATHS:
-            queue.put_back(call.item)
-        else:
-            yield JobResult(call.item, death=call.death, seconds=call.worked)
-
-
-def _kill(actor: _Actor) -> None:
-    with contextlib.suppress(RayError, ValueError):
-        ray.kill(actor.handle, no_restart=True)
-
-
-EXIT_KINDS = ("INTENDED_USER_EXIT", "INTENDED_SYSTEM_EXIT", "NODE_OUT_OF_MEMORY", "SYSTEM_ERROR", "USER_ERROR")
-"""How Ray says that a process has ended."""
+    def _end(self, actor: Any) -> None:
+        self._actors.remove(actor)
+        with contextlib.suppress(RayError, ValueError):
+            ray.kill(actor, no_restart=True)
 
 
 def crash(error: RayError) -> str:
     """Returns the type of a crash and how the process ended: what a dataset may say, without addresses and ids."""
-    kind = next((name for name in EXIT_KINDS if f"exit type: {name}" in str(error)), None)
-    return type(error).__name__ + (f", {kind}" if kind else "")
+    kind = re.search(r"exit type: ([A-Z_]+)", str(error))
+    return type(error).__name__ + (f", {kind[1]}" if kind else "")
 
 
 def reason(error: RayError) -> str:
     """Returns what Ray says of a crash, in one line; for the screen only."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return f"{type(error).__name__}: {' '.join(lines)[:400]}"
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:400]}"

@@ -1,6 +1,6 @@
-"""Recording the episodes of a collection, in a worker that owns a simulator; what is to be written comes as bytes.
+"""Recording the episodes of a collection, in a worker with a simulator. Results are the bytes of episode files.
 
-So a worker needs no folder of the collection: one on this machine writes itself, for one elsewhere the driver does.
+So a worker needs no folder of the collection: a local worker writes the files itself, the driver those of a cluster.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
 from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
-from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, ItemReport, write_outcome
+from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, write_outcome
 from lerobot_adamanip.collection.recorder import EpisodeRecorder
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
@@ -42,7 +42,7 @@ ExpertFactory = Callable[..., KeyFrames]
 
 @dataclass(frozen=True)
 class Factories:
-    """What a collection is recorded with: objects of this program, never names from a file.
+    """Factories of a collection: objects of this program, never names from a file.
 
     Attributes:
         environment: builds environments.
@@ -57,7 +57,7 @@ class Factories:
 
 @dataclass(frozen=True)
 class EpisodeRequest:
-    """An episode to be tried: of an object, by its seed, with hidden values that are given instead of drawn."""
+    """An episode to be attempted: its object, its seed, and hidden values that are not drawn."""
 
     object_id: str
     seed: int
@@ -81,43 +81,51 @@ class RecordingJob:
     fingerprint: Mapping[str, str]
 
 
+class Environments:
+    """Builds environments, one at a time: of the category that was asked for last. Use as a context manager."""
+
+    def __init__(self, make: EnvFactory, spec: CollectionSpec) -> None:
+        self._make, self._spec = make, spec
+        self._category = ""
+        self._env: SimulatedEnvironment | None = None
+
+    def of(self, category: str) -> SimulatedEnvironment:
+        """Returns an environment of a category."""
+        if self._env is None or category != self._category:
+            self.__exit__()
+            self._category, self._env = category, self._make(self._spec.environment_of(category))
+        return self._env
+
+    def __enter__(self) -> Environments:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._env is not None:
+            self._env.close()
+        self._env = None
+
+
 @contextlib.contextmanager
 def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemOutcome]]:
-    """What a worker holds from item to item: one simulator, built with the first item of a category."""
-    env: SimulatedEnvironment | None = None
-    category = ""
+    """Yields a worker's function, which records an item, with one simulator for successive items of a category."""
     actor = None if job.factories.actor is None else job.factories.actor()
 
-    def work(item: EpisodeSpec, beat: Heartbeat) -> ItemOutcome:
-        nonlocal env, category
-        if env is None or category != category_of(item.object_id):
-            if env is not None:
-                env.close()  # one simulator at a time
-            category = category_of(item.object_id)
-            env = job.factories.environment(job.spec.environment_of(category))
-            _require_fingerprint(env, job)
-        return record_item(env, job, item, beat, actor)
+    def make(options: EnvironmentOptions) -> SimulatedEnvironment:
+        env = job.factories.environment(options)
+        _require_fingerprint(env, job)
+        return env
 
-    try:
-        yield work
-    finally:
-        if env is not None:
-            env.close()
+    with Environments(make, job.spec) as environments:
+        yield lambda item, beat: record_item(environments.of(category_of(item.object_id)), job, item, beat, actor)
 
 
 @contextlib.contextmanager
 def writing_session(
     job: RecordingJob, paths: CollectionPaths
-) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemReport]]:
-    """As `recording_session`, for a worker on the machine of the collection: it writes what it has recorded itself."""
+) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemOutcome]]:
+    """As `recording_session`, for a worker on the machine of the collection: it also writes the episodes."""
     with recording_session(job) as record:
-
-        def work(item: EpisodeSpec, beat: Heartbeat) -> ItemReport:
-            outcome = record(item, beat)
-            write_outcome(paths, item, outcome)
-            return outcome.report
-
-        yield work
+        yield lambda item, beat: write_outcome(paths, item, record(item, beat))
 
 
 def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
@@ -134,9 +142,9 @@ def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
 def record_item(
     env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Heartbeat, actor: Actor | None = None
 ) -> ItemOutcome:
-    """Tries seeds until the expert succeeds; where a policy is corrected, until one can be tried.
+    """Attempts seeds until the expert succeeds; for a policy's corrections, until a scene can be reached.
 
-    Every attempt meets the hidden state of the first: otherwise what is hard would be thinned out.
+    Every attempt has the hidden state of the first: otherwise the dataset would have fewer of the hard ones.
     """
     attempts: list[Attempt] = []
     failed: dict[int, bytes] = {}
@@ -157,11 +165,11 @@ def record_item(
             failures = [vars(each) for each in attempts[:-1]]
             record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
             content = shard_bytes(RecordedEpisode(episode.columns, record))
-            return ItemOutcome(ItemReport(tuple(attempts), kept=True), failed, content)
+            return ItemOutcome(tuple(attempts), True, failed, content)
         if job.spec.keep_failed and episode.columns:
             record |= {"attempts": 1, "failures": [], "late": attempt.late}
             failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
-    return ItemOutcome(ItemReport(tuple(attempts)), failed)
+    return ItemOutcome(tuple(attempts), failed=failed)
 
 
 def attempt_episode(
@@ -178,7 +186,7 @@ def attempt_episode(
     observation, actions = _started(env, spec, make_expert, request)
     hidden, camera = env.hidden_state(), env.camera_parameters()
     late = bool(len(actions))
-    recorder = EpisodeRecorder(env.joints, _failed_tries(env) if late else 0)
+    recorder = EpisodeRecorder(env.joints, env.labels.trial + env.labels.failed if late else 0)
 
     def observe(key_frame: Any) -> None:
         recorder.record(key_frame)
@@ -191,34 +199,24 @@ def attempt_episode(
         correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed)
         result = corrected_rollout(env, observation, correcting, observe)
     attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
-    facts = {"start": start_column(actions), "camera": camera, **_facts(env, spec, request, attempt)}
-    facts |= {"tries": recorder.tries, "failed_tries": recorder.failed_tries}
-    return attempt, RecordedEpisode(recorder.columns(), {name: facts[name] for name in EPISODE_FACTS})
-
-
-EPISODE_FACTS = (
-    "object_id", "seed", "hidden_state", "hidden_overrides", "start", "expert", "tries", "failed_tries", "success",
-    "key_frames", "camera", "task", "episode_record", "versions", "fingerprint",
-)  # fmt: skip
-"""Columns of an episode, in their order."""
-
-
-def _facts(
-    env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
-) -> dict[str, Any]:
-    return {
+    record = {
         "object_id": request.object_id,
-        "seed": attempt.seed,
-        "hidden_state": attempt.hidden_state,
+        "seed": seed,
+        "hidden_state": hidden,
         "hidden_overrides": None if request.overrides is None else dict(request.overrides),
+        "start": start_column(actions),
         "expert": spec.expert,
+        "tries": recorder.tries,
+        "failed_tries": recorder.failed_tries,
         "success": attempt.success,
         "key_frames": attempt.key_frames,
+        "camera": camera,
         "task": env.task_description,
         "episode_record": env.episode_record(),
         "versions": {**versions(), "cpu": cpu_model()},
         "fingerprint": combined(collection_fingerprint(env)),
     }
+    return attempt, RecordedEpisode(recorder.columns(), record)
 
 
 def _expert(
@@ -231,7 +229,7 @@ def _expert(
     generator: np.random.Generator | None = None,
     **known: Any,
 ) -> KeyFrames:
-    """Returns the expert of an episode; one that starts late sees where the parts stand and what the hand feels."""
+    """Returns the expert of an episode. For a late start it gets the positions of parts, and the feedback."""
     return make_expert(
         category_of(request.object_id),
         spec.expert,
@@ -247,17 +245,10 @@ def _expert(
     )
 
 
-def _failed_tries(env: SimulatedEnvironment) -> int:
-    return env.labels.trial + env.labels.failed
-
-
 def _started(
-    env: SimulatedEnvironment,
-    spec: CollectionSpec,
-    make_expert: ExpertFactory,
-    request: EpisodeRequest,
+    env: SimulatedEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest
 ) -> tuple[Any, NDArray[np.float32]]:
-    """Resets, and goes on to a late start where the seed says so; returns the first observation, and what led there."""
+    """Resets, to a late start if the seed says so; returns the first observation, and the actions that led there."""
     options: dict[str, Any] = {"object_id": request.object_id}
     if request.overrides is not None:
         options["hidden_overrides"] = dict(request.overrides)
@@ -266,11 +257,9 @@ def _started(
         return env.reset(seed=request.seed, options=options)[0]
 
     def driver(generator: np.random.Generator) -> KeyFrames:
-        # Whatever kind of expert is recorded, so that an adaptive and a static collection meet the same late starts.
-        hidden = env.hidden_state()
-        return make_expert(
-            category_of(request.object_id), "static", env.annotations, generator=generator, hidden=hidden
-        )
+        # Always static, so that adaptive and static collections have the same late starts.
+        category, hidden = category_of(request.object_id), env.hidden_state()
+        return make_expert(category, "static", env.annotations, generator=generator, hidden=hidden)
 
     start = draw_start(request.seed, spec.late_starts)
     if start is None:

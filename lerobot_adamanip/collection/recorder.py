@@ -1,4 +1,4 @@
-"""Recording as an observer: what was seen, what was sent, how it ended, one row per key frame."""
+"""Recording key frames as rows of a dataset: observation, action, labels and outcome."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Row = dict[str, NDArray[Any]]
 
 @dataclass
 class EpisodeRecorder:
-    """Collects key frames. Row t: observation t, the action sent from it, its labels, and how that action ended.
+    """Collects key frames. Row t: observation t, the action sent then, its labels, and its outcome.
 
-    The last row is terminal: the final observation, with an action that stays where the tool is, which was not sent.
+    The last row is terminal: the final observation, with an action that keeps the tool's pose and was not sent.
 
     Attributes:
-        joints: returns where everything that moves stands now, (13,), see `schema.JOINT_NAMES`.
+        joints: returns the present joint positions (13,), see `schema.JOINT_NAMES`.
         failed_before: failed tries before the recording began, which its rows do not count.
         rows: so far, column -> array, without the terminal one.
-        tries: at a joint so far.
+        tries: so far.
         failed_tries: of those.
     """
 

@@ -1,4 +1,4 @@
-"""A trained LeRobot policy at work on observations of a `KeyframeEnvironment`, outside of `lerobot-eval`."""
+"""Running a trained LeRobot policy in a `KeyframeEnvironment`, outside of `lerobot-eval`."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 Action = NDArray[np.float32]
 _ACTING = ("config.json", "model.safetensors", "policy_*processor*")
-"""Files of a checkpoint that decide how it acts."""
+"""Files of a checkpoint that its actions depend on."""
 
 
 def policy_hash(path: Path) -> str:
-    """Returns a hash of a checkpoint: weights, configuration, and both pipelines with what they normalise by.
-
-    Two checkpoints that act differently have different hashes, wherever they lie. How they were trained is left out.
+    """Returns a hash of a checkpoint's weights, configuration and processors, but not of its training or its folder.
 
     Raises:
         ConfigurationError: there is no checkpoint.
@@ -67,7 +65,7 @@ class TrainedPolicy:
         )
 
     def reset(self, seed: int) -> None:
-        """Begins an episode; its draws follow from the seed."""
+        """Begins an episode; random draws follow from the seed."""
         torch.manual_seed(seed % 2**63)
         self._policy.reset()
         for pipeline in (self._before, self._after):
@@ -98,7 +96,7 @@ class TrainedPolicy:
 
 
 def _batch(observation: Observation, instruction: str) -> dict[str, Any]:
-    """One observation as a batch of one, as a dataset's row would come."""
+    """Returns an observation as a batch of one row of a dataset."""
     batch: dict[str, Any] = {"task": [instruction]}
     for key, value in observation_columns(observation).items():
         tensor = torch.from_numpy(value)[None]

@@ -52,3 +52,8 @@ CATEGORIES = {
 """In the order of the paper's result tables."""
 ALL = "all"
 """Stands for every category where a command takes one."""
+
+
+def is_asset_id(identifier: str) -> bool:
+    """Returns whether an id names an external asset (``safe:sa1``), not a generated object (``safe_001``)."""
+    return ":" in identifier

@@ -13,7 +13,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.datasets.output_folder import COLLECTING
-from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, to_stored
+from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts, to_stored
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
 from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
 
@@ -90,8 +90,8 @@ class CollectionSpec:
         for name, (lowest, highest) in LIMITS.items():
             value = getattr(self, name)
             _require(lowest <= value <= highest, name, value, f"{lowest} ... {highest}", lowest)
-        for name in ("late_starts", "expert_share"):
-            _require(0 <= getattr(self, name) <= 1, name, getattr(self, name), "a share, 0 ... 1")
+        check_late_starts(self.late_starts)
+        _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")

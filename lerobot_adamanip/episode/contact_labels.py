@@ -1,8 +1,8 @@
-"""Labels of key frames: which joint a key frame tried, how far it moved, and whether the try failed. Pure functions.
+"""Labels of key frames: which joint a key frame tried, how far it moved, and whether the try failed.
 
-One definition for simulator, datasets, logs and reports. A *try* is a key frame before which the hand was closed and at
-a part, that kept it closed, and that sent it far enough along one of the part's joints. A hand closed on nothing can
-only push. Approaches, grasps and releases are no tries, nor is backing off from a button.
+One definition for simulator, datasets, logs and reports. In a *try* the hand is closed and at a part before the key
+frame, stays closed, and is sent far enough along one of the part's joints. A hand closed on nothing can only push.
+Approaches, grasps and releases are no tries, nor is backing off from a button.
 """
 
 from __future__ import annotations
@@ -33,32 +33,15 @@ METRES_PER_RADIAN = 0.1
 
 @dataclass(frozen=True)
 class JointRange:
-    """What anybody may know of a joint: its kind and its nominal limits, nothing hidden [rad or m]."""
+    """Kind and nominal limits of a joint [rad or m]; nothing hidden."""
 
     kind: str
     lower: float
     upper: float
 
     def room(self, position: float, sent: float) -> float:
-        """Returns ``sent``, cut to what the nominal range leaves from ``position`` on."""
+        """Returns ``sent``, cut to the rest of the nominal range from ``position`` on."""
         return float(np.clip(position + sent, min(self.lower, position), max(self.upper, position)) - position)
-
-
-@dataclass(frozen=True)
-class KeyFrameMotion:
-    """One key frame as it is watched.
-
-    Attributes:
-        before: what was felt when it began.
-        was_closed: whether the gripper had been commanded to close before it.
-        goal: (4, 4) commanded tool pose, robot base frame [m].
-        gripper: commanded opening.
-    """
-
-    before: Feedback
-    was_closed: bool
-    goal: Pose
-    gripper: float
 
 
 @dataclass(frozen=True)
@@ -69,8 +52,8 @@ class Try:
         part: name of the part.
         joint: name of the joint.
         kind: of the joint.
-        sent: how far the hand was sent along the joint, signed [rad or m].
-        way: the same, cut to the joint's nominal range: a button is pushed past its stop, and goes as far as it goes.
+        sent: commanded motion along the joint, signed [rad or m].
+        way: the same, cut to the joint's nominal range: a button is pushed past its stop.
     """
 
     part: str
@@ -86,12 +69,6 @@ class Try:
     def failed(self, progress: float) -> bool:
         """Returns whether less than half of the way was covered, or next to nothing."""
         return progress < max(FOLLOWED * abs(self.way), MIN_JOINT_MOTION[self.kind])
-
-
-def joint_ranges(obj: ArticulatedObject) -> dict[str, JointRange]:
-    """Returns joint name -> nominal range, of the joints that can move."""
-    joints = [link.joint for link in obj.links if link.joint is not None and link.joint.kind != "fixed"]
-    return {joint.name: JointRange(joint.kind, *joint.limits) for joint in joints}
 
 
 def present_motions(part: PartAnnotation, joints: Mapping[str, float]) -> list[Motion]:
@@ -119,35 +96,6 @@ def part_at(tool: Pose, parts: Mapping[str, PartAnnotation], joints: Mapping[str
     away = [(float(np.linalg.norm(tool[:3, 3] - part.moved(joints)[:3, 3])), name) for name, part in parts.items()]
     distance, nearest = min(away, default=(np.inf, ""))
     return parts[nearest] if distance < NEAR_PART else None
-
-
-def find_try(
-    frame: KeyFrameMotion,
-    parts: Mapping[str, PartAnnotation],
-    ranges: Mapping[str, JointRange],
-    joints: Mapping[str, float],
-) -> Try | None:
-    """Returns what a key frame tried; None if it tried nothing.
-
-    Args:
-        frame: the key frame.
-        parts: annotations, robot base frame, joints at zero.
-        ranges: nominal, by joint.
-        joints: positions before the key frame [rad or m].
-    """
-    start = frame.before.tcp_in_base
-    part = part_at(start, parts, joints) if frame.was_closed and frame.gripper < CLOSED else None
-    if part is None:
-        return None
-    motion = meant(present_motions(part, joints), start, frame.goal)
-    sent = motion.followed(start, frame.goal)
-    if not _far_enough(frame.before, motion.applied(start, sent)):
-        return None
-    joint, position = ranges[motion.joint], joints[motion.joint]
-    way, least = joint.room(position, sent), MIN_JOINT_MOTION[joint.kind]
-    if abs(way) < least and abs(position) < least:
-        return None  # closing a shut part is no try
-    return Try(part.name, motion.joint, joint.kind, sent, way)
 
 
 def _far_enough(before: Feedback, there: Pose) -> bool:
@@ -184,7 +132,9 @@ class TryLabeler:
         start: Feedback,
         positions: Mapping[str, float],
     ) -> None:
-        self._ranges, self._joints, self._parts = joint_ranges(obj), tuple(joints), parts
+        moving = [link.joint for link in obj.links if link.joint is not None and link.joint.kind != "fixed"]
+        self._ranges = {joint.name: JointRange(joint.kind, *joint.limits) for joint in moving}
+        self._joints, self._parts = tuple(joints), parts
         self._felt, self._positions, self._was_closed = start, dict(positions), False
         self.labels = KeyFrameLabels()
         self.history: list[KeyFrameLabels] = []
@@ -202,8 +152,7 @@ class TryLabeler:
             positions: of the joints at its end [rad or m].
         """
         trial = self.labels.trial + self.labels.failed
-        frame = KeyFrameMotion(self._felt, self._was_closed, goal, gripper)
-        tried = find_try(frame, self._parts, self._ranges, self._positions)
+        tried = self._find_try(goal) if self._was_closed and gripper < CLOSED else None
         self.labels = KeyFrameLabels(trial=trial)
         if tried is not None:
             self.first_part = self.first_part or tried.part
@@ -213,3 +162,19 @@ class TryLabeler:
         self.history.append(self.labels)
         self._felt, self._positions, self._was_closed = feedback, dict(positions), gripper < CLOSED
         return self.labels
+
+    def _find_try(self, goal: Pose) -> Try | None:
+        """Returns the try of a key frame with a closed hand; None if it tried nothing."""
+        start = self._felt.tcp_in_base
+        part = part_at(start, self._parts, self._positions)
+        if part is None:
+            return None
+        motion = meant(present_motions(part, self._positions), start, goal)
+        sent = motion.followed(start, goal)
+        if not _far_enough(self._felt, motion.applied(start, sent)):
+            return None
+        joint, position = self._ranges[motion.joint], self._positions[motion.joint]
+        way, least = joint.room(position, sent), MIN_JOINT_MOTION[joint.kind]
+        if abs(way) < least and abs(position) < least:
+            return None  # closing a shut part is no try
+        return Try(part.name, motion.joint, joint.kind, sent, way)

@@ -163,6 +163,14 @@ def _restored(values: dict[str, Any]) -> EnvironmentOptions:
     return EnvironmentOptions(**values)
 
 
+def check_late_starts(share: float) -> None:
+    """Raises `ConfigurationError` unless ``share`` can be a share of episodes."""
+    if not 0 <= share <= 1:
+        raise ConfigurationError(
+            "Wrong late_starts of a collection.", got=share, allowed="a share, 0 ... 1", hint="--late-starts 0.15"
+        )
+
+
 def _check_workspace(box: Workspace) -> None:
     if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""The one loop that lets an expert work in an environment, and what it needs of both."""
+"""The loop that runs an expert in an environment, and the interfaces of environments."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class KeyframeEnvironment(Protocol):
 
     @property
     def feedback(self) -> Feedback:
-        """What was felt after the latest key frame."""
+        """Feedback of the latest key frame."""
 
     @property
     def labels(self) -> KeyFrameLabels:
-        """What the latest key frame tried: not for policies or experts."""
+        """Labels of the latest key frame: not for policies or experts."""
 
     @property
     def annotations(self) -> Mapping[str, PartAnnotation]:
@@ -44,20 +44,20 @@ class KeyframeEnvironment(Protocol):
         """Drives the arm to one key frame, a (10,) action of the contract."""
 
     def part_positions(self) -> dict[str, float]:
-        """Joint positions of the object as they stand now [rad or m]: what a camera sees of an open door."""
+        """Present joint positions of the object [rad or m], as a camera could see them."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the object's joints as `labels` counts them: the one that opens first."""
 
     def fingerprint(self) -> dict[str, str]:
-        """Part -> hash or name of what decides how an episode comes out; see `lerobot_adamanip.util.fingerprint`."""
+        """Part -> hash or name of what an episode's data depends on; see `lerobot_adamanip.util.fingerprint`."""
 
     def hidden_state(self) -> dict[str, Any]:
         """This episode's draw of the mechanism, JSON-able. Privileged."""
 
     def episode_record(self) -> dict[str, Any]:
-        """What describes the episode, JSON-able."""
+        """Record of the episode, JSON-able."""
 
     def camera_parameters(self) -> dict[str, Any]:
         """Intrinsics and extrinsics of the front camera in this episode, JSON-able."""
@@ -67,35 +67,35 @@ class KeyframeEnvironment(Protocol):
 
 
 class SimulatedEnvironment(KeyframeEnvironment, Protocol):
-    """One that knows where everything is, and can be looked at: what demonstrations are recorded in."""
+    """A simulated one, with all positions and pictures: demonstrations are recorded in it."""
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """As `step` without an observation: returns whether the task is done, and whether key frames are used up."""
+        """As `step` without an observation; returns whether the task is done, and whether key frames are used up."""
 
     def observe(self) -> Observation:
-        """What is seen and felt now."""
+        """The present observation."""
 
     def joints(self) -> NDArray[np.float32]:
-        """Positions of everything that moves, (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
+        """Positions of all joints (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
 
     def render(self) -> NDArray[np.uint8]:
-        """Picture (H, W, 3) of this moment."""
+        """The present picture (H, W, 3)."""
 
     def pictures_at(self, joints: NDArray[np.float32]) -> dict[str, NDArray[np.uint8]]:
-        """Each camera's picture (H, W, 3) of this episode's scene with everything where ``joints`` (13,) say."""
+        """Each camera's picture (H, W, 3) of this episode's scene at rest, with these ``joints`` (13,)."""
 
 
 @dataclass(frozen=True)
 class KeyFrame:
-    """One key frame of a rollout, as an observer hears of it.
+    """One key frame of a rollout.
 
     Attributes:
         observation: before the action.
-        goal: what the expert asked for.
-        feedback: what was felt once the action had ended.
+        goal: of the expert.
+        feedback: after the action.
         following: the observation after it.
         success: whether the task is done by now.
-        labels: what it tried, and the result.
+        labels: its try and the result.
         executed: (10,) action that was sent, if not the goal's: see `lerobot_adamanip.collection.corrections`.
     """
 
@@ -110,7 +110,7 @@ class KeyFrame:
 
 @dataclass(frozen=True)
 class RolloutResult:
-    """How a rollout went: whether the task was done, key frames used, and why it ended."""
+    """Result of a rollout: success, number of key frames, and why it ended."""
 
     success: bool
     key_frames: int
@@ -125,15 +125,14 @@ def rollout(
     *,
     past_success: bool = False,
 ) -> RolloutResult:
-    """Lets an expert work on a freshly reset environment until the task is done, time is up, or it has no more ideas.
+    """Runs an expert in a freshly reset environment until the task is done, time is up, or the expert ends.
 
     Args:
         env: reset; ``observation`` is what its reset returned.
         observation: the first one.
         expert: not yet primed; closed at the end.
-        on_key_frame: observer, told of every key frame.
-        past_success: go on beyond the success threshold until the expert ends, as demonstrations do: a door is then
-            pulled wide open, and not left at the angle that just counts.
+        on_key_frame: called with every key frame.
+        past_success: go on after success until the expert ends, as demonstrations do: a door is then pulled wide open.
     """
     success, reason, key_frames = False, "the expert ended without success", 0
     try:
@@ -156,7 +155,7 @@ def rollout(
 
 
 def next_goal(expert: KeyFrames, feedback: Feedback) -> Goal | None:
-    """Tells an expert what was felt; returns where it wants to go next, None if it has no more ideas."""
+    """Sends feedback to an expert; returns its next goal, None if it has ended."""
     try:
         return expert.send(feedback)
     except StopIteration:

@@ -1,4 +1,4 @@
-"""Errors a user can act on. Every message says what went wrong, what was given, what is allowed and what to try."""
+"""Errors that a user can act on: what is wrong, what was given, what is allowed, what to try."""
 
 from __future__ import annotations
 
@@ -7,28 +7,26 @@ import difflib
 from collections.abc import Iterable, Iterator, Sequence
 
 MOST_LISTED = 10
-"""Items that a message lists; of more it says how many."""
+"""Items that a message lists at most."""
 
 GET_PICTURES = "bash scripts/setup_vulkan.sh in a checkout installs Mesa, adamanip doctor shows what is missing"
 """How a machine gets a Vulkan device."""
 
 
 class AdaManipError(Exception):
-    """Base of every error this project raises on purpose. It formats itself.
+    """Base of the errors that this project raises on purpose.
 
     Args:
-        what: went wrong, one sentence.
+        what: what is wrong, one sentence; alone, the whole message.
         got: what was given.
         allowed: what is allowed instead.
         hint: what to try.
-
-    Given ``what`` alone, that is the message.
     """
 
     def __init__(self, what: str, *, got: object = None, allowed: object = None, hint: object = None) -> None:
         facts = (("got", got), ("allowed", allowed), ("try", hint))
-        told = [f"  {name + ':':<8} {value}" for name, value in facts] if allowed is not None else []
-        super().__init__("\n".join([what, *told]))
+        lines = [f"  {name + ':':<8} {value}" for name, value in facts] if allowed is not None else []
+        super().__init__("\n".join([what, *lines]))
 
 
 class ConfigurationError(AdaManipError, ValueError):
@@ -53,10 +51,9 @@ class UnreachableError(AdaManipError, RuntimeError):
 
 @contextlib.contextmanager
 def shown_by_parsers() -> Iterator[None]:
-    """Within it, a `ConfigurationError` becomes an `AdaManipError` of the same text.
+    """Turns a `ConfigurationError` into an `AdaManipError` of the same text.
 
-    For constructors that command lines call: draccus hides whatever is a `ValueError` behind an error of its own, which
-    says no more than that there was one.
+    For constructors that draccus calls: it replaces the message of any `ValueError` by its own.
     """
     try:
         yield
@@ -65,9 +62,9 @@ def shown_by_parsers() -> Iterator[None]:
 
 
 def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | None = None) -> str:
-    """Returns ``got`` if it is one of ``choices``; raises `ConfigurationError` that lists them if not.
+    """Returns ``got`` if it is one of ``choices``; otherwise raises `ConfigurationError`.
 
-    What it says to try is the choice that ``got`` resembles, else ``hint``, else the first of them.
+    Its "try" is the choice most similar to ``got``, else ``hint``, else the first choice.
     """
     names = sorted(choices)
     if got in names:
@@ -78,14 +75,14 @@ def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | N
 
 
 def nearest(got: str, choices: Iterable[str]) -> str | None:
-    """Returns the choice that ``got`` resembles most, whatever its case; None if it resembles none."""
+    """Returns the choice most similar to ``got``, in any case; None if there is none."""
     plain = {name.lower(): name for name in choices}
     near = difflib.get_close_matches(got.lower(), plain, n=1)
     return plain[near[0]] if near else None
 
 
 def listed(items: Sequence[object]) -> str:
-    """Returns items with commas between them: the first few, and how many more there are."""
+    """Returns the first few items, separated by commas, and the number of the others."""
     more = len(items) - MOST_LISTED
     return ", ".join(map(str, items[:MOST_LISTED])) + (f" and {more} more" if more > 0 else "")
 

@@ -1,4 +1,4 @@
-"""Files that survive a power cut: written atomically, synced with their folders, moved into place when whole."""
+"""Files that survive a power cut: atomic writes, syncs of files and folders, durable moves."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ CRASH_POINTS = (
     "episode assembled", "dataset written", "dataset described", "dataset synced", "dataset verified",
     "dataset renamed", "dataset in place", "shards partly removed", "cleaned",
 )  # fmt: skip
-"""Moments between the first episode and a finished dataset at which a test may end the process."""
+"""Points of a collection at which a test may end the process."""
 REPAIR_POINTS = ("moved aside", "partly mended")
-"""Those of a repair."""
+"""Points of a repair."""
 on_crash_point: Callable[[str], None] | None = None
-"""Told of every crash point that is passed; set by tests alone."""
+"""Called at every crash point; set by tests alone."""
 
 
 def crash_point(name: str) -> None:
-    """Marks a moment at which a crash must lose nothing. Does nothing unless a test has set `on_crash_point`."""
+    """Marks a point at which a crash must lose nothing; for tests, see `on_crash_point`."""
     assert name in CRASH_POINTS + REPAIR_POINTS
     if on_crash_point is not None:
         on_crash_point(name)
 
 
 def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str] | None = None) -> None:
-    """Writes a file that is either there in full after a crash, or not there (or as it was).
+    """Writes a file that is complete after a crash, or as it was before.
 
     Args:
         path: of the file; its folder exists.
         content: of the file.
-        crash_points: names of the moments before and after it takes its place.
+        crash_points: before and after the rename.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

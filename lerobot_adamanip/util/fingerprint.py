@@ -1,12 +1,13 @@
-"""Fingerprints: hashes of the code that decides a result, and the versions installed beside it.
+"""Fingerprints: hashes of the code that decides a result, and installed versions.
 
-The code is the import closure of named modules, so a new module is in it as soon as one that counts imports it. A hash
-is taken of the syntax tree without docstrings: comments, layout and documentation leave it as it is.
+The code is the import closure of named modules. A hash covers the syntax tree without docstrings, so it does not depend
+on comments, layout and documentation.
 """
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
@@ -23,7 +24,6 @@ DECIDES_NOTHING: Mapping[str, str] = {
     "lerobot_adamanip.util.fingerprint": "tells what decides",
     "lerobot_adamanip.util.import_graph": "tells what decides",
     "lerobot_adamanip.util.jobs": "processes that do the work",
-    "lerobot_adamanip.collection.executors": "processes and machines that do the work",
     "lerobot_adamanip.datasets.cards": "texts beside a dataset",
     "lerobot_adamanip.hub": "what is published",
     "lerobot_adamanip.lerobot_patches.durable_recording": "recordings of robots",
@@ -31,7 +31,7 @@ DECIDES_NOTHING: Mapping[str, str] = {
     "lerobot_adamanip.lerobot_patches.ordered_depth": "recordings of robots",
     "lerobot_env_adamanip.fingerprint": "tells what decides",
 }
-"""Module or package that code which decides imports -> why it is in no fingerprint. There are no other exceptions."""
+"""Imported module or package -> why it is left out of fingerprints. There are no other exceptions."""
 _LENGTH = 16
 
 
@@ -60,22 +60,19 @@ def versions() -> Mapping[str, str]:
     """Returns the installed versions of `VERSIONED`, and Python's."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
-        try:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
     return found
 
 
 @functools.cache
 def cpu_model() -> str:
-    """Returns this machine's kind of processor: renderers and arithmetic libraries choose their code by it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, "") or platform.processor() or platform.machine()
+    """Returns this machine's processor model: renderers and arithmetic libraries choose their code by it."""
+    with contextlib.suppress(OSError, IndexError):
+        info = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+        if name := info.split("\nmodel name", 1)[1].partition(":")[2].partition("\n")[0].strip():
+            return name
+    return platform.processor() or platform.machine()
 
 
 def combined(parts: Mapping[str, str]) -> str:

@@ -48,7 +48,8 @@ class ImportGraph:
                 base = package.rsplit(".", node.level - 1)[0] + "." if node.level else ""
                 source = f"{base}{node.module or ''}".rstrip(".")
                 # `from package import module` imports the module, `from module import name` the module it is from.
-                found |= {name if name in self.modules else source for name in _joined(source, node)}
+                names = [f"{source}.{alias.name}" for alias in node.names]
+                found |= {name if name in self.modules else source for name in names}
             elif isinstance(node, ast.Call) and ast.unparse(node.func) in _IMPORTERS and node.args:
                 prefix = _constant_prefix(node.args[0])
                 found |= {name for name in self.modules if prefix and name.startswith(prefix)}
@@ -71,7 +72,8 @@ class ImportGraph:
                 continue
             found.add(module)
             left += self.imports(module)
-            left += [parent for parent in _parents(module) if parent in self.modules]
+            if (parent := module.rpartition(".")[0]) in self.modules:
+                left.append(parent)
         return frozenset(found)
 
 
@@ -98,16 +100,7 @@ def _running_nodes(tree: ast.AST) -> Iterator[ast.AST]:
         left += node.orelse if guarded else ast.iter_child_nodes(node)  # type: ignore[attr-defined]
 
 
-def _joined(source: str, node: ast.ImportFrom) -> list[str]:
-    return [f"{source}.{alias.name}" for alias in node.names]
-
-
 def _constant_prefix(argument: ast.expr) -> str:
     """Text that an expression begins with, empty if it begins with a value."""
     first = argument.values[0] if isinstance(argument, ast.JoinedStr) and argument.values else argument
     return first.value if isinstance(first, ast.Constant) and isinstance(first.value, str) else ""
-
-
-def _parents(module: str) -> Iterator[str]:
-    while module := module.rpartition(".")[0]:
-        yield module

@@ -1,6 +1,6 @@
-"""JSON that somebody else may have written: parsed strictly, every field checked, one clear error.
+"""Parse JSON of any origin strictly, and check every field, with one clear error.
 
-Nothing that is read here is ever imported, called or used as a path.
+No value read here is imported, called or used as a path.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Annotated, Any, get_origin, get_type_hints
 
 MAX_BYTES = 8_000_000
-"""No description of ours is larger."""
+"""More than any file of this project has."""
 
 Check = Callable[[str, object], Any]
 """Takes a field's name and value; returns the value, or raises ValueError that names the field."""
 
 
 def parse(content: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
-    """Parses JSON text; raises ValueError for what is too large or too deep, NaN, or a key that occurs twice."""
+    """Parses JSON text; raises ValueError if it is too large or too deep, or has NaN or a duplicate key."""
     if len(content) > max_bytes:
         raise ValueError(f"{len(content)} bytes, more than {max_bytes}")
     try:
@@ -37,56 +37,45 @@ def read(path: Path, max_bytes: int = MAX_BYTES) -> Any:
         return parse(file.read(max_bytes + 1), max_bytes)
 
 
-def integer(lowest: int, highest: int) -> Check:
-    """Returns a check for a whole number from ``lowest`` to ``highest``."""
-
-    def check(name: str, value: object) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
-            raise _wrong(name, value, f"a whole number, {lowest} ... {highest}")
+def _check(is_right: Callable[[Any], object], wanted: str) -> Check:
+    def check(name: str, value: object) -> Any:
+        if not is_right(value):
+            raise _wrong(name, value, wanted)
         return value
 
     return check
+
+
+def integer(lowest: int, highest: int) -> Check:
+    """Returns a check for a whole number from ``lowest`` to ``highest``."""
+    return _check(
+        lambda value: isinstance(value, int) and not isinstance(value, bool) and lowest <= value <= highest,
+        f"a whole number, {lowest} ... {highest}",
+    )
 
 
 def number(lowest: float, highest: float) -> Check:
     """Returns a check for a finite number from ``lowest`` to ``highest``."""
 
-    def check(name: str, value: object) -> float:
+    def is_right(value: Any) -> bool:
         plain = isinstance(value, int | float) and not isinstance(value, bool)
-        if not plain or not lowest <= value <= highest or not math.isfinite(value):  # type: ignore[operator, arg-type]
-            raise _wrong(name, value, f"a number, {lowest:g} ... {highest:g}")
-        return value  # type: ignore[return-value]
+        return plain and lowest <= value <= highest and math.isfinite(value)
 
-    return check
+    return _check(is_right, f"a number, {lowest:g} ... {highest:g}")
 
 
-def flag(name: str, value: object) -> bool:
-    """Checks for true or false."""
-    if not isinstance(value, bool):
-        raise _wrong(name, value, "true or false")
-    return value
+flag = _check(lambda value: isinstance(value, bool), "true or false")
+"""Checks for true or false."""
 
 
 def choice(choices: Collection[str]) -> Check:
     """Returns a check for one of some words."""
-
-    def check(name: str, value: object) -> str:
-        if not isinstance(value, str) or value not in choices:
-            raise _wrong(name, value, " | ".join(choices))
-        return value
-
-    return check
+    return _check(lambda value: isinstance(value, str) and value in choices, " | ".join(choices))
 
 
 def text(pattern: str, meaning: str) -> Check:
     """Returns a check for text that matches a pattern as a whole."""
-
-    def check(name: str, value: object) -> str:
-        if not isinstance(value, str) or re.fullmatch(pattern, value) is None:
-            raise _wrong(name, value, meaning)
-        return value
-
-    return check
+    return _check(lambda value: isinstance(value, str) and re.fullmatch(pattern, value), meaning)
 
 
 def listing(each: Check, lowest: int, highest: int) -> Check:
@@ -112,7 +101,7 @@ def mapping(key: Check, each: Check, highest: int) -> Check:
 
 
 def table(checks: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
-    """Returns a check for exactly these fields; others may be there that are ``ignored``."""
+    """Returns a check for exactly these fields; ``ignored`` ones may be there."""
 
     def check(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, Mapping):
@@ -148,21 +137,21 @@ def record[Made](kind: type[Made]) -> Callable[[str, object], Made]:
 
 
 def optional(each: Check) -> Check:
-    """Returns a check that takes null as well."""
+    """Returns a check that also accepts null."""
     return lambda name, value: None if value is None else each(name, value)
 
 
 def either(*checks: Check) -> Check:
-    """Returns a check that takes what one of several takes."""
+    """Returns a check that accepts the values of any of several."""
 
     def check(name: str, value: object) -> Any:
-        told = []
+        wanted = []
         for each in checks:
             try:
                 return each(name, value)
             except ValueError as error:
-                told.append(str(error).rpartition(", not ")[2])
-        raise _wrong(name, value, " or ".join(told))
+                wanted.append(str(error).rpartition(", not ")[2])
+        raise _wrong(name, value, " or ".join(wanted))
 
     return check
 

@@ -15,7 +15,6 @@ from lerobot_adamanip.cli import doctor_checks as checks
 from lerobot_adamanip.cli.doctor import Doctor
 from lerobot_adamanip.cli.doctor_checks import Check
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.util import mixed_precision
 from lerobot_env_adamanip.sim import render_device
 
 NO_VULKAN = {"VK_ICD_FILENAMES": "/nonexistent.json", "VK_DRIVER_FILES": "/nonexistent.json"}
@@ -68,16 +67,6 @@ def test_the_render_backend_is_the_probes_answer(
     check = checks.check_render_backend()
     assert check.found.startswith(found)
     assert check.ok == (device != "none")
-
-
-@pytest.mark.parametrize(("problem", "ok"), [(None, True), ("could not create a primitive", False)])
-def test_half_precision_is_told_and_not_required(
-    monkeypatch: pytest.MonkeyPatch, problem: str | None, ok: bool
-) -> None:
-    monkeypatch.setattr(mixed_precision, "mixed_precision_problem", lambda _device: problem)
-    found = checks.check_mixed_precision()
-    assert (found.ok, found.required) == (ok, False)
-    assert problem is None or problem in found.found
 
 
 def test_only_required_checks_decide_and_one_that_breaks_fails(

@@ -31,6 +31,7 @@ assert not {"sapien", "mani_skill"} & set(sys.modules)
 """
 WRONG = (
     "doctor extra", "collect", "collect x --category dor", "collect x --expert adaptiv", "collect x --seed x",
+    "collect x --objects 0:99", "collect x --objects microwave_000", "collect x --late-starts 2",
     "collect x --mechanism-rules papr", "collect x --mechanism-preset paper", "collct", "replay",
     "replay x --episode first", "render", "check", "repair", "keyframes one", "stats", "merge one", "filter x --out",
     "split one", "view", "push datset x --repo-id a/b", "objects --category dor", "annotate --category dor",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import shutil
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from lerobot_adamanip.collection.record import Factories
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 from lerobot_adamanip.datasets.encoding import preparing_session
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util import files
 from lerobot_adamanip.util.jobs import JobResult, Session, WorkerPool
 
 HERE = str(Path(__file__).parent)
@@ -74,9 +77,9 @@ def same_content(first: Path, second: Path) -> None:
     """Asserts that two datasets hold the same rows, the same frames after decoding, and the same per-episode facts."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    files = sorted(path.relative_to(first) for path in first.rglob("*.parquet"))
-    assert files == sorted(path.relative_to(second) for path in second.rglob("*.parquet"))
-    for name in files:
+    tables = sorted(path.relative_to(first) for path in first.rglob("*.parquet"))
+    assert tables == sorted(path.relative_to(second) for path in second.rglob("*.parquet"))
+    for name in tables:
         assert pq.read_table(first / name).equals(pq.read_table(second / name)), name
     for name in ("meta/stats.json", "meta/info.json", "meta/cameras.json", "meta/collection.json"):
         assert json.loads((first / name).read_text()) == json.loads((second / name).read_text()), name
@@ -86,7 +89,7 @@ def same_content(first: Path, second: Path) -> None:
 
 
 class InThisProcess:
-    """Stands in for the pool: the work is done where the test's crash points are set, and without seconds of start."""
+    """Stands in for a pool of workers: runs the items in this process."""
 
     def __class_getitem__(cls, _: object) -> type[InThisProcess]:
         return cls
@@ -106,7 +109,7 @@ class InThisProcess:
 
 
 class Preparing(InThisProcess):
-    """As `InThisProcess`, but episodes are prepared for assembly by processes."""
+    """As `InThisProcess`, but processes prepare episodes for assembly."""
 
     def __class_getitem__(cls, item: object) -> Any:
         def made(session: Any, count: int, **options: Any) -> Any:
@@ -116,19 +119,37 @@ class Preparing(InThisProcess):
         return made
 
 
-class NoWorkers:
-    """Stands in for the pool where nothing may be left to record."""
+class NoWorkers(InThisProcess):
+    """Stands in for a pool where nothing may be left to record."""
 
-    def __class_getitem__(cls, _: object) -> type[NoWorkers]:
-        return cls
-
-    def __init__(self, *_: object, **__: object) -> None: ...
-
-    def __enter__(self) -> NoWorkers:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def run(self, items: list[object]) -> list[object]:
+    def run(self, items: list[Any]) -> Iterator[JobResult[Any]]:
         assert items == []
-        return []
+        return iter(())
+
+
+KILLED = 9
+
+
+def dies(run: Callable[[], object], ready: Callable[[], object]) -> bool:
+    """Runs something in a forked process, which has everything imported; returns whether it was killed."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            ready()
+            run()
+            status = 0
+        finally:
+            os._exit(status)
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert status in (0, KILLED, -signal.SIGKILL), status
+    return status != 0
+
+
+def dies_at(run: Callable[[], object], point: str) -> bool:
+    """As `dies`: the process ends without a word when it first passes a crash point of `files`."""
+
+    def ready() -> None:
+        files.on_crash_point = lambda passed: os._exit(KILLED) if passed == point else None
+
+    return dies(run, ready)

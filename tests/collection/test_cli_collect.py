@@ -14,15 +14,14 @@ from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
 from lerobot_adamanip.cli import collect_setup as pictures
-from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.collect_setup import resolve_images
 from lerobot_adamanip.cli.main import main, parse
 from lerobot_adamanip.cli.push import Push
 from lerobot_adamanip.collection.collect import CollectOptions
-from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
 from lerobot_adamanip.datasets.manifest import read_manifest
 from lerobot_adamanip.datasets.reading import episode_table
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import DatasetError
 
 SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--image-size", "64", "--late-starts",
          "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
@@ -42,7 +41,7 @@ if __name__ == "__main__":
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+def fake(monkeypatch: pytest.MonkeyPatch, in_process: None) -> None:
     monkeypatch.setattr(command, "factories", fakes)
 
 
@@ -50,7 +49,10 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "dataset"
     assert main(["collect", str(root), *SMALL, "--json"]) == 0
-    content: dict[str, Any] = json.loads(capfd.readouterr().out)
+    output, progress = capfd.readouterr()
+    content: dict[str, Any] = json.loads(output)
+    assert "recorded in all: 4/4 (100 %)" in progress  # no terminal: a line now and then
+    assert "writing the dataset: 4/4" in progress
     attempts = episode_table(root)["attempts"].to_pylist()
     assert content["episodes"] == content["recorded"] == len(attempts) == 4
     assert content["attempts"] == content["attempted"] == sum(attempts)
@@ -59,16 +61,6 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
     assert content["bytes"] == sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
     assert main(["collect", str(root), *SMALL]) == 0
     assert "Complete already: 4 episodes" in capfd.readouterr().out
-
-
-@pytest.mark.usefixtures("fake")
-def test_a_person_sees_progress_and_figures(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert main(["collect", str(tmp_path / "dataset"), *SMALL]) == 0
-    output, progress = capfd.readouterr()
-    assert "4 episodes in" in output
-    assert "per minute" in output
-    assert "recorded in all: 4/4 (100 %)" in progress  # there is no terminal: a line now and then
-    assert "writing the dataset: 4/4" in progress
 
 
 def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path) -> None:
@@ -113,6 +105,7 @@ def test_impossible_requests_fail_before_anything_is_recorded(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("in_process")
 def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     published: list[tuple[object, ...]] = []
     monkeypatch.setattr(command, "factories", fakes)
@@ -132,33 +125,10 @@ def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.
     assert len(published) == 1
 
 
-def test_the_name_for_the_hub_is_checked_first(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="Hub"):
-        Collect(root=tmp_path / "d", push_to_hub=True).run()
-
-
-def test_every_option_that_decides_the_data_reaches_the_collection(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[tuple[CollectionSpec, CollectOptions]] = []
-
-    def stop(root: Path, spec: CollectionSpec, made: object, options: CollectOptions, listener: object) -> None:
-        asked.append((spec, options))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("lerobot_adamanip.collection.collect.collect", stop)
-    line = ["--expert", "static", "--trials", "2", "--seed", "7", "--poses", "fixed", "--objects", "unseen",
-            "--mechanism-rules", "upstream", "--expert-strategy", "upstream", "--late-starts", "0.3", "--keep-failed",
-            "--image-size", "32", "--num-points", "9", "--worker-timeout", "5", "--max-attempts", "3"]  # fmt: skip
-    assert main(["collect", str(tmp_path / "d"), *line]) == 130
-    ((spec, options),) = asked
-    assert (spec.expert, spec.trials, spec.seed, spec.expert_strategy) == ("static", 2, 7, "upstream")
-    assert (spec.late_starts, spec.keep_failed) == (0.3, True)
-    environment = spec.environment
-    assert (environment.poses, environment.mechanism_rules) == ("fixed", "upstream")
-    assert (environment.image_size, environment.num_points) == (32, 9)
-    assert (options.worker_timeout, options.max_attempts) == (5.0, 3)
-    assert spec.objects[0] == "safe_036"
+def test_options_that_do_not_change_the_data_reach_the_collection(tmp_path: Path) -> None:
+    line = [str(tmp_path / "d"), "--worker-timeout", "5", "--max-attempts", "3", "--workers", "2", "--allow-missing"]
+    expected = CollectOptions(workers=2, worker_timeout=5.0, max_attempts=3, allow_missing=True)
+    assert parse("collect", line).options() == expected
 
 
 @pytest.mark.parametrize("renders", [True, False])

@@ -13,13 +13,15 @@ from typing import Any
 import pytest
 from demos_helpers import HERE, NoWorkers, fakes, make_spec, patiently, same_bytes, same_content
 
-from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.output_folder import lock_output
 from lerobot_adamanip.datasets.reading import episode_table, load_check
+from lerobot_adamanip.util import jobs
 from lerobot_adamanip.util.errors import DatasetError
 
+here = pytest.mark.usefixtures("in_process")
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 SCRIPT = """
@@ -64,13 +66,22 @@ def interrupting(stage: str, at: int) -> Callable[[str, int, int], None]:
     return listen
 
 
-def test_two_workers_record_what_one_does(tmp_path: Path, finished: Path) -> None:
-    summary = collect(tmp_path / "dataset", make_spec(), fakes(), patiently(workers=2))
+def test_two_workers_of_which_one_crashes_record_what_one_does(tmp_path: Path, finished: Path) -> None:
+    crashing = fakes(crash=f"once:{tmp_path / 'marker'}")
+    summary = collect(tmp_path / "dataset", make_spec(), crashing, patiently(workers=2))
+    assert (tmp_path / "marker").exists()
     assert summary.episodes == summary.recorded == 6
     assert summary.attempts == summary.attempted > 6  # the fake expert fails sometimes
     assert summary.success_rate == 6 / summary.attempted
     same_bytes(finished, tmp_path / "dataset")
     same_content(finished, tmp_path / "dataset")
+
+
+def test_an_object_that_kills_its_workers_is_reported(tmp_path: Path, refuses: Refuses) -> None:
+    spec = make_spec(episodes_per_object=1)
+    message = refuses(DatasetError, lambda: collect(tmp_path / "dataset", spec, fakes(crash="safe_001"), patiently()))
+    assert "safe_001, episode 0" in message
+    assert "SIGKILL" in message
 
 
 @pytest.mark.parametrize("whole_group", [True, False], ids=["group", "parent-only"])
@@ -112,17 +123,19 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     wait_for(lambda: not any(worker.exists() for worker in workers), seconds=20.0)
 
 
+@here
 def test_an_interrupted_assembly_starts_over(tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = tmp_path / "dataset"
     with pytest.raises(KeyboardInterrupt):
         collect(root, make_spec(), fakes(), patiently(), interrupting("assemble", 3))
     assert not root.exists()
-    monkeypatch.setattr(executors, "WorkerPool", NoWorkers)
+    monkeypatch.setattr(jobs, "WorkerPool", NoWorkers)
     collect(root, make_spec(), fakes(), patiently())
     same_bytes(finished, root)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset"]
 
 
+@here
 def test_a_damaged_episode_file_is_recorded_again(tmp_path: Path, finished: Path) -> None:
     root = tmp_path / "dataset"
     with pytest.raises(KeyboardInterrupt):
@@ -133,6 +146,7 @@ def test_a_damaged_episode_file_is_recorded_again(tmp_path: Path, finished: Path
     same_bytes(finished, root)
 
 
+@here
 def test_a_complete_dataset_is_left_alone(finished: Path, refuses: Refuses) -> None:
     before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
     summary = collect(finished, make_spec(), fakes())
@@ -143,6 +157,7 @@ def test_a_complete_dataset_is_left_alone(finished: Path, refuses: Refuses) -> N
     assert "episodes_per_object = 4" in message
 
 
+@here
 def test_other_options_do_not_continue_a_collection(tmp_path: Path, refuses: Refuses) -> None:
     root = tmp_path / "dataset"
     with pytest.raises(KeyboardInterrupt):
@@ -154,6 +169,7 @@ def test_other_options_do_not_continue_a_collection(tmp_path: Path, refuses: Ref
     assert "another fingerprint: code differ" in message
 
 
+@here
 def test_a_collection_that_never_recorded_anything_binds_nobody(tmp_path: Path, refuses: Refuses) -> None:
     root = tmp_path / "dataset"
     hopeless = fakes(hopeless="safe_000", code="b")
@@ -169,39 +185,11 @@ def test_a_folder_of_something_else_is_not_touched(tmp_path: Path, refuses: Refu
 
 def test_only_one_collection_at_a_time(tmp_path: Path, refuses: Refuses) -> None:
     root = tmp_path / "dataset"
-    process = start(tmp_path, root, {"delay": 0.3}, episodes_per_object=50)
-    try:
-        wait_for(CollectionPaths(root).partial_manifest.exists)
-        message = refuses(DatasetError, lambda: collect(root, make_spec(), fakes()))
-        assert "Another command" in message
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+    with lock_output(root):
+        assert "Another command" in refuses(DatasetError, lambda: collect(root, make_spec(), fakes()))
 
 
-def test_a_worker_that_dies_once_costs_nothing(tmp_path: Path, finished: Path) -> None:
-    root = tmp_path / "dataset"
-    summary = collect(root, make_spec(), fakes(crash=f"once:{tmp_path / 'marker'}"), patiently())
-    assert (tmp_path / "marker").exists()
-    assert summary.recorded == 6
-    same_bytes(finished, root)
-
-
-def test_a_worker_that_hangs_is_replaced_and_what_hangs_twice_is_given_up(tmp_path: Path, refuses: Refuses) -> None:
-    spec = make_spec(objects=("safe_000",), episodes_per_object=1, late_starts=0.0)
-    slow = patiently(worker_timeout=1.5)
-    message = refuses(DatasetError, lambda: collect(tmp_path / "dataset", spec, fakes(delay=30.0), slow))
-    assert "safe_000, episode 0" in message
-    assert "no heartbeat" in message
-
-
-def test_an_object_that_kills_its_workers_is_reported(tmp_path: Path, refuses: Refuses) -> None:
-    spec = make_spec(episodes_per_object=1)
-    message = refuses(DatasetError, lambda: collect(tmp_path / "dataset", spec, fakes(crash="safe_001"), patiently()))
-    assert "safe_001, episode 0" in message
-    assert "SIGKILL" in message
-
-
+@here
 def test_what_cannot_be_recorded_is_reported_counted_and_left_out_only_on_request(
     tmp_path: Path, refuses: Refuses
 ) -> None:
@@ -238,6 +226,7 @@ def test_a_retry_meets_the_hidden_state_of_the_attempt_before_it(tmp_path: Path,
         assert json.loads(row["hidden_state"])["locked"] == items[row["object_id"], row["slot"]][0]
 
 
+@here
 def test_failed_episodes_are_kept_apart_if_asked_for(tmp_path: Path, finished: Path) -> None:
     root, failed = tmp_path / "dataset", tmp_path / "dataset-failed"
     collect(root, make_spec(keep_failed=True), fakes(), patiently())
@@ -259,6 +248,7 @@ def test_an_environment_that_cannot_be_built_ends_the_collection_with_its_reason
     assert list(tmp_path.iterdir()) == []
 
 
+@here
 def test_the_expert_decides_the_data_but_not_the_episodes(tmp_path: Path, finished: Path) -> None:
     collect(tmp_path / "dataset", make_spec(expert="static"), fakes(), patiently())
     adaptive, static = (episode_table(root).to_pylist() for root in (finished, tmp_path / "dataset"))
@@ -268,6 +258,7 @@ def test_the_expert_decides_the_data_but_not_the_episodes(tmp_path: Path, finish
     assert any(row["failed_tries"] == 1 for row in adaptive)
 
 
+@here
 def test_all_categories_make_one_dataset_of_what_each_gives_alone(tmp_path: Path) -> None:
     told: dict[str, list[int]] = {}
     everything = make_spec(objects=("safe_000", "safe_001", "lamp_000"), episodes_per_object=2)

@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,47 +14,26 @@ from typing import Any
 import numpy as np
 import pytest
 from demos_fake_env import make_env, make_expert
-from demos_helpers import InThisProcess, make_spec, same_bytes
+from demos_helpers import InThisProcess, dies, dies_at, make_spec, same_bytes
 
-from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.record import Factories
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
 from lerobot_adamanip.datasets.reading import load_check
-from lerobot_adamanip.util import files
+from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import DatasetError
 
 SPEC = make_spec(episodes_per_object=2, image_size=16, keep_failed=True, seed=1)
 OPTIONS = CollectOptions(max_attempts=25)
 FACTORIES = Factories(make_env, make_expert)
-KILLED = 9
 RANDOM_MOMENTS = 20
 
 
-@pytest.fixture(autouse=True)
-def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
+pytestmark = pytest.mark.usefixtures("in_process")
 
 
 def run(root: Path) -> None:
     collect(root, SPEC, FACTORIES, OPTIONS)
-
-
-def killed(root: Path, ready: Callable[[], None] = lambda: None) -> bool:
-    """Collects in a forked process, which has everything imported; returns whether it was killed."""
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            ready()
-            run(root)
-            status = 0
-        finally:
-            os._exit(status)
-    _, waited = os.waitpid(child, 0)
-    status = os.waitstatus_to_exitcode(waited)
-    assert status in (0, KILLED, -signal.SIGKILL), status
-    return status != 0
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +41,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a collection that was never interrupted, and nothing else."""
     root = tmp_path_factory.mktemp("whole") / "dataset"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executors, "WorkerPool", InThisProcess)
+        patch.setattr(jobs, "WorkerPool", InThisProcess)
         run(root)
     assert sorted(path.name for path in root.parent.iterdir()) == ["dataset", "dataset-failed"]
     return root
@@ -88,36 +67,11 @@ def nothing_lost(root: Path) -> Iterator[None]:
         assert all(after.get(name) == content for name, content in before.items())
 
 
-def dying_at(name: str, time_: int) -> Callable[[], None]:
-    """Makes the process end without a word the ``time_``-th time it passes a crash point."""
-    passed: list[str] = []
-
-    def die(point: str) -> None:
-        if point == name:
-            passed.append(point)
-            if len(passed) == time_:
-                os._exit(KILLED)
-
-    def ready() -> None:
-        files.on_crash_point = die
-
-    return ready
-
-
-@pytest.mark.parametrize("name", files.CRASH_POINTS)
-def test_a_death_at_every_named_point_loses_nothing(tmp_path: Path, whole: Path, name: str) -> None:
-    root = tmp_path / "dataset"
-    with nothing_lost(root):
-        assert killed(root, dying_at(name, 1))
-    run(root)
-    same_collection(whole, root)
-
-
 def test_a_death_at_each_point_in_turn_loses_nothing(tmp_path: Path, whole: Path) -> None:
     root = tmp_path / "dataset"
     for name in files.CRASH_POINTS:
         with nothing_lost(root):
-            assert killed(root, dying_at(name, 1)) or root.exists()
+            assert dies_at(lambda: run(root), name) or root.exists()
     run(root)
     same_collection(whole, root)
 
@@ -125,7 +79,7 @@ def test_a_death_at_each_point_in_turn_loses_nothing(tmp_path: Path, whole: Path
 @pytest.mark.nightly
 def test_twenty_random_deaths_lose_nothing(tmp_path: Path, whole: Path) -> None:
     begin = time.monotonic()
-    assert not killed(tmp_path / "timed" / "dataset", (tmp_path / "timed").mkdir)
+    assert not dies(lambda: run(tmp_path / "timed" / "dataset"), (tmp_path / "timed").mkdir)
     lasts = time.monotonic() - begin
     rng, deaths = np.random.default_rng(0), 0
     for number in range(RANDOM_MOMENTS):
@@ -137,7 +91,7 @@ def test_twenty_random_deaths_lose_nothing(tmp_path: Path, whole: Path) -> None:
             threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
 
         with nothing_lost(root):
-            deaths += killed(root, ready)
+            deaths += dies(lambda: run(root), ready)  # noqa: B023 (run at once)
         run(root)
         same_collection(whole, root)
     assert deaths >= RANDOM_MOMENTS // 2
@@ -165,7 +119,7 @@ def test_shards_are_kept_if_the_dataset_cannot_be_read_back(tmp_path: Path, monk
 
 def test_shards_are_kept_if_a_finished_dataset_is_found_damaged(tmp_path: Path, whole: Path) -> None:
     root = tmp_path / "dataset"
-    assert killed(root, dying_at("dataset in place", 1))
+    assert dies_at(lambda: run(root), "dataset in place")
     (path,) = (root / "data").glob("*/*.parquet")
     path.write_bytes(path.read_bytes()[:-50])
     with pytest.raises(DatasetError, match="damaged"):

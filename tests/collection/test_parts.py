@@ -7,22 +7,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from demos_helpers import ATTEMPTS, InThisProcess, NoWorkers, fakes, make_spec, patiently, same_bytes
+from demos_helpers import NoWorkers, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip.cli import collect as command
-from lerobot_adamanip.cli.main import main
-from lerobot_adamanip.collection import executors
+from lerobot_adamanip.cli.main import main, parse
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.parts import Part
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.util import jobs
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 
-@pytest.fixture(autouse=True)
-def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
+pytestmark = pytest.mark.usefixtures("in_process")
 
 
 def record_parts(folder: Path, **changes: Any) -> tuple[Path, ...]:
@@ -43,7 +40,7 @@ def test_two_parts_adopted_are_one_collection(tmp_path: Path, monkeypatch: pytes
     whole = tmp_path / "whole" / "dataset"
     collect(whole, make_spec(**same), fakes(**behaviour), patiently(allow_missing=True))
     parts = record_parts(tmp_path, spec=same, fakes=behaviour)
-    monkeypatch.setattr(executors, "WorkerPool", NoWorkers)
+    monkeypatch.setattr(jobs, "WorkerPool", NoWorkers)
     options = patiently(adopt=parts, allow_missing=True)
     summary = collect(tmp_path / "adopted" / "dataset", make_spec(**same), fakes(**behaviour), options)
     assert (summary.episodes, summary.given_up) == (3, 3)
@@ -97,16 +94,9 @@ def test_parts_divide_the_episodes(tmp_path: Path) -> None:
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
-def test_the_command_records_parts_and_adopts_them(
-    tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(command, "factories", fakes)
-    line = ["--objects", "0:2", "--episodes-per-object", "3", "--num-points", "8", "--image-size", "64",
-            "--late-starts", "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
-    roots = [str(tmp_path / name) for name in ("a", "b")]
-    for number, root in enumerate(roots, 1):
-        assert main(["collect", root, "--part", f"{number}/2", *line]) == 0
-        assert f"Part {number}/2: 3 episodes" in capsys.readouterr().out
-    assert main(["collect", str(tmp_path / "dataset"), "--adopt", *roots, *line]) == 0
-    same_bytes(finished, tmp_path / "dataset")
-    assert main(["collect", roots[0], "--part", "1/2", "--adopt", roots[1], *line]) == 2
+def test_the_command_takes_a_part_or_adopts_parts(tmp_path: Path) -> None:
+    line = ["collect", str(tmp_path / "dataset"), "--part", "1/2"]
+    assert parse("collect", line[1:]).options().part == Part(1, 2)
+    adopting = ["--adopt", str(tmp_path / "a"), str(tmp_path / "b")]
+    assert parse("collect", [line[1], *adopting]).options().adopt == (tmp_path / "a", tmp_path / "b")
+    assert main([*line, *adopting]) == main([*line, "--push-to-hub", "--repo-id", "me/x"]) == 2

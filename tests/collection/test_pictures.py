@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import demos_fake_env
-import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from demos_helpers import fakes, make_spec, patiently, same_bytes
+from demos_helpers import make_spec, same_bytes
 
-from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
@@ -27,34 +23,26 @@ from lerobot_adamanip.util.errors import DatasetError
 Refuses = Callable[[type, Callable[[], Any]], str]
 
 
-@pytest.fixture(scope="module")
-def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small collection without pictures."""
-    root = tmp_path_factory.mktemp("bare") / "dataset"
-    collect(root, make_spec(observe_images=False), fakes(), patiently())
-    return root
-
-
 def make_env(options: Any) -> demos_fake_env.FakeEnv:
     return demos_fake_env.make_env(options)
 
 
-def test_a_dataset_without_pictures_has_every_other_column(bare: Path, finished: Path) -> None:
-    features = load_check(bare)["features"]
+def test_a_dataset_without_pictures_has_every_other_column(unpictured: Path, finished: Path) -> None:
+    features = load_check(unpictured)["features"]
     assert set(load_check(finished)["features"]) - set(features) == {schema.FRONT_IMAGE}
-    assert not (bare / "videos").exists()
-    dataset = open_dataset(bare)
+    assert not (unpictured / "videos").exists()
+    dataset = open_dataset(unpictured)
     assert dataset.num_episodes == 6
     assert dataset[0][schema.JOINTS].shape == (len(schema.JOINT_NAMES),)
-    assert "--no-images" in (bare / "README.md").read_text()
+    assert "--no-images" in (unpictured / "README.md").read_text()
 
 
 def test_pictures_added_later_make_the_dataset_that_has_them_from_the_start(
-    tmp_path: Path, bare: Path, finished: Path
+    tmp_path: Path, unpictured: Path, finished: Path
 ) -> None:
     said: list[tuple[str, int, int]] = []
     out = tmp_path / finished.name
-    assert add_pictures(bare, out, make_env, progress=lambda *told: said.append(told)) == 6
+    assert add_pictures(unpictured, out, make_env, progress=lambda *told: said.append(told)) == 6
     same_bytes(finished, out)
     assert said[0] == ("render", 1, 6)
     assert said[-1] == ("assemble", 6, 6)
@@ -62,13 +50,13 @@ def test_pictures_added_later_make_the_dataset_that_has_them_from_the_start(
 
 
 def test_a_second_camera_is_recorded_for_one_row_of_the_table(
-    tmp_path: Path, bare: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, unpictured: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(CAMERAS, "side", CAMERAS[FRONT])
     env = make_env(make_spec().environment_of("safe"))
     observation, _ = env.reset(seed=1, options={"object_id": "safe_000"})
     assert observation_columns(observation).keys() >= {schema.FRONT_IMAGE, image_column("side")}
-    add_pictures(bare, out := tmp_path / "dataset", make_env)
+    add_pictures(unpictured, out := tmp_path / "dataset", make_env)
     assert schema.dataset_features(8, 64).keys() < load_check(out)["features"].keys()
     row = open_dataset(out, video_backend="pyav", return_uint8=True)[0]
     assert abs(row[image_column("side")].float().mean() + row[schema.FRONT_IMAGE].float().mean() - 255) < 12
@@ -77,7 +65,7 @@ def test_a_second_camera_is_recorded_for_one_row_of_the_table(
     assert report.clean
 
 
-def test_after_an_interruption_it_goes_on(tmp_path: Path, bare: Path, finished: Path) -> None:
+def test_after_an_interruption_it_goes_on(tmp_path: Path, unpictured: Path, finished: Path) -> None:
     taken: list[int] = []
 
     class Counting(demos_fake_env.FakeEnv):
@@ -92,26 +80,28 @@ def test_after_an_interruption_it_goes_on(tmp_path: Path, bare: Path, finished: 
 
     out = tmp_path / finished.name
     with pytest.raises(KeyboardInterrupt):
-        add_pictures(bare, out, factory)
+        add_pictures(unpictured, out, factory)
     assert not out.exists()
     first = list(taken)
     taken[:] = [0, 0]  # one more episode, then another interruption
     with pytest.raises(KeyboardInterrupt):
-        add_pictures(bare, out, factory)
+        add_pictures(unpictured, out, factory)
     assert set(taken[2:]).isdisjoint(first)
-    add_pictures(bare, out, make_env)
+    add_pictures(unpictured, out, make_env)
     same_bytes(finished, out)
 
 
-def test_what_cannot_be_pictured_is_refused(tmp_path: Path, bare: Path, finished: Path, refuses: Refuses) -> None:
+def test_what_cannot_be_pictured_is_refused(tmp_path: Path, unpictured: Path, finished: Path, refuses: Refuses) -> None:
     assert "has images already" in refuses(DatasetError, lambda: add_pictures(finished, tmp_path / "a", make_env))
-    assert "something at the root" in refuses(DatasetError, lambda: add_pictures(bare, finished, make_env))
-    assert "something at the root" in refuses(DatasetError, lambda: add_pictures(bare, bare, make_env))
+    assert "something at the root" in refuses(DatasetError, lambda: add_pictures(unpictured, finished, make_env))
+    assert "something at the root" in refuses(DatasetError, lambda: add_pictures(unpictured, unpictured, make_env))
 
     def changed(options: Any) -> Any:
         return demos_fake_env.make_env(options, code="b")
 
-    assert "another fingerprint: code" in refuses(DatasetError, lambda: add_pictures(bare, tmp_path / "b", changed))
+    assert "another fingerprint: code" in refuses(
+        DatasetError, lambda: add_pictures(unpictured, tmp_path / "b", changed)
+    )
 
     class Elsewhere(demos_fake_env.FakeEnv):
         def camera_parameters(self) -> dict[str, Any]:
@@ -120,23 +110,13 @@ def test_what_cannot_be_pictured_is_refused(tmp_path: Path, bare: Path, finished
     def moved(options: Any) -> Any:
         return Elsewhere(options, delay=0.0, crash=None, hopeless=None, code="a")
 
-    assert "comes out differently" in refuses(DatasetError, lambda: add_pictures(bare, tmp_path / "c", moved))
+    assert "comes out differently" in refuses(DatasetError, lambda: add_pictures(unpictured, tmp_path / "c", moved))
 
 
-def test_a_replay_shows_itself_where_nothing_was_recorded(tmp_path: Path, bare: Path) -> None:
+def test_a_replay_shows_itself_where_nothing_was_recorded(tmp_path: Path, unpictured: Path) -> None:
     import av
 
-    assert replay(bare, 0, make_env, video=tmp_path / "replay.mp4").agrees(1e-6)
+    assert replay(unpictured, 0, make_env, video=tmp_path / "replay.mp4").agrees(1e-6)
     with av.open(str(tmp_path / "replay.mp4")) as video:
         frame = next(video.decode(video=0))
     assert (frame.width, frame.height) == (64, 64)
-
-
-def test_joints_are_no_policys_input(bare: Path) -> None:
-    assert not schema.JOINTS.startswith("observation.")
-    rows = pq.read_table(sorted((bare / "data").glob("*/*.parquet")))
-    moved = np.asarray(rows[schema.JOINTS].to_pylist())
-    assert moved[:, 9].max() > 0.5
-    assert json.loads((bare / "meta" / "info.json").read_text())["features"][schema.JOINTS]["names"][9].startswith(
-        "object"
-    )

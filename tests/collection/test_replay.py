@@ -16,7 +16,6 @@ from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.util.video import write_video
 from lerobot_env_adamanip import make_env as factory
 
 ENV = fakes().environment
@@ -93,8 +92,3 @@ def test_episodes_and_datasets_that_are_not_there(tmp_path: Path, finished: Path
     assert "0 to 5" in refuses(ConfigurationError, lambda: replay(finished, 6, ENV))
     refuses(ConfigurationError, lambda: replay(finished, -1, ENV))
     refuses(DatasetError, lambda: replay(tmp_path / "nothing", 0, ENV))
-
-
-def test_a_video_needs_frames(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="frame"):
-        write_video(tmp_path / "empty.mp4", [], 4)

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import demos_fake_env
 import pytest
-from demos_helpers import InThisProcess, fakes, make_spec, patiently, same_bytes
+from demos_helpers import InThisProcess, dies_at, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.datasets.filter import filter_episodes
 from lerobot_adamanip.datasets.output_folder import COLLECTING, RENDERING, lock_path
 from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.util import files
+from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import AdaManipError
 
 SPEC = make_spec(episodes_per_object=1, image_size=16, observe_images=False, late_starts=0.0)
 COMMANDS = ("render", "collect", "filter", "repair")
-KILLED = 9
 Run = Callable[[Path], object]
 State = dict[str, bytes]
 
@@ -33,7 +31,7 @@ State = dict[str, bytes]
 @pytest.fixture(scope="module", autouse=True)
 def _here() -> object:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(executors, "WorkerPool", InThisProcess)
+        patch.setattr(jobs, "WorkerPool", InThisProcess)
         yield
 
 
@@ -76,27 +74,11 @@ class Stage:
         for point in files.CRASH_POINTS + files.REPAIR_POINTS:
             root = self.folder / "killed" / name / str(len(left)) / "dataset"
             self.prepare(name, root)
-            if dies(self.run[name], root, point):
+            if dies_at(functools.partial(self.run[name], root), point):
                 left.append((point, root))
             else:
                 shutil.rmtree(root.parent)
         return left
-
-
-def dies(run: Run, root: Path, point: str) -> bool:
-    """Runs a command in a forked process, which ends without a word at a crash point; returns whether it did."""
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            files.on_crash_point = lambda passed: os._exit(KILLED) if passed == point else None
-            run(root)
-            status = 0
-        finally:
-            os._exit(status)
-    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert status in (0, KILLED)
-    return status == KILLED
 
 
 @pytest.fixture(scope="module")

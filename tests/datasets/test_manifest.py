@@ -188,7 +188,8 @@ ROWS: dict[str, tuple[str, Any]] = {
     "hidden values that are code": ("hidden_overrides", '{"locked": "os.system(1)"}'),
     "a negative seed": ("seed", -5),
     "a seed of text": ("seed", "17"),
-    "rows of nowhere": ("dataset_to_index", 10**9),
+    "rows of nowhere": ("dataset_from_index", 10**9),
+    "rows without end": ("length", 10**9),
 }
 
 

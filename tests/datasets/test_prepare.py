@@ -8,13 +8,13 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from demos_helpers import InThisProcess, Preparing, fakes, make_spec, patiently, same_bytes
+from demos_helpers import Preparing, fakes, make_spec, patiently, same_bytes
 
 from lerobot_adamanip.collection import assemble as assembling
-from lerobot_adamanip.collection import executors
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.appending import can_append, in_order
+from lerobot_adamanip.util import jobs
 
 SPEC: dict[str, Any] = {"episodes_per_object": 4, "num_points": 64}
 
@@ -37,11 +37,6 @@ def test_the_writer_at_hand_can_be_appended_to(tmp_path: Path) -> None:
     assert can_append(dataset)
     del dataset.writer._latest_episode
     assert not can_append(dataset)
-
-
-@pytest.fixture
-def _here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "WorkerPool", InThisProcess)
 
 
 def collected(folder: Path, *, spec: dict[str, Any] | None = None, **options: Any) -> Path:
@@ -77,7 +72,7 @@ def same_but_for_a_cache_name(one: Path, stock: Path) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.usefixtures("small_files", "_here")
+@pytest.mark.usefixtures("small_files", "in_process")
 def test_two_processes_one_and_lerobot_itself_make_the_same_dataset(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,14 +80,14 @@ def test_two_processes_one_and_lerobot_itself_make_the_same_dataset(
     assert len(list((one / "data").rglob("*.parquet"))) > 1
     assert len(list((one / "videos").rglob("*.mp4"))) > 1
     with monkeypatch.context() as patch:
-        patch.setattr(executors, "MIN_PREPARED", 1)
-        patch.setattr(executors, "WorkerPool", Preparing)
+        patch.setattr(assembling, "MIN_EPISODES_PER_WORKER", 1)
+        patch.setattr(jobs, "WorkerPool", Preparing)
         same_bytes(one, collected(tmp_path / "two", workers=2))
     monkeypatch.setattr(assembling, "can_append", lambda _: False)
     same_but_for_a_cache_name(one, collected(tmp_path / "stock"))
 
 
-@pytest.mark.usefixtures("_here")
+@pytest.mark.usefixtures("in_process")
 def test_so_does_a_collection_without_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     images = {"observe_images": False}
     one = collected(tmp_path / "one", spec=images)

@@ -12,20 +12,21 @@ from pathlib import Path
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.jobs import Heartbeat, Work
 
-IMPORTED_BY = os.getpid()
-"""The process that has imported this."""
+IMPORTER = os.getpid()
 
 
 @contextlib.contextmanager
 def session(folder: Path) -> Iterator[Work]:
-    """Squares numbers. ``once:...`` and ``always:...`` items die, hang or beat the first time, or always."""
+    """Squares numbers. ``once:...`` and ``always:...`` items die, hang or fail the first time, or always."""
     (folder / f"session-{os.getpid()}").touch()
 
     def work(item: object, beat: Heartbeat) -> object:
         if isinstance(item, int):
             return item * item, os.getpid()
         if item == "who":
-            return os.getpid() == IMPORTED_BY, os.environ.get("OMP_NUM_THREADS")
+            return os.environ.get("OMP_NUM_THREADS")
+        if item == "imported by":
+            return os.getpid(), IMPORTER
         when, _, what = str(item).partition(":")
         marker = folder / what
         if when == "always" or not marker.exists():
@@ -50,5 +51,7 @@ def _do(what: str, beat: Heartbeat) -> None:
             beat()
     if what == "refuse":
         raise DatasetError("no such thing")
+    if what == "write":
+        raise OSError("No space left")
     if what == "break":
         raise ZeroDivisionError("a mistake")

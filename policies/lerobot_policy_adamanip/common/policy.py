@@ -16,7 +16,6 @@ from torch import Tensor
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.contract.schema import ACTION_DIM, POINT_CLOUD, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, listed
-from lerobot_adamanip.util.mixed_precision import require_mixed_precision
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
 _logger = logging.getLogger(__name__)
@@ -32,8 +31,6 @@ class CloudPolicy(PreTrainedPolicy):
 
     def __init__(self, config: CloudPolicyConfig) -> None:
         super().__init__(config)
-        if config.use_amp:
-            require_mixed_precision(str(config.device))
         config.validate_features()
 
     def get_optim_params(self) -> Any:

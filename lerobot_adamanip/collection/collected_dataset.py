@@ -1,0 +1,109 @@
+"""Reading a collected dataset, to make its scenes again. It may come from anywhere, so every value is checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, read_manifest
+from lerobot_adamanip.datasets.reading import JSON_COLUMNS, episode_table, load_check
+from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.start_column import read_start
+from lerobot_adamanip.episode.rollout import SimulatedEnvironment
+from lerobot_adamanip.util.arrow import numeric_array
+from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.json_fields import flag, integer, optional, parse, text
+
+_TEXT = text(r"(?s).*", "text")
+
+
+@dataclass(frozen=True)
+class CollectedEpisode:
+    """An episode of T rows.
+
+    Attributes:
+        columns: dataset column -> (T, ...) array, without images.
+        record: what describes it, see `JSON_COLUMNS` for parsed columns.
+        prefix: (n, 10) actions from the reset to its first row.
+    """
+
+    columns: dict[str, NDArray[Any]]
+    record: dict[str, Any]
+    prefix: NDArray[np.float32]
+
+    def reset(self, env: SimulatedEnvironment) -> Any:
+        """Starts the scene of this episode, at rest; returns the first observation."""
+        options = {"object_id": self.record["object_id"]}
+        if self.record["hidden_overrides"] is not None:
+            options["hidden_overrides"] = self.record["hidden_overrides"]
+        return env.reset(seed=self.record["seed"], options=options)[0]
+
+
+@dataclass(frozen=True)
+class CollectedDataset:
+    """A dataset of `adamanip collect`: its rows and its manifest."""
+
+    source: Source
+    manifest: Manifest
+
+    @classmethod
+    def open(cls, root: Path, assets: str | Path | None) -> CollectedDataset:
+        """Opens a dataset.
+
+        Args:
+            root: its folder.
+            assets: folder of external assets, if it was recorded with any.
+
+        Raises:
+            DatasetError: it is missing, not whole, damaged, or of another kind.
+        """
+        return cls(Source(root, load_check(root)), read_manifest(manifest_path(root), assets))
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per episode, as stored, without statistics."""
+        rows: list[dict[str, Any]] = episode_table(self.source.root).to_pylist()
+        return rows
+
+    def episode(self, number: int) -> CollectedEpisode:
+        """Reads an episode; raises `DatasetError` for values that cannot be."""
+        row = self.rows[number]
+        try:
+            table = self.source.rows(row)
+            record = self._record(row)
+            record["task"] = self.source.tasks[table["task_index"][0].as_py()]
+            return CollectedEpisode(self._columns(table), record, read_start(row["start"]))
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise DatasetError(
+                "Wrong values in an episode of the dataset.",
+                got=f"episode {number} of {self.source.root}: {error}",
+                allowed="rows as `adamanip collect` writes them",
+                hint="another episode, or collect the dataset again",
+            ) from error
+
+    def _record(self, row: dict[str, Any]) -> dict[str, Any]:
+        record = {**row, **{name: parse(_TEXT(name, row[name])) for name in JSON_COLUMNS}}
+        if record["object_id"] not in self.manifest.spec.objects:
+            raise ValueError("object_id is none of the collection's")
+        integer(0, 2**63 - 1)("seed", record["seed"])
+        integer(2, 10_000)("length", record["length"])
+        flag("success", record["success"])
+        optional(HIDDEN_STATE)("hidden_overrides", record["hidden_overrides"])
+        return record
+
+    def _columns(self, table: Any) -> dict[str, NDArray[Any]]:
+        features = schema.dataset_features(self.manifest.spec.environment.num_points, cameras=())
+        columns = {}
+        for key, feature in features.items():
+            values = numeric_array(table[key])
+            if values is None:
+                raise ValueError(f"{key} has missing values")
+            columns[key] = values.astype(feature["dtype"], copy=False).reshape(len(table), *feature["shape"])
+        return columns
