@@ -115,17 +115,32 @@ def collect(
         manifest = Manifest.of(spec, _fingerprint(spec, factories))
         if _is_complete(output, paths, manifest):
             return Run(begin).summarize(paths.root, spec)
-        prepare_partial(paths, manifest)
-        import_parts(paths, manifest, options.adopt)
         job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
-        results = _record(job, paths, options, listener)
-        run = Run(begin, results, time.monotonic() - begin, _require_all(results, options))
-        files.crash_point("all recorded")
-        if options.part is not None:
-            return run.summarize_part(paths, options.part.of(spec.items()))
-        _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
-        output.discard()
-    return run.summarize(paths.root, spec)
+        summary = _collected(job, paths, manifest, options, listener=listener, begin=begin)
+        if options.part is None:
+            output.discard()
+    return summary
+
+
+def _collected(
+    job: RecordingJob,
+    paths: CollectionPaths,
+    manifest: Manifest,
+    options: CollectOptions,
+    *,
+    listener: Listener,
+    begin: float,
+) -> CollectSummary:
+    """Records the missing episodes; publishes the dataset, except for a part of a collection."""
+    prepare_partial(paths, manifest)
+    import_parts(paths, manifest, options.adopt)
+    results = _record(job, paths, options, listener)
+    run = Run(begin, results, time.monotonic() - begin, _require_all(results, options))
+    files.crash_point("all recorded")
+    if options.part is not None:
+        return run.summarize_part(paths, options.part.of(job.spec.items()))
+    _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
+    return run.summarize(paths.root, job.spec)
 
 
 def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:

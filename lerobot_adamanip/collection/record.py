@@ -199,24 +199,28 @@ def attempt_episode(
         correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed)
         result = corrected_rollout(env, observation, correcting, observe)
     attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
-    record = {
+    record = _episode_record(env, spec, request, attempt)
+    record |= {"start": start_column(actions), "camera": camera}
+    record |= {"tries": recorder.tries, "failed_tries": recorder.failed_tries}
+    return attempt, RecordedEpisode(recorder.columns(), record)
+
+
+def _episode_record(
+    env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
+) -> dict[str, Any]:
+    return {
         "object_id": request.object_id,
-        "seed": seed,
-        "hidden_state": hidden,
+        "seed": attempt.seed,
+        "hidden_state": attempt.hidden_state,
         "hidden_overrides": None if request.overrides is None else dict(request.overrides),
-        "start": start_column(actions),
         "expert": spec.expert,
-        "tries": recorder.tries,
-        "failed_tries": recorder.failed_tries,
         "success": attempt.success,
         "key_frames": attempt.key_frames,
-        "camera": camera,
         "task": env.task_description,
         "episode_record": env.episode_record(),
         "versions": {**versions(), "cpu": cpu_model()},
         "fingerprint": combined(collection_fingerprint(env)),
     }
-    return attempt, RecordedEpisode(recorder.columns(), record)
 
 
 def _expert(

@@ -76,19 +76,30 @@ def add_pictures(
         source = _open(resolve_output(root), assets)
         _require_same_work(output, manifest := _pictured(source, make_env), source)
         if is_free(output.root):
-            _prepare(output, manifest, source)
-            shards = _rendered(output.work / "episodes", source, manifest, make_env, progress)
-            attempts = read_attempts(attempts_path(source.source.root))
-            contents = Contents(manifest, shards, attempts, repo_id or f"local/{output.root.name}")
-            built = assemble(
-                output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble")
-            )
-            if (selection := selection_path(source.source.root)).exists():
-                files.write_atomically(selection_path(built), selection.read_bytes())
-            output.publish(built)
+            output.publish(_built(output, source, manifest, make_env, repo_id=repo_id, progress=progress))
         else:
             _finish(output, manifest, len(source.rows))
     return len(source.rows)
+
+
+def _built(
+    output: OutputFolder,
+    source: CollectedDataset,
+    manifest: Manifest,
+    make_env: EnvFactory,
+    *,
+    repo_id: str | None,
+    progress: Progress,
+) -> Path:
+    """Renders and assembles the new dataset in the work folder; returns its folder."""
+    _prepare(output, manifest, source)
+    shards = _rendered(output.work / "episodes", source, manifest, make_env, progress)
+    attempts = read_attempts(attempts_path(source.source.root))
+    contents = Contents(manifest, shards, attempts, repo_id or f"local/{output.root.name}")
+    built = assemble(output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble"))
+    if (selection := selection_path(source.source.root)).exists():
+        files.write_atomically(selection_path(built), selection.read_bytes())
+    return built
 
 
 def _prepare(output: OutputFolder, manifest: Manifest, source: CollectedDataset) -> None:

@@ -77,46 +77,34 @@ def replay(
 
     Args:
         root: of a dataset of ``adamanip collect``.
-        episode: index.
+        episode: its index.
         make_env: builds the environment; nothing in the dataset does.
-        assets: folder of external assets, if the dataset was recorded with any.
-        video: file for a video of recording (left) and replay (right), if wanted; the replay alone if no pictures were
-            recorded.
+        assets: folder of external assets, if any were used.
+        video: file for a video of recording (left), if it has pictures, and replay (right); None for no video.
         progress: called with the key frames done, and all.
 
     Raises:
         DatasetError: the dataset is missing, not whole, or damaged.
         ConfigurationError: it has no such episode.
     """
-    root = Path(root)
-    load_check(root)
-    if not manifest_path(root).exists():
-        raise DatasetError(
-            "This dataset does not say how its scenes were made: it was recorded on a robot, or merged of several.",
-            got=f"{as_typed(root.absolute())}, without meta/collection.json",
-            allowed="a dataset of `adamanip collect`, or a part of one",
-            hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())}",
-        )
-    dataset = CollectedDataset.open(root, assets)
-    if not 0 <= episode < len(dataset.rows):
-        raise ConfigurationError(
-            "No such episode.", got=episode, allowed=f"0 to {len(dataset.rows) - 1}", hint="--episode 0"
-        )
+    dataset = _open(Path(root), episode, assets)
     recorded = dataset.episode(episode)
     object_id = recorded.record["object_id"]
-    if assets is not None:
-        _require_content(dataset.manifest, object_id, assets)
+    _require_content(dataset.manifest, object_id, assets)
     with contextlib.closing(make_env(dataset.manifest.spec.environment_of(category_of(object_id)))) as env:
         changed = differing_parts(dataset.manifest.fingerprint, collection_fingerprint(env))
         seen, pictures, success = _run(env, recorded, progress, look=video is not None)
     if video is not None:
-        if schema.FRONT_IMAGE in dataset.source.info["features"]:
-            both = zip(_recorded_pictures(root, episode), pictures, strict=False)
-            pictures = [np.concatenate(pair, axis=1) for pair in both]
-        write_video(video, pictures, schema.FPS)
+        _write_video(video, dataset, episode, pictures)
+    return _compared(episode, recorded, seen, success, changed)
+
+
+def _compared(
+    episode: int, recorded: CollectedEpisode, seen: list[Columns], success: bool, changed: tuple[str, ...]
+) -> ReplayResult:
     return ReplayResult(
         episode=episode,
-        object_id=object_id,
+        object_id=recorded.record["object_id"],
         seed=recorded.record["seed"],
         key_frames=recorded.record["length"] - 1,
         replayed=len(seen) - 1,
@@ -130,19 +118,39 @@ def replay(
     )
 
 
-def _require_content(manifest: Manifest, object_id: str, assets: str | Path) -> None:
-    if asset_hash(assets, object_id) != manifest.external_assets[object_id]:
+def _open(root: Path, episode: int, assets: str | Path | None) -> CollectedDataset:
+    load_check(root)
+    if not manifest_path(root).exists():
+        raise DatasetError(
+            "This dataset does not say how its scenes were made: it was recorded on a robot, or merged of several.",
+            got=f"{as_typed(root.absolute())}, without meta/collection.json",
+            allowed="a dataset of `adamanip collect`, or a part of one",
+            hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())}",
+        )
+    dataset = CollectedDataset.open(root, assets)
+    if not 0 <= episode < len(dataset.rows):
+        raise ConfigurationError(
+            "No such episode.", got=episode, allowed=f"0 to {len(dataset.rows) - 1}", hint="--episode 0"
+        )
+    return dataset
+
+
+def _write_video(video: str | Path, dataset: CollectedDataset, episode: int, pictures: list[Picture]) -> None:
+    if schema.FRONT_IMAGE in dataset.source.info["features"]:
+        rows = open_dataset(dataset.source.root, episodes=[episode], video_backend="pyav", return_uint8=True)
+        recorded = [rows[at][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for at in range(len(rows))]
+        pictures = [np.concatenate(pair, axis=1) for pair in zip(recorded, pictures, strict=False)]
+    write_video(video, pictures, schema.FPS)
+
+
+def _require_content(manifest: Manifest, object_id: str, assets: str | Path | None) -> None:
+    if assets is not None and asset_hash(assets, object_id) != manifest.external_assets[object_id]:
         raise DatasetError(
             "The external asset is not the one that was recorded.",
             got=f"{object_id} in {assets}",
             allowed="a folder of the same content",
             hint="--assets with the folder of before",
         )
-
-
-def _recorded_pictures(root: Path, episode: int) -> list[Picture]:
-    dataset = open_dataset(root, episodes=[episode], video_backend="pyav", return_uint8=True)
-    return [dataset[row][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for row in range(len(dataset))]
 
 
 def _run(
