@@ -273,24 +273,3 @@ def test_information_counts_for_the_first_interactions_and_where_there_is_some(m
         judging(policy, lambda pose: torch.full(pose.shape[:-1], 0.3), tells)
         memory.made = made
         torch.testing.assert_close(policy._scores(cloud, z, before, before, memory), torch.full((4,), wanted))
-
-
-def test_a_chunk_is_what_would_be_done_and_changes_nothing(make: MakePolicy) -> None:
-    policy, *_ = make()
-    policy.eval()
-    seen = observed(toy_world("bottle_000", 1), np.random.default_rng(0))
-    torch.manual_seed(1)
-    chunk = policy.predict_action_chunk(seen)
-    torch.manual_seed(1)
-    assert torch.equal(policy.select_action(seen), chunk[:, 0])
-
-
-def test_episodes_of_a_batch_decide_for_themselves(make: MakePolicy) -> None:
-    policy, *_ = make()
-    policy.eval()
-    single = [observed(toy_world("bottle_000", seed), np.random.default_rng(seed)) for seed in (1, 2)]
-    batch = {key: torch.cat([each[key] for each in single]) for key in single[0]}
-    actions = torch.stack([policy.select_action(batch) for _ in range(4)])
-    assert actions.shape == (4, 2, 10)
-    assert (actions[:, 0] != actions[:, 1]).any(dim=-1).all()
-    assert [memory.made for memory in policy._memories] == [0, 0]

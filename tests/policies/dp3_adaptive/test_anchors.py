@@ -45,20 +45,6 @@ def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
 # Training -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("changes", [{}, {"num_refinements": 0}, {"n_action_history_steps": 0}, {"use_effort": True},
-                                     {"encoder": "pointnet2"}])  # fmt: skip
-def test_every_weight_learns(make_anchors: MakeTiny, batch_of: Any, changes: dict[str, Any]) -> None:
-    policy, before, _, dataset = make_anchors(**changes)
-    loss, told = policy.forward(batch_of(dataset, before, *range(0, 29, 2)))
-    assert torch.isfinite(loss)
-    assert not told or all(isinstance(value, float) for value in told.values())
-    loss.backward()
-    # Whether anything is aimed at depends on what was demonstrated.
-    assert policy.model.refiner is None or policy.model.needs_refinement(torch.arange(6)).any()
-    still = [name for name, weight in policy.model.named_parameters() if weight.grad is None or not weight.grad.any()]
-    assert not still
-
-
 def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
     window, actions, real = policy.training_window(batch_of(dataset, before, 2, 11))

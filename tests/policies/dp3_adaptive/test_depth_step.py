@@ -111,17 +111,12 @@ def test_a_file_in_the_configuration_comes_before_the_board(session: Any, depth:
         made(DepthToCloudStep(POINTS, calibration=str(tmp_path / "side.json")), torch.from_numpy(depth)[None, None])
 
 
-def test_a_missing_calibration_is_one_error_that_names_both_places(depth: Any) -> None:
+def test_a_missing_calibration_is_one_error_that_names_the_cameras_that_are_known(depth: Any) -> None:
     picture = torch.from_numpy(depth)[None, None]
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match=r"(?s)camera front.*adamanip calibrate"):
         made(DepthToCloudStep(POINTS), picture)
-    told = str(caught.value)
-    assert "camera front" in told
-    assert "calibration file of the robot" in told
-    assert "field calibration" in told
-    assert "adamanip calibrate" in told
     ROBOTS.open("arm").calibrations["wrist"] = FRONT
-    with pytest.raises(ConfigurationError, match="knows the calibration of these cameras: wrist"):
+    with pytest.raises(ConfigurationError, match="these cameras: wrist"):
         made(DepthToCloudStep(POINTS), picture)
     ROBOTS.close("arm")
 

@@ -40,16 +40,6 @@ def seen_by(opening: float) -> Observation:
     return observation
 
 
-def acted(policy: Any, observations: list[Observation], seed: int = 5) -> torch.Tensor:
-    policy.eval()
-    policy.reset()
-    found = []
-    for observation in observations:
-        torch.manual_seed(seed)
-        found.append(policy.select_action(observation))
-    return torch.stack(found)
-
-
 # The set of motions -------------------------------------------------------------------------------------------------
 
 
@@ -141,25 +131,6 @@ def test_what_was_tried_and_felt_changes_no_draw(make: MakePolicy) -> None:
             policy._plans.pop()
         torch.manual_seed(11)
         assert torch.equal(policy.select_action(seen)[0], alone[0])
-
-
-def test_a_macro_action_is_followed_to_its_end(make: MakePolicy) -> None:
-    policy, *_ = make()
-    seen = seen_by(1.0)
-    others = [{key: torch.randn_like(value) for key, value in seen.items()} for _ in range(2)]
-    torch.manual_seed(5)
-    macro = policy.eval().predict_action_chunk(seen)
-    assert torch.equal(acted(policy, [seen, *others]), macro.transpose(0, 1))
-
-
-def test_episodes_of_a_batch_draw_for_themselves(make: MakePolicy) -> None:
-    policy, *_ = make()
-    seen = seen_by(1.0)
-    batch = {key: torch.cat([value, seen_by(0.3)[key]]) for key, value in seen.items()}
-    actions = acted(policy, [batch] * 4)
-    assert actions.shape == (4, 2, 10)
-    assert (actions[:2, 0, schema.GRIPPER_DIM] == 1).all()
-    assert not torch.equal(actions[:, 0], actions[:, 1])
 
 
 @pytest.mark.parametrize("budget", [1, 4, 12])
