@@ -1,18 +1,21 @@
-"""A cloud from the simulator's depth is the simulator's cloud. The full run: ``scripts/check_depth_cloud.py``."""
+"""A cloud from a depth picture is the simulator's cloud, whichever is searched for the other's points."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
 
-import check_depth_cloud
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from lerobot_adamanip.hardware.camera_frames import simulated_calibration
+from lerobot_adamanip.contract.observation import workspace_cloud
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, simulated_calibration
+from lerobot_adamanip.hardware.depth_cloud import depth_cloud, points_in_base
 from lerobot_env_adamanip.simulator import make_task
 
 pytestmark = pytest.mark.sim
+POINTS, MEDIAN_MM, P99_MM = 1024, 1.0, 5.0
 
 
 @pytest.fixture(scope="module")
@@ -23,31 +26,54 @@ def task() -> Any:
     task.close()
 
 
+def _camera(task: Any) -> Any:
+    from lerobot_env_adamanip.sim.camera import pinhole
+
+    return pinhole(task.views.camera(task.views.depth_size, "front"))
+
+
+def _calibration(task: Any) -> CameraCalibration:
+    from lerobot_env_adamanip.sim.camera import camera_parameters
+
+    return simulated_calibration(camera_parameters(_camera(task)))
+
+
+def _distances(task: Any, calibration: CameraCalibration) -> list[Any]:
+    """Returns the distances [mm] from the cloud of depth to the simulator's, and from that to the depth's points."""
+    from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
+
+    views = task.views
+    sensor = RaycastSensor(views.camera(views.depth_size, "front"), views.bodies(), views.workspace)
+    pixels, points = sensor.pixels()
+    depth = np.zeros(views.depth_size**2, np.uint16)
+    depth[pixels] = -points[:, 2]
+    depth, dense = depth.reshape(views.depth_size, views.depth_size), views.points()
+    cloud = depth_cloud(depth, calibration, POINTS, views.workspace)
+    own = workspace_cloud(dense, views.workspace, POINTS)
+    pairs = ((dense, cloud), (points_in_base(depth, calibration), own))
+    return [1e3 * cKDTree(others).query(points)[0] for others, points in pairs]
+
+
+def _are_equal(distances: list[Any]) -> bool:
+    return all(np.median(each) <= MEDIAN_MM and np.percentile(each, 99) <= P99_MM for each in distances)
+
+
 def test_clouds_from_depth_are_the_simulators(task: Any) -> None:
-    told = check_depth_cloud.summary([check_depth_cloud.compare(task, 1024)])
-    assert told["seen"]["median_mm"] <= check_depth_cloud.MEDIAN
-    assert told["kept"]["median_mm"] <= check_depth_cloud.MEDIAN
-    assert told["seen"]["p99_mm"] <= check_depth_cloud.P99
-    assert told["kept"]["p99_mm"] <= check_depth_cloud.P99
+    assert _are_equal(_distances(task, _calibration(task)))
 
 
 def test_a_camera_that_is_two_millimetres_beside_is_noticed(task: Any) -> None:
-    known = simulated_calibration(check_depth_cloud.camera_of(task))
+    known = _calibration(task)
     assert known.depth_in_base is not None
     moved = known.depth_in_base.copy()
     moved[:3, 3] += 2e-3
-    beside = replace(known, depth_in_base=moved)
-    assert not check_depth_cloud.summary([check_depth_cloud.compare(task, 1024, beside)])["passed"]
+    assert not _are_equal(_distances(task, replace(known, depth_in_base=moved)))
 
 
 def test_half_a_pixel_is_counted_as_opencv_does(task: Any) -> None:
     """A wall-to-wall offset that nearest neighbours hardly show: so by the ray of each pixel."""
-    camera = check_depth_cloud.camera_of(task)
-    from lerobot_env_adamanip.sim.camera import pinhole
-
-    size, known = task.views.depth_size, simulated_calibration(camera)
-    rays = pinhole(task.views.camera(size, "front")).rays().reshape(size, size, 3)
-    matrix = known.depth.matrix
+    size, matrix = task.views.depth_size, _calibration(task).depth.matrix
+    rays = _camera(task).rays().reshape(size, size, 3)
     for row, column in ((0, 0), (17, 200), (size - 1, size // 2)):
         ray = np.linalg.solve(matrix, [column, row, 1.0])
         assert ray == pytest.approx(rays[row, column] * (1, -1, -1), abs=1e-6)  # OpenCV looks along z, y down
