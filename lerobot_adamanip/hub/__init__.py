@@ -1,1 +1,1 @@
-"""What goes to the Hugging Face Hub: cards, and publishing."""
+"""Publishing to the Hugging Face Hub: cards and uploads."""

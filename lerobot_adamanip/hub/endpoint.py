@@ -1,4 +1,4 @@
-"""Login to the Hugging Face Hub, and its errors in one form."""
+"""Login to the Hugging Face Hub, and translation of its errors."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from lerobot_adamanip.util.errors import AdaManipError
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
 
-RETRY = "the same command again: files that have arrived are not sent a second time"
+RETRY = "run the same command again: files already uploaded are not sent again"
 _REFUSALS = {
-    401: ("The Hub does not know this login, or hides the repository from it.", "hf auth login"),
-    403: ("The Hub does not let this login write there.", "a name of your own, or a token that may write to it"),
+    401: ("The Hub rejects this login, or hides the repository from it.", "hf auth login"),
+    403: ("The Hub does not let this login write there.", "your own namespace, or a token that may write to this one"),
     404: ("The Hub does not have it.", "another --repo-id"),
 }
 """HTTP status -> error and hint."""
 
 
 class HubError(AdaManipError, RuntimeError):
-    """The Hub cannot be reached, refuses a request, or holds other files than were sent."""
+    """The Hub cannot be reached, refuses a request, or holds other files than the uploaded ones."""
 
 
 def require_login(api: HfApi) -> None:
-    """Raises `HubError` if the Hub is switched off or there is no token; sends no request."""
+    """Raises `HubError` in offline mode or without a token. Sends no request."""
     from huggingface_hub import constants, get_token
 
     if constants.is_offline_mode():
         raise HubError(
-            "The Hub is switched off here.",
+            "The Hub is switched off (offline mode).",
             got="HF_HUB_OFFLINE",
             allowed="a process that may use the network",
             hint="unset HF_HUB_OFFLINE (and TRANSFORMERS_OFFLINE)",
@@ -46,7 +46,7 @@ def require_login(api: HfApi) -> None:
 
 @contextlib.contextmanager
 def translate_hub_errors(repo_id: str, endpoint: str) -> Iterator[None]:
-    """Raises `HubError` for errors of the Hub's client."""
+    """Translates errors of the Hub's client to `HubError`."""
     import httpx
     from huggingface_hub.errors import HfHubHTTPError
 

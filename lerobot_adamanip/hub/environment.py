@@ -1,4 +1,4 @@
-"""Repository of the environments: modules for LeRobot's EnvHub, requirements, and a card."""
+"""Files of the environments' repository: modules for LeRobot's EnvHub, requirements and a card."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OBSERVED = {
     schema.POINT_CLOUD: "point_cloud", schema.STATE: "agent_pos", schema.EFFORT: "effort",
     schema.FRONT_IMAGE: "pixels/front", schema.ACTION: "action",
 }  # fmt: skip
-"""Dataset column -> key of an observation."""
+"""Dataset column -> observation key."""
 
 
 def environment_files(
@@ -29,13 +29,13 @@ def environment_files(
     """Returns the files of an environment's repository: name -> text.
 
     Args:
-        repo_id: its name on the Hub.
-        fingerprint: part -> hash of the code that decides episodes.
-        category: environment that ``env.py`` opens; `ALL` for all nine. ``envs/`` has a file for each.
-        results: for its card.
+        repo_id: repository name on the Hub.
+        fingerprint: part -> hash of the code that determines episodes.
+        category: category that ``env.py`` opens; `ALL` for all nine. ``envs/`` has one file per category.
+        results: results for the card.
 
     Raises:
-        ConfigurationError: there is no such category.
+        ConfigurationError: the category does not exist.
     """
     require_choice("category", category, (*CATEGORIES, ALL))
     return {

@@ -1,4 +1,4 @@
-"""The card of a policy, from its checkpoint and its results."""
+"""Model card of a policy, from its checkpoint and results."""
 
 from __future__ import annotations
 
@@ -45,22 +45,22 @@ _ROWS = {
     "noise_scheduler_type": ("sampler", "{}"),
     "num_inference_steps": ("sampling steps", "{}"),
 }
-"""Option of a policy -> its name and format on a card."""
+"""Policy option -> its name and format on a card."""
 _UNUSED = {
     "anchors": ("noise_scheduler_type", "num_inference_steps"), "diffusion": ("num_anchors", "num_refinements"),
 }  # fmt: skip
-"""Head of a policy -> options without effect on it."""
+"""Policy head -> options without effect on it."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Facts of a policy for its card.
+    """Checkpoint data for a policy's card.
 
     Attributes:
-        config: its ``config.json``.
-        training: its ``train_config.json``; empty if unknown.
-        parameters: of the network that acts.
+        config: content of ``config.json``.
+        training: content of ``train_config.json``; empty if unknown.
+        parameters: number of parameters of the acting network.
         updates: number of updates in averaged weights; None without averaging.
     """
 
@@ -71,7 +71,7 @@ class Checkpoint:
 
     @classmethod
     def read(cls, folder: Path) -> Checkpoint:
-        """Reads a folder ``pretrained_model`` whose files have been checked."""
+        """Reads a checked folder ``pretrained_model``."""
         config, training = (json.loads((folder / name).read_text()) for name in ("config.json", "train_config.json"))
         with safe_open(folder / "model.safetensors", framework="np") as tensors:
             shapes = {name: tensors.get_slice(name).get_shape() for name in tensors.keys()}  # noqa: SIM118
@@ -86,10 +86,10 @@ def model_card(
     """Returns the README of a policy.
 
     Args:
-        checkpoint: facts of the policy.
-        repo_id: its name on the Hub.
-        results: of its evaluations; they become the card's `model-index` too.
-        dataset: name on the Hub of the training dataset; that of the training's configuration if left out.
+        checkpoint: checkpoint data of the policy.
+        repo_id: repository name on the Hub.
+        results: evaluation results; they also become the card's `model-index`.
+        dataset: Hub name of the training dataset. Default: from the training configuration.
     """
     config, training = checkpoint.config, checkpoint.training
     kind, demos = str(config["type"]), dataset or _dataset_of(training)
@@ -149,7 +149,7 @@ def _training(training: Mapping[str, Any], dataset: str | None) -> str:
 
 
 def train_command(training: Mapping[str, Any], kind: str, env_type: str, dataset: str | None) -> str:
-    """Returns a command that repeats the training; further options are defaults or in `train_config.json`."""
+    """Returns a command that repeats the training. Other options are defaults or in `train_config.json`."""
     options = {
         "policy.type": kind,
         "env.type": env_type,

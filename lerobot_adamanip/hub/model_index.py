@@ -1,4 +1,4 @@
-"""Results on a card: a table, and the Hub's `model-index`."""
+"""Results on a card: a table and the Hub's `model-index`."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ NO_RESULTS = (
 
 
 def read_results(paths: Sequence[Path], command: str | None = None) -> list[ResultFile]:
-    """Reads result files of ``adamanip report --out``, and episode logs (``.jsonl``).
+    """Reads result files of ``adamanip report --out`` and episode logs (``.jsonl``).
 
     Args:
-        paths: of the files.
-        command: that made the episode logs, as typed; required for these.
+        paths: paths of the files.
+        command: command that wrote the episode logs, as typed; required for episode logs.
 
     Raises:
-        DatasetError: a file is neither.
-        ConfigurationError: an episode log without a command, or of several codes or splits.
+        DatasetError: a file is neither a result file nor an episode log.
+        ConfigurationError: an episode log has no command, or mixes fingerprints or splits.
     """
     return [_result_of_log(path, command) if path.suffix == ".jsonl" else read_result(path) for path in paths]
 
@@ -41,7 +41,7 @@ def _result_of_log(path: Path, command: str | None) -> ResultFile:
     records = read_log(path)
     if not command:
         raise ConfigurationError(
-            "Results are published with the command that made them.",
+            "Episode logs need the command that made them.",
             got=f"{path.name} without a command",
             allowed="--results-command 'lerobot-eval ...', as typed",
             hint="or adamanip report LOG --out FILE --command '...', then --results FILE",
@@ -52,7 +52,7 @@ def _result_of_log(path: Path, command: str | None) -> ResultFile:
 
 
 def results_table(results: Sequence[ResultFile]) -> str:
-    """Returns results for a card: rates with 95 % Wilson intervals, and the commands that made them."""
+    """Returns the results section of a card: rates with 95 % Wilson intervals, and the evaluation commands."""
     return "\n\n".join(map(_table, results)) or NO_RESULTS
 
 
@@ -74,7 +74,7 @@ def _table(result: ResultFile) -> str:
 def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
     """Returns results as rows of a card's `model-index`.
 
-    ``dataset_split`` is the split of objects (seen, unseen, novel); the split of scenes and the seeds are arguments.
+    ``dataset_split`` is the object split (seen, unseen, novel). The scene split and the seeds are arguments.
     """
     from huggingface_hub import EvalResult
 

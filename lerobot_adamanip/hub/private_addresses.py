@@ -1,4 +1,4 @@
-"""Search for addresses in text: IPv4, IPv6, e-mail, and host names of an organisation's network."""
+"""Searches text for addresses: IPv4, IPv6, e-mail, and host names of an organisation's network."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HOST = re.compile(
 )
 _NAMED_HOST = re.compile(r"(?:hostname|host_name|nodename|node_name)[\"']?\s*[:=]\s*[\"']?([A-Za-z0-9][\w.-]+)", re.I)
 _VERSION_BEFORE = re.compile(r"(?:[=<>~!]=\s*|\bv(?:ersion)?[ .:=]*|[\w.]-)$", re.I)
-"""Right before a version number of four parts."""
+"""Text directly before a version number of four parts."""
 _ADDRESS_BEFORE = re.compile(
     r"(?:://|@|\b(?:ip|ipv4|inet|addr|address|host|node|server|gateway|peer|client|dns|ping|ssh|from|to|at)\b\W{0,4})$",
     re.I,
@@ -31,11 +31,11 @@ _NO_HOSTS = ("localhost", "none", "null", "true", "false")
 
 
 def find_addresses(text: str) -> Iterator[tuple[str, str]]:
-    """Yields kind (``address``, ``e-mail`` or ``host``) and text of addresses of machines and persons.
+    """Yields kind (``address``, ``e-mail`` or ``host``) and text of addresses of machines and people.
 
-    A number of four parts may be a version. It is an address if it is of a private network and no version mark such
-    as ``==`` stands before it, or if words or a port beside it say so. Loopback, unspecified and documentation
-    addresses are left out.
+    A number of four parts may be a version. It counts as an address in two cases: it is in a private network and has
+    no version mark such as ``==`` before it, or nearby words or a port indicate an address. Loopback, unspecified and
+    documentation addresses are ignored.
     """
     for found in _IPV4.finditer(text):
         if _is_ipv4(found.group(), text[max(0, found.start() - 24) : found.start()], text[found.end() :][:8]):
@@ -68,12 +68,12 @@ def _is_ipv6(candidate: str) -> bool:
     if address is None:
         return False
     groups = [group for group in candidate.split(":") if group]
-    # Two groups and a gap are a slice or a name of C++ more often than an address.
+    # Two groups and a gap are more often a slice or a C++ name than an address.
     return len(groups) > 2 or address.is_link_local or candidate.lower().startswith(("fc", "fd"))
 
 
 def _private_or_public(candidate: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Returns the address; None if it is none, or is a loopback, unspecified, multicast or documentation address."""
+    """Returns the address; None for other text or a loopback, unspecified, multicast or documentation address."""
     try:
         address = ipaddress.ip_address(candidate)
     except ValueError:

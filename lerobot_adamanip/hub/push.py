@@ -1,4 +1,4 @@
-"""Publish staged files. Every step can be repeated; files that are there already are not sent again."""
+"""Publishes staged files. Every step can be repeated. Files already on the Hub are not sent again."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PushResult:
-    """A published repository.
+    """Result of publishing a repository.
 
     Attributes:
         repo_id: name on the Hub.
         kind: ``dataset`` or ``model``.
-        url: of the repository.
-        commit: that holds the files.
-        changed: False if the files were there already.
+        url: URL of the repository.
+        commit: hash of the commit with the files.
+        changed: False if the Hub already had the files.
         files: number of files.
-        bytes: size of all files.
-        tags: at the commit.
+        bytes: total size of the files.
+        tags: tags at the commit.
     """
 
     repo_id: str
@@ -39,20 +39,20 @@ class PushResult:
 
 
 def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, release: str | None = None) -> PushResult:
-    """Creates the repository, uploads in one commit, moves the version's tag, and compares the Hub's files.
+    """Creates the repository, uploads in one commit, moves the version tag, and compares the Hub's files.
 
-    All goes to the endpoint of ``api`` (``HF_ENDPOINT``) and to the stores that it names. After an interruption the
-    same call resumes.
+    It connects only to the endpoint of ``api`` (``HF_ENDPOINT``) and the stores that the endpoint names. After an
+    interruption, the same call resumes.
 
     Args:
         staged: files to publish.
-        api: the Hub's client; the default one if left out.
-        private: create a private repository. One that is public already is refused.
+        api: client of the Hub; None for the default one.
+        private: whether to create a private repository. An existing public one is refused.
         release: tag of this publication; see `require_release_name`.
 
     Raises:
-        HubError: not logged in, the Hub is out of reach or refuses, or holds other files than were sent.
-        DatasetError: a file has changed since it was scanned.
+        HubError: not logged in, the Hub is unreachable or refuses, or holds other files than the uploaded ones.
+        DatasetError: a file has changed since the scan.
     """
     from huggingface_hub import HfApi as Client
 
@@ -79,11 +79,11 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
 
 
 def _head(api: HfApi, staged: Staged, private: bool) -> str:
-    """Returns the newest commit; raises `HubError` if a private push meets a public repository."""
+    """Returns the newest commit. Raises `HubError` for a private push to a public repository."""
     info = api.repo_info(staged.repo_id, repo_type=staged.kind, revision="main")
     if private and not info.private:
         raise HubError(
-            "This repository is public already.",
+            "This repository is already public.",
             got=f"--private for {staged.repo_id}",
             allowed="a private repository, or a new one",
             hint="make it private on its settings page, or another --repo-id",
@@ -97,16 +97,16 @@ def _tag_commit(api: HfApi, staged: Staged, tag: str) -> str | None:
 
 
 def _set_tag(api: HfApi, staged: Staged, tag: str, commit: str, *, movable: bool) -> None:
-    """Sets a tag, deleting the old one first; after an interruption in between, the next call sets it."""
+    """Sets a tag after deleting the old one. After an interruption in between, the next call sets it."""
     known = _tag_commit(api, staged, tag)
     if known == commit:
         return
     if known is not None and not movable:
         raise HubError(
-            "This release is of another commit; releases are not moved.",
-            got=f"{tag} is at {known}, what is published now at {commit}",
-            allowed="a tag that is new",
-            hint="another --release; what was sent stays there, untagged",
+            "This release tag is at another commit; releases are not moved.",
+            got=f"{tag} is at {known}, the published files are at {commit}",
+            allowed="a new tag",
+            hint="another --release; the uploaded files stay on the Hub, untagged",
         )
     if known is not None:
         api.delete_tag(staged.repo_id, tag=tag, repo_type=staged.kind)
@@ -114,7 +114,7 @@ def _set_tag(api: HfApi, staged: Staged, tag: str, commit: str, *, movable: bool
 
 
 def _require_same_files(api: HfApi, staged: Staged, commit: str) -> None:
-    """Raises `HubError` if the commit's files or its version tag differ from what was staged."""
+    """Raises `HubError` if the commit's files or its version tag differ from the staged ones."""
     entries = api.list_repo_tree(staged.repo_id, repo_type=staged.kind, revision=commit, recursive=True)
     remote = {entry.path: entry for entry in entries if hasattr(entry, "blob_id")}
     local = staged.digests
@@ -126,7 +126,7 @@ def _require_same_files(api: HfApi, staged: Staged, commit: str) -> None:
         raise HubError(
             "The Hub holds other files than were sent.",
             got=f"{staged.repo_id}: {listed(wrong)}",
-            allowed="the same files, of the same content",
+            allowed="the same files with the same content",
             hint=RETRY,
         )
 

@@ -1,4 +1,4 @@
-"""Search for folders, users, hosts and addresses in files that are about to be published."""
+"""Searches files for folders, users, hosts and addresses before publishing."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from lerobot_adamanip.util.errors import DatasetError, listed
 
 _TEXT = (".json", ".jsonl", ".md", ".py", ".txt", ".yaml", ".yml", ".toml", ".csv")
 _SHORTEST, _SHORTEST_IN_BYTES = 4, 7
-"""Names with fewer letters occur by chance, in text and in compressed bytes."""
+"""Minimum length of a searched name, in text and in binary files. Shorter names occur by chance."""
 _MANY = {
     "admin", "administrator", "centos", "container", "debian", "docker", "fedora", "github", "jovyan", "localhost",
     "nobody", "root", "runner", "ubuntu", "user", "vagrant",
 }  # fmt: skip
-"""Names that thousands of machines share."""
+"""Common names that do not identify a machine."""
 _TEXT_RUN = re.compile(r"[\x20-\x7e]{24,}")
-"""Text among other bytes: so many letters in a row are not chance."""
+"""Pattern for text in binary files: this many letters in a row are not chance."""
 _TEXT_PATH = re.compile(rf"(?:{MACHINE_PATH})[^\s\"'`,;)\]]*")
 _BINARY_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/", re.ASCII)
 
@@ -39,7 +39,7 @@ class Finding:
     Attributes:
         file: relative path.
         kind: ``path``, ``user``, ``host``, ``address`` or ``e-mail``.
-        text: what was found.
+        text: matched text.
     """
 
     file: str
@@ -52,9 +52,9 @@ class Names:
     """Names of this machine.
 
     Attributes:
-        user: names of its user.
+        user: names of the user.
         host: names of the machine.
-        folders: absolute paths: the user's home and where things are published from.
+        folders: absolute paths: the user's home and the source folders.
     """
 
     user: tuple[str, ...]
@@ -63,7 +63,7 @@ class Names:
 
     @classmethod
     def here(cls, *folders: Path) -> Names:
-        """Returns those of this process; ``folders`` are further ones that shall not be named."""
+        """Returns the names of this machine and user. ``folders``: further private folders."""
         home, host = Path.home(), socket.gethostname()
         try:
             user = getpass.getuser()
@@ -82,8 +82,8 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Fi
 
     Args:
         files: path in the repository -> file.
-        names: of this machine. Words of our own cards, and names that thousands share, are not findings.
-        owner: of the repository; the publication carries this name anyway.
+        names: names of this machine. Words in our own card templates and common names are not findings.
+        owner: owner of the repository, whose name is public anyway.
     """
     found: list[Finding] = []
     for name, path in files.items():
@@ -100,18 +100,18 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Fi
 
 
 def require_clean(files: Mapping[str, Path], names: Names, *, owner: str = "") -> None:
-    """Raises `DatasetError` that names the first files in which `scan` finds something."""
+    """Raises `DatasetError` with the first files in which `scan` finds something."""
     if found := scan(files, names, owner=owner):
         raise DatasetError(
-            "Files hold names or addresses of a machine or a person.",
+            "Files contain names or addresses of a machine or a person.",
             got=listed([f"{each.file}: {each.kind} {each.text!r}" for each in found]),
             allowed="no folder, user, host, network address or e-mail address in any file",
-            hint="edit the file, or make it again with relative paths; then the same command again",
+            hint="edit the file, or create it again with relative paths; then run the same command again",
         )
 
 
 def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> Iterator[Finding]:
-    """Yields the findings of a text, or of bytes that were decoded as Latin-1."""
+    """Yields the findings in a text, or in bytes decoded as Latin-1."""
     for path in (_BINARY_PATH if binary else _TEXT_PATH).finditer(text):
         yield Finding(file, "path", path.group()[:120])
     for folder in names.folders:
@@ -136,7 +136,7 @@ def _telling_names(names: Names, owner: str, shortest: int) -> Iterator[tuple[st
 
 @functools.cache
 def _our_words() -> frozenset[str]:
-    """Returns the words of our card templates: a card does not name a user who is called so."""
+    """Returns the words of our card templates. In a card, they do not count as user names."""
     return frozenset(word.lower() for text in template_texts() for word in re.findall(r"[A-Za-z0-9]+", text))
 
 

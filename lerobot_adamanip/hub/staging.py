@@ -1,4 +1,4 @@
-"""Stage the files of a repository: check them, link them into a folder, and add a card. Sources are not changed."""
+"""Stages the files of a repository: checks them, links them into a folder and adds a card. Sources stay unchanged."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from lerobot_adamanip.util.errors import DatasetError, listed
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 _DATASET = ("meta/", "data/", "videos/")
 _MODEL = ("model.", "model-", "policy_preprocessor", "policy_postprocessor")
-"""Prefixes of a checkpoint's weights, pipelines and their states."""
+"""Name prefixes of a checkpoint's weights, pipelines and pipeline states."""
 _STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
 
 
 @dataclass(frozen=True)
 class Digest:
-    """A file's size, SHA-256, and Git blob hash."""
+    """Size, SHA-256 and Git blob hash of a file."""
 
     size: int
     sha256: str
@@ -44,7 +44,7 @@ class Digest:
 
     @classmethod
     def of(cls, path: Path) -> Digest:
-        """Reads a file once, through links."""
+        """Returns the digest of a file. Follows links."""
         with open(path, "rb") as file:
             size = os.fstat(file.fileno()).st_size
             sha256, git = hashlib.sha256(), hashlib.sha1(b"blob %d\0" % size)
@@ -56,15 +56,15 @@ class Digest:
 
 @dataclass(frozen=True)
 class Staged:
-    """Files to be published.
+    """Files to publish.
 
     Attributes:
-        kind: ``dataset`` or ``model``, as the Hub calls repositories (environments are models there).
-        repo_id: its name.
-        folder: holds the files, or links to them.
-        replaced: prefixes of names in the repository; other files under these prefixes are deleted there.
-        version_tag: tag that has to be at the newest commit, or None.
-        digests: path in the repository -> digest of the file when it was scanned. Only this is published.
+        kind: repository type on the Hub: ``dataset`` or ``model`` (also for environments).
+        repo_id: repository name on the Hub.
+        folder: folder with the files or links to them.
+        replaced: name prefixes in the repository. Other files under them are deleted there.
+        version_tag: tag that must be at the newest commit, or None.
+        digests: path in the repository -> digest of the scanned file. Only these files are published.
     """
 
     kind: str
@@ -75,37 +75,37 @@ class Staged:
     digests: Mapping[str, Digest] = field(default_factory=dict)
 
     def sealed(self) -> Staged:
-        """Returns this with the present digests of the files."""
+        """Returns a copy with the current digests of the files."""
         return replace(self, digests={name: Digest.of(path) for name, path in self.files().items()})
 
     def require_unchanged(self) -> None:
-        """Raises `DatasetError` if a file, or the target of a link, has changed since it was scanned."""
+        """Raises `DatasetError` if a file or link target has changed since the scan."""
         now = self.sealed().digests
         if changed := sorted(name for name in {**now, **self.digests} if now.get(name) != self.digests.get(name)):
             raise DatasetError(
                 "Files changed after they were checked for publishing.",
                 got=listed(changed),
                 allowed="files that no process writes to",
-                hint="the same command again, once the writing is over",
+                hint="run the same command again when nothing writes to them",
             )
 
     def files(self) -> dict[str, Path]:
-        """Returns path in the repository -> file."""
+        """Returns the files: path in the repository -> file."""
         paths = (path for path in sorted(self.folder.rglob("*")) if path.is_file())
         return {path.relative_to(self.folder).as_posix(): path for path in paths}
 
 
 def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None = None) -> Staged:
-    """Checks a dataset (every row, every video frame) and stages it with a card made from its content.
+    """Checks all rows and video frames of a dataset and stages it with a card.
 
     Args:
-        root: of the dataset.
-        repo_id: its name on the Hub.
+        root: folder of the dataset.
+        repo_id: repository name on the Hub.
         into: an empty folder.
-        assets: folder of the external assets that it was collected with, if any.
+        assets: folder of the external assets used for its collection, if any.
 
     Raises:
-        DatasetError: it is missing, unfinished or damaged, or holds names of a machine or person.
+        DatasetError: the dataset is missing, unfinished or damaged, or contains names of a machine or person.
     """
     name, root = root.absolute().name, root.resolve()
     version = str(load_check(root).get("codebase_version"))
@@ -115,7 +115,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
             "This dataset is damaged.",
             got=f"{root.name}: {sum(result.counts.values())} findings, the first: {result.findings[0]}",
             allowed="a dataset in which `adamanip check` finds nothing",
-            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs what a crash has left",
+            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs damage from a crash",
         )
     if re.fullmatch(r"v\d+\.\d+", version) is None:
         raise DatasetError(
@@ -136,13 +136,13 @@ def stage_model(
 
     Args:
         folder: ``pretrained_model`` of a checkpoint, or the checkpoint.
-        repo_id: its name on the Hub.
+        repo_id: repository name on the Hub.
         into: an empty folder.
-        results: of its evaluations, for the card.
-        dataset: name on the Hub of the training dataset.
+        results: evaluation results for the card.
+        dataset: Hub name of the training dataset.
 
     Raises:
-        DatasetError: a file is missing or damaged, or holds names of a machine or person.
+        DatasetError: a file is missing or damaged, or contains names of a machine or person.
     """
     folder = folder.resolve()
     folder = inner if (inner := folder / "pretrained_model").is_dir() else folder
@@ -163,7 +163,7 @@ def stage_environment(
     category: str = ALL,
     results: Sequence[ResultFile] = (),
 ) -> Staged:
-    """Stages the environments' repository in an empty folder; other arguments and errors as of `environment_files`."""
+    """Stages the environments' repository in an empty folder. Other arguments and errors: see `environment_files`."""
     files = environment_files(repo_id, fingerprint, category=category, results=results)
     (into / "envs").mkdir()
     for name, text in files.items():
@@ -172,16 +172,16 @@ def stage_environment(
 
 
 def _finish(staged: Staged, card: str, source: Path) -> Staged:
-    """Adds the card, and raises `DatasetError` if a file holds names of a machine or person."""
+    """Adds the card. Raises `DatasetError` if a file contains names of a machine or person."""
     check_card(card, staged.kind)
     (staged.folder / "README.md").write_text(card, encoding="utf-8")
-    sealed = staged.sealed()  # before the scan, so that later changes are found
+    sealed = staged.sealed()  # before the scan, so that later changes are detected
     require_clean(staged.files(), Names.here(source), owner=staged.repo_id.partition("/")[0])
     return sealed
 
 
 def _file_names(root: Path) -> Iterator[str]:
-    """Yields the names of all files in a folder, also in linked folders, each folder once."""
+    """Yields the names of all files in a folder and in linked folders. Visits each folder once."""
     seen: set[Path] = set()
     for folder, folders, names in os.walk(root, followlinks=True):
         if (real := Path(folder).resolve()) in seen:
@@ -201,7 +201,7 @@ def _link(source: Path, names: Iterable[str], into: Path) -> None:
 
 
 def _check_checkpoint(folder: Path) -> list[str]:
-    """Returns the names of the pipelines' state files; raises `DatasetError` if a file is missing or damaged."""
+    """Returns the names of the pipelines' state files. Raises `DatasetError` if a file is missing or damaged."""
     try:
         for name in ("config.json", "train_config.json"):
             if not isinstance(json_fields.read(folder / name), dict):
@@ -218,7 +218,7 @@ def _check_checkpoint(folder: Path) -> list[str]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         reason = f"no {Path(error.filename).name}" if isinstance(error, FileNotFoundError) else str(error)
         raise DatasetError(
-            "This is not a whole checkpoint.",
+            "This is not a complete checkpoint.",
             got=f"{folder}: {reason}"[:400],
             allowed="the folder pretrained_model of a LeRobot checkpoint: weights, configurations, both pipelines",
             hint="adamanip push model outputs/train/checkpoints/last/pretrained_model --repo-id YOU/NAME",

@@ -1,9 +1,9 @@
-"""Every line that changes LeRobot, one file a patch: three for recordings of our robots, one for the speed of training.
+"""All patches of LeRobot, one per file: three for recordings of our robots, one for training speed.
 
-The plugin has the three of `PATCHES` applied when a robot of ours is created. A policy of ours applies
-`batched_reading` to the dataset it trains on. Importing this package or the plugin changes nothing, and the order of
-imports does not matter. A patch changes a module of LeRobot only if that is loaded. It tests what it changes, and turns
-itself off with one line in the log where LeRobot is different. The variable `NO_PATCHES` turns all of them off.
+Creating one of our robots applies the three in `PATCHES`. Our policies apply `batched_reading` to their training
+dataset. Importing this package or the plugin changes nothing, and the import order does not matter. A patch changes
+only loaded modules of LeRobot. It tests the code it changes. If LeRobot differs, it logs one line and stays off. The
+variable `NO_PATCHES` turns all patches off.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ PATCHES = {
         "The twin keeps its scene between episodes, no teleoperator ends one, and the clutch alone anchors goals.",
     ),
 }
-"""Patch -> the module of LeRobot that it changes, and what a user loses without it."""
+"""Patch -> LeRobot module that it changes, and the loss without it."""
 _on: set[str] = set()
 
 
 def apply() -> None:
-    """Applies each patch whose module of LeRobot is loaded. Idempotent.
+    """Applies each patch whose LeRobot module is loaded. Idempotent.
 
-    A script that records a robot of its own with our columns calls this after its imports.
+    A script that records its own robot with our columns calls this after its imports.
     """
     if support.are_off(" ".join(loss for _, loss in PATCHES.values())):
         return
@@ -50,7 +50,7 @@ def apply() -> None:
 
 
 def restore() -> None:
-    """Takes all patches back: for comparison with LeRobot as it is."""
+    """Removes all patches, for comparison with unpatched LeRobot."""
     support.restore()
     _on.clear()
 

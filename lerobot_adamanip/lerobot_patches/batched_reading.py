@@ -1,17 +1,17 @@
-"""Patch: read a batch of rows at once from datasets that a policy of this project trains on.
+"""Patch: read a batch of rows at once from the training datasets of this project's policies.
 
 Changes:
-    Adds ``LeRobotDataset.__getitems__``, by which torch's DataLoader asks a dataset for a whole batch. LeRobot defines
-    no such method. It acts on datasets whose metadata were marked by `read_in_batches`, and on no other.
+    Adds ``LeRobotDataset.__getitems__``, which torch's DataLoader calls to get a whole batch. LeRobot does not define
+    this method. It affects only datasets whose metadata were marked by `read_in_batches`.
 Why:
-    LeRobot decodes each row through Python lists: 0.6 ms for a cloud of 1,024 points, 38 ms for a batch of 64, where
-    forward, backward and optimizer together take 59 ms. Arrow gives the same batch in 1.1 ms.
+    LeRobot decodes each row through Python lists: 0.6 ms for a cloud of 1,024 points, 38 ms for a batch of 64. Forward,
+    backward and optimizer together take 59 ms. Arrow returns the same batch in 1.1 ms.
 Without it:
-    The same batches, slower. Videos, at which these policies do not look, are decoded too.
+    The same batches, slower. Videos that these policies do not use are also decoded.
 Upstream:
     None filed. LeRobot's readers up to main of 2026-08 read row by row.
 Needed for:
-    Every LeRobot without a ``__getitems__`` of its own.
+    Every LeRobot without its own ``__getitems__``.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from numpy.typing import NDArray
 from lerobot_adamanip.lerobot_patches.support import are_off
 from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 
-LOSS = "Training reads row by row: the same batches, 0.6 ms a row, and videos are decoded that no policy looks at."
+LOSS = "Training reads row by row: the same batches, 0.6 ms per row, and unused videos are decoded."
 MARK = "_adamanip_read_in_batches"
 NARROW_BYTES = 1024
-"""Columns of rows up to this size are kept in one piece."""
+"""Maximum row size of a column that is kept as one tensor."""
 Item = dict[str, Any]
 
 
 class Mark:
-    """Mark on a dataset's metadata. Unpickling it, in a data-loading process, applies the patch there too."""
+    """Mark on a dataset's metadata. Unpickling it in a data-loading worker applies the patch there too."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Makes the mark anew where it is unpickled."""
+        """Recreates the mark when it is unpickled."""
         return _apply, ()
 
 
 def read_in_batches(dataset_meta: Any) -> None:
-    """Marks a dataset, by its metadata, as read by a policy that looks at no picture; and applies the patch."""
+    """Applies the patch and marks a dataset's metadata: the policy that reads it uses no images."""
     if not are_off(LOSS):
         setattr(dataset_meta, MARK, _apply())
 
@@ -57,7 +57,7 @@ def _apply() -> Mark:
 
 
 def _get_items(dataset: Any, indices: Sequence[int]) -> list[Item]:
-    """Returns the items of rows, as ``dataset[index]`` gives them, less the videos."""
+    """Returns the items of rows like ``dataset[index]``, but without videos."""
     columns = _columns(dataset)
     if columns is None:
         return [dataset[index] for index in indices]
@@ -69,7 +69,7 @@ def _get_items(dataset: Any, indices: Sequence[int]) -> list[Item]:
 
 
 def _columns(dataset: Any) -> _Columns | None:
-    """Returns a marked dataset's columns; None where they alone do not make an item."""
+    """Returns a marked dataset's columns; None if an item needs more than the columns."""
     if not hasattr(dataset.meta, MARK) or dataset.reader is None:
         return None
     source, columns = _known.get(dataset, (None, None))
@@ -81,10 +81,10 @@ def _columns(dataset: Any) -> _Columns | None:
 
 
 class _Columns:
-    """Numeric columns of an Arrow table: narrow ones as tensors, wide ones where Arrow maps them into memory.
+    """Numeric columns of an Arrow table: narrow ones as tensors, wide ones memory-mapped by Arrow.
 
     Args:
-        columns: name -> arrays (rows, ...), one after the other.
+        columns: name -> consecutive arrays (rows, ...).
     """
 
     def __init__(self, columns: dict[str, list[NDArray[Any]]]) -> None:
@@ -94,7 +94,7 @@ class _Columns:
 
     @classmethod
     def of(cls, table: Any) -> _Columns | None:
-        """Returns the columns of a table; None if one of them is not numeric and regular, or there is no row."""
+        """Returns the columns of a table; None if a column is not numeric and regular, or without rows."""
         columns: dict[str, list[NDArray[Any]]] = {}
         for name in table.column_names:
             arrays = [numeric_array(chunk) for chunk in table.column(name).chunks if len(chunk)]
@@ -105,10 +105,10 @@ class _Columns:
         return cls(columns)
 
     def batch(self, rows: NDArray[np.int64], deltas: Mapping[str, Sequence[int]]) -> dict[str, torch.Tensor]:
-        """Returns name -> rows (B, ...), or their windows (B, T, ...) and padding (B, T), as LeRobot's reader does.
+        """Returns name -> rows (B, ...), or windows (B, T, ...) and padding (B, T), like LeRobot's reader.
 
         Args:
-            rows: (B,), each from 0 on.
+            rows: (B,) row indices from 0.
             deltas: name -> steps of its window relative to a row.
         """
         batch = {name: self._at(name, rows) for name in self._arrays if name not in deltas}
@@ -122,7 +122,7 @@ class _Columns:
         return batch
 
     def _at(self, name: str, rows: NDArray[np.int64]) -> torch.Tensor:
-        """Returns rows (R, ...) of a column, in the dtypes of LeRobot's reader: float32, int64 or bool."""
+        """Returns rows (R, ...) of a column in the dtypes of LeRobot's reader: float32, int64 or bool."""
         arrays = self._arrays[name]
         if len(arrays) == 1:
             values = arrays[0][rows]

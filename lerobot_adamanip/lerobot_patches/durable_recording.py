@@ -1,11 +1,11 @@
-"""Patch: make every saved episode of our robots' recordings readable at once, whatever happens to the process then.
+"""Patch: make every saved episode of our robots' recordings readable at once, even if the process is killed later.
 
 Changes:
     `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`), and
-    ``LeRobotDataset.resume``, which first repairs such a recording. An episode gets files of its own, complete when
-    it is saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it.
-    A kill in between leaves files that nothing counts, and `datasets.repair` moves them away. The writer also keeps
-    calibrations and safety limits of the connected robot beside its recording.
+    ``LeRobotDataset.resume``, which first repairs such a recording. Each episode gets its own files, complete when it
+    is saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A
+    kill in between leaves uncounted files, and `datasets.repair` moves them away. The writer also stores calibrations
+    and safety limits of the connected robot next to its recording.
 Why:
     LeRobot completes its Parquet files when a session ends.
 Without it:
@@ -16,7 +16,7 @@ Upstream:
 Needed for:
     0.6.1 and main of 2026-08-23, tested with both.
 Guard:
-    Two episodes are recorded into a scratch folder. Each has to be readable as soon as it is saved.
+    Records two episodes into a scratch folder. Each must be readable as soon as it is saved.
 """
 
 from __future__ import annotations
@@ -74,20 +74,20 @@ def apply() -> None:
 
 
 class DurableMetadata(LeRobotDatasetMetadata):
-    """LeRobot's metadata, complete on the disk after every episode."""
+    """LeRobot's metadata, complete on disk after every episode."""
 
     root: Path
     data_files_size_in_mb = video_files_size_in_mb = 0.0
-    """Any file is full [MB], so an episode has files of its own. What ``meta/info.json`` says stays."""
+    """File size limit [MB]: every file counts as full, so each episode gets its own. ``meta/info.json`` stays as is."""
 
     def save_episode_tasks(self, tasks: list[str]) -> None:
-        """As LeRobot's, but a crash leaves the old list of tasks or the new one."""
+        """Like LeRobot's, but a crash leaves either the old or the new list of tasks."""
         with self._replacing_files():
             super().save_episode_tasks(tasks)
 
     @functools.wraps(LeRobotDatasetMetadata.save_episode)
     def save_episode(self, *args: Any, **kwargs: Any) -> None:
-        """As LeRobot's; the episode is saved once ``meta/info.json`` has been replaced."""
+        """Like LeRobot's. The episode counts as saved after ``meta/info.json`` is replaced."""
         with self._replacing_files():
             super().save_episode(*args, **kwargs)
 
@@ -103,7 +103,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
 
     @contextlib.contextmanager
     def _replacing_files(self) -> Iterator[None]:
-        """Lets LeRobot write files elsewhere, and moves each into its place in one step, ``meta/info.json`` last."""
+        """Lets LeRobot write files elsewhere, then moves each into place atomically, ``meta/info.json`` last."""
         self._place = self.root
         with tempfile.TemporaryDirectory() as scratch:
             self.root = Path(scratch)
@@ -116,7 +116,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
                 files.write_atomically(self.root / path.relative_to(scratch), path.read_bytes())
 
     def _sync_latest(self) -> None:
-        """Makes the files of the latest episode survive a power cut."""
+        """Syncs the files of the latest episode to disk, so that they survive a power cut."""
         latest = {key: value[0] for key, value in self.latest_episode.items()}
 
         def numbers(prefix: str) -> dict[str, int]:
@@ -130,7 +130,7 @@ class DurableMetadata(LeRobotDatasetMetadata):
 
 
 class DurableWriter(DatasetWriter):
-    """LeRobot's writer, which completes an episode's files when it saves the episode. It holds the dataset's lock."""
+    """LeRobot's writer, but each saved episode has complete files. It holds the dataset's lock."""
 
     def __init__(self, meta: LeRobotDatasetMetadata, *args: Any, **options: Any) -> None:
         if (size := options.get("batch_encoding_size", 1)) > 1:
@@ -146,7 +146,7 @@ class DurableWriter(DatasetWriter):
         meta.__class__ = DurableMetadata  # the same data, written differently
 
     def finalize(self) -> None:
-        """As LeRobot's; then another process may write the dataset, or repair it."""
+        """Like LeRobot's. Afterwards another process may write or repair the dataset."""
         super().finalize()
         self._lock.close()
 
@@ -157,7 +157,7 @@ class DurableWriter(DatasetWriter):
 
 
 def rehearse() -> None:
-    """Records two episodes of one row into a scratch folder; raises if one cannot be read when it is saved."""
+    """Records two episodes of one row into a scratch folder. Raises if a saved one cannot be read."""
     names = {STATE: SCALAR_NAMES, ACTION: POSE_NAMES}
     features = {key: {"dtype": "float32", "shape": (len(each),), "names": list(each)} for key, each in names.items()}
     quiet = datasets.are_progress_bars_disabled()
@@ -173,7 +173,7 @@ def rehearse() -> None:
                 counted = json.loads((root / "meta" / INFO).read_text(encoding="utf-8"))["total_episodes"]
                 found = [_rows(root / name) for name in ("data", "meta/episodes")]
                 if [counted, *found] != [episodes] * 3:
-                    raise ValueError(f"{[counted, *found]} episodes are readable of {episodes} that are saved")
+                    raise ValueError(f"{[counted, *found]} of {episodes} saved episodes are readable")
             dataset.finalize()
     finally:
         if not quiet:
@@ -185,7 +185,7 @@ def _rows(folder: Path) -> int:
 
 
 def repair_recording(root: Path) -> None:
-    """Repairs a recording of our robots after a crash; does nothing to any other dataset, or to none."""
+    """Repairs a recording of our robots after a crash. Ignores other datasets and missing folders."""
     from lerobot_adamanip.datasets.reading import read_info
     from lerobot_adamanip.datasets.repair import repair
 
@@ -193,15 +193,15 @@ def repair_recording(root: Path) -> None:
         if not is_dense(read_info(root)["features"]):
             return
     except (OSError, ValueError):
-        return  # LeRobot says what is wrong
+        return  # LeRobot reports the error
     done = repair(root)
     for line in done.lines():
         _log.warning("%s: %s", root.name, line)
 
 
 def _keep_robot(root: Path) -> None:
-    """Writes what the connected robot knows, and rows do not tell, beside its first episode: where its cameras are, and
-    the limits of its safety filter.
+    """Writes the connected robot's camera calibrations and safety limits next to its first episode, since rows do not
+    contain them.
     """
     session = ROBOTS.find()
     if session is None:

@@ -4,8 +4,8 @@ Changes:
     ``record_loop`` of `lerobot.scripts.lerobot_record`, which runs once per episode and once per pause between
     episodes. It gets a wrapper; its own code stays.
 Why:
-    LeRobot tells no robot that an episode begins. The twin has to reset its scene, a teleoperator to start from the
-    robot's present pose, and the scripted one to end the episode.
+    LeRobot does not tell a robot that an episode begins. The twin must reset its scene. A teleoperator must start from
+    the robot's current pose, and the scripted one must end the episode.
 Without it:
     The twin keeps its scene between episodes, no teleoperator ends one, and the clutch alone anchors goals.
 Upstream:
@@ -34,28 +34,28 @@ _running: list[MutableMapping[str, Any]] = []
 
 @runtime_checkable
 class EpisodicRobot(Protocol):
-    """A robot that wants to know of episodes: a twin, whose scene is put up anew."""
+    """A robot that is notified of episodes, e.g. a twin that resets its scene."""
 
     def begin_episode(self, index: int) -> None:
-        """Called before the first observation of the episode that becomes number ``index`` of the dataset."""
+        """Prepares episode ``index`` of the dataset. Called before its first observation."""
 
     def end_episode(self, index: int, root: Path) -> None:
-        """Called after its last action; the dataset is the folder ``root``."""
+        """Finishes episode ``index`` after its last action. ``root`` is the dataset folder."""
 
     @property
     def resets_itself(self) -> bool:
-        """Whether the pause between episodes, in which a person resets the scene, is not needed."""
+        """Whether the robot resets its scene itself. Then no pause between episodes is needed."""
 
 
 def end_episode() -> bool:
-    """Ends the episode that is being recorded in this process, as its key does; False if there is none."""
+    """Ends the episode being recorded in this process, like the operator's key. Returns False if there is none."""
     for events in _running:
         events["exit_early"] = True
     return bool(_running)
 
 
 def undecorated(loop: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns the function that a decorator wraps; LeRobot's own does not say which, but holds it as ``func``."""
+    """Returns the function that a decorator wraps. LeRobot's decorator only keeps it in a closure, as ``func``."""
     held = inspect.getclosurevars(loop).nonlocals.get("func") if inspect.isfunction(loop) else None
     return undecorated(held) if callable(held) else inspect.unwrap(loop)
 
@@ -72,7 +72,7 @@ def apply() -> None:
 
 
 def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
-    """Returns LeRobot's loop with events around it: see `EpisodicRobot` and `RobotSession.episodes`."""
+    """Returns LeRobot's loop with episode events: see `EpisodicRobot` and `RobotSession.episodes`."""
     signature = inspect.signature(undecorated(stock))
 
     @functools.wraps(stock)
@@ -100,7 +100,7 @@ def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _count(robot: Any) -> None:
-    """Whoever integrates a goal for this robot starts anew."""
+    """Counts an episode, so that teleoperators anchor their goal again."""
     session = ROBOTS.find(getattr(robot, "id", None)) or ROBOTS.find()
     if session is not None:
         session.episodes += 1

@@ -4,8 +4,8 @@ Changes:
     `lerobot.datasets.lerobot_dataset.DatasetWriter`, for datasets of our robots (`is_dense`). x265 gets ``bframes=0``
     for depth, which stays lossless.
 Why:
-    With B-frames, one in four videos of one or two frames cannot be written ("pts/dts pair unsupported"). That error
-    ends the session of an operator who ends an episode at once.
+    With B-frames, one in four videos of one or two frames cannot be written ("pts/dts pair unsupported"). If an
+    operator ends an episode at once, this error ends the session.
 Without it:
     A recording session with depth may end with an error at an episode of one or two frames. The same by hand:
     ``--dataset.depth_encoder.extra_options='{"x265-params": "lossless=1:bframes=0"}'``.
@@ -52,7 +52,7 @@ def apply() -> None:
 
 
 def in_order(encoder: DepthEncoderConfig) -> DepthEncoderConfig:
-    """Returns a depth encoder without B-frames; one of another codec, or with B-frames set, as it is."""
+    """Returns a depth encoder without B-frames. Other codecs, or an encoder with B-frames set, stay unchanged."""
     given = str(encoder.extra_options.get(_X265, ""))
     if encoder.vcodec not in ("hevc", "libx265") or "bframes" in given:
         return encoder

@@ -1,4 +1,4 @@
-"""What patches share: replacing an attribute of LeRobot, and setting back what was there."""
+"""Shared code of the patches: replaces attributes of LeRobot and restores them."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from types import ModuleType
 from typing import Any
 
 NO_PATCHES = "ADAMANIP_NO_PATCHES"
-"""Environment variable: set to 1, LeRobot stays as it is."""
+"""Environment variable. Set to 1, it turns all patches off."""
 _log = logging.getLogger(__name__)
 _replaced: list[tuple[Any, str, Any]] = []
 _warned: set[str] = set()
 
 
 class UnsupportedError(Exception):
-    """A patch does not fit this LeRobot; the message says why."""
+    """A patch does not fit this LeRobot. The message gives the reason."""
 
 
 def loaded(name: str) -> ModuleType | None:
-    """Returns a module of LeRobot if it is loaded, also where it is run as a program."""
+    """Returns a LeRobot module if it is loaded, also if it runs as the main program."""
     main = sys.modules.get("__main__")
-    # An embedded interpreter may have no module of that name, or one without a specification.
+    # an embedded interpreter may have no main module, or one without a specification
     if getattr(getattr(main, "__spec__", None), "name", None) == name:
         return main
     return sys.modules.get(name)
@@ -35,18 +35,18 @@ def replace(owner: Any, name: str, value: Any) -> None:
 
 
 def count() -> int:
-    """Returns how many attributes are replaced."""
+    """Returns the number of replaced attributes."""
     return len(_replaced)
 
 
 def restore(but: int = 0) -> None:
-    """Sets back all attributes but the first so many that were replaced, the latest first."""
+    """Restores replaced attributes, the latest first, except the first ``but`` ones."""
     while len(_replaced) > but:
         setattr(*_replaced.pop())
 
 
 def are_off(loss: str) -> bool:
-    """Whether `NO_PATCHES` is set; then one line in the log says what a user loses."""
+    """Returns whether `NO_PATCHES` is set. If so, logs ``loss`` once."""
     off = os.environ.get(NO_PATCHES, "") not in ("", "0")
     if off:
         warn_once(f"{NO_PATCHES} is set, so LeRobot stays as it is. {loss}")
@@ -54,7 +54,7 @@ def are_off(loss: str) -> bool:
 
 
 def warn_once(line: str) -> None:
-    """Logs a warning, once per process."""
+    """Logs a warning once per process."""
     if line not in _warned:
         _warned.add(line)
         _log.warning(line)

@@ -1,1 +1,1 @@
-"""Dense recordings of a robot, and the key frames chosen from them."""
+"""Dense recordings of a robot and their conversion to key frames."""

@@ -1,4 +1,4 @@
-"""Convert dense recordings to a dataset of demonstrations, alone or mixed with simulated ones."""
+"""Converts dense recordings to a dataset of demonstrations, alone or mixed with simulated datasets."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Progress = Callable[[str, int, int], None]
-"""Called with stage (``convert``, ``assemble``, ``merge``), episodes done, and all."""
+"""Called with stage (``convert``, ``assemble``, ``merge``), finished episodes and total episodes."""
 _LEAST_TICKS = 2
 
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """How to convert recordings.
+    """Options of a conversion.
 
     Attributes:
         key_frames: thresholds of key frames.
-        rows: points, pictures and workspace; those of the simulated datasets in a mix.
-        camera: whose depth becomes the cloud.
-        calibration: file with its pose; None for the one in each recording.
-        successful: whether episodes of roll-outs, which record no success, count as successes from their last row on.
-        skip_still: leave out episodes in which nothing moves, instead of ending with an error.
-        repo_id: ``local/<folder name>`` by default.
+        rows: points, images and workspace; a mix takes them from its simulated datasets.
+        camera: key of the camera whose depth becomes the cloud.
+        calibration: camera calibration file; None uses the file in each recording.
+        successful: whether rollout episodes, which record no success, count as successful at their last row.
+        skip_still: whether to skip episodes without motion instead of raising an error.
+        repo_id: dataset name; default ``local/<folder name>``.
     """
 
     key_frames: KeyFrameOptions = field(default_factory=KeyFrameOptions)
@@ -63,10 +63,10 @@ class Converted:
     """Result of a conversion.
 
     Attributes:
-        episodes: from recordings.
-        ticks: of these, before.
-        key_frames: of these, now.
-        simulated: episodes of simulated datasets beside them.
+        episodes: number of episodes from recordings.
+        ticks: number of their recorded ticks.
+        key_frames: number of their key frames.
+        simulated: number of episodes from simulated datasets.
         skipped: episodes without motion, as ``recording:episode``.
     """
 
@@ -85,17 +85,17 @@ def convert(
 ) -> Converted:
     """Writes one dataset: the key frames of dense recordings, then the episodes of simulated datasets.
 
-    ``out`` appears when it is complete.
+    ``out`` appears only when it is complete.
 
     Args:
-        sources: dense recordings, one or more, and any datasets of the contract.
-        out: a folder that does not exist.
-        options: of the conversion.
+        sources: one or more dense recordings, and any simulated datasets.
+        out: new folder; it must not exist.
+        options: options of the conversion.
         progress: called after each episode.
 
     Raises:
-        DatasetError: a source is missing, damaged or of another kind, an episode has no motion, or ``out`` is taken.
-        ConfigurationError: there is no dense recording among the sources.
+        DatasetError: a source is missing, damaged or of another kind, an episode has no motion, or ``out`` exists.
+        ConfigurationError: the sources contain no dense recording.
     """
     require_repo_id(options.repo_id if options else None)
     with owned_output(out, CONVERTING) as output:
@@ -123,8 +123,8 @@ def _recordings(sources: Sequence[Path], simulated: Sequence[Path], options: Con
     raise ConfigurationError(
         "There is no dense recording.",
         got=", ".join(each.name for each in sources) or "nothing",
-        allowed="one or more of `lerobot-record`",
-        hint="use a dataset of key frames as it is; adamanip merge puts several together",
+        allowed="one or more recordings of `lerobot-record`",
+        hint="a dataset of key frames needs no conversion; adamanip merge joins several",
     )
 
 
@@ -132,17 +132,17 @@ def _is_demonstrations(root: Path) -> bool:
     try:
         return schema.POINT_CLOUD in read_info(root.absolute())["features"]
     except (OSError, ValueError):
-        return False  # `DenseRecording.open` says what is wrong
+        return False  # `DenseRecording.open` reports the error
 
 
 def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptions:
-    """Returns options with the columns of the simulated datasets, if there are any."""
+    """Returns options with the columns of the simulated datasets, if any."""
     if not simulated:
         return options
     box = one_workspace(simulated)
     if options.rows.workspace not in (box, DEFAULT_WORKSPACE):
         raise ConfigurationError(
-            "The clouds of a mix need one workspace.",
+            "All clouds of a mix need the same workspace.",
             got=f"{options.rows.workspace}",
             allowed=f"{box}, as in {simulated[0].name}",
             hint="leave out --workspace-lower and --workspace-upper",
@@ -160,7 +160,7 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
 
 @dataclass
 class _Conversion:
-    """Writes shards of recordings and counts them."""
+    """Writes shards of recordings and counts episodes."""
 
     work: Path
     options: ConvertOptions
@@ -170,7 +170,7 @@ class _Conversion:
     skipped: list[str] = field(default_factory=list)
 
     def shards(self, recordings: Sequence[DenseRecording]) -> Iterator[Path]:
-        """Writes the shards of all recordings; yields their paths in order."""
+        """Writes the shards of all recordings and yields their paths in order."""
         done, total = 0, sum(map(len, recordings))
         for recording in recordings:
             calibration = recording.calibration(self.options.calibration)
@@ -187,7 +187,7 @@ class _Conversion:
     def _converted(
         self, recording: DenseRecording, number: int, begin: int, episode: DenseEpisode, calibration: CameraCalibration
     ) -> RecordedEpisode | None:
-        """Returns the demonstration of a part that begins at a tick; None for one without motion that is left out."""
+        """Returns the demonstration of a part that starts at a tick; None for a skipped part without motion."""
         name, options = f"{recording.root.name}:{number}", self.options
         try:
             chosen = choose_key_frames(episode, recording.fps, options.key_frames)
@@ -224,7 +224,7 @@ class _Conversion:
 
 
 def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
-    """Returns the demonstrated parts of an episode by their first tick: all of it, or each take-over from a policy."""
+    """Returns the demonstrated parts of an episode by first tick: the whole episode, or each human intervention."""
     if episode.corrected is None:
         return [(0, episode)]
     edges = np.flatnonzero(np.diff(np.r_[False, episode.corrected, False])).tolist()
@@ -233,7 +233,7 @@ def _parts(episode: DenseEpisode) -> list[tuple[int, DenseEpisode]]:
 
 
 def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id: str, progress: Progress) -> Path:
-    """Writes a dataset of these episodes, syncs it and reads it back."""
+    """Writes a dataset of the shards, syncs it and verifies it."""
     if not shards:
         raise DatasetError(
             "No episode was converted.", got="0 episodes", allowed="1 or more", hint="adamanip check RECORDING"

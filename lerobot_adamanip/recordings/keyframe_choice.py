@@ -1,4 +1,4 @@
-"""Choose the key frames of a dense episode, and the accepted target that each of them ended."""
+"""Chooses the key frames of a dense episode and the accepted target that led to each."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from lerobot_adamanip.recordings.sparsify import DenseTrajectory, SparsifyOption
 from lerobot_adamanip.util.errors import DatasetError
 
 _SHORTEST = 1e-3
-"""Stamps nearer to each other than this are one moment [s]: a recorder may ask faster than an arm tells."""
+"""Maximum difference of equal timestamps [s]. A recorder may read faster than the arm publishes."""
 _FINGERS_BEGIN, _FINGERS_REST = 0.3, 0.01
-"""Fingers that were sent somewhere have begun to move after this [s]; slower than this per tick, they rest on a part
-that is wider than half way."""
+"""Time after which commanded fingers have started to move [s], and their minimum motion per tick. Slower fingers
+rest on a part wider than half of the opening."""
 
 
 @dataclass(frozen=True)
 class DenseEpisode:
-    """A recorded episode, tick by tick.
+    """A recorded episode with one row per tick.
 
     Attributes:
-        state: (T, 24) float32 of the contract.
-        effort: (T, 7) float32 [N m].
-        sent: (T, 10) float32: the last target that the arm had accepted when the row was read.
-        stamp: (T,) when the state was measured [s].
-        outcome: (T,) `lerobot_adamanip.contract.keyframes.Outcome` of the latest whole motion; -1 for none.
-        success: (T,) whether the task was done by then.
-        task: the instruction.
-        asked: (T, 10) float32: what the teleoperator or policy asked for in answer to the row.
-        corrected: (T,) whether a person or an expert had taken over; None outside roll-outs.
+        state: (T, 24) float32 state.
+        effort: (T, 7) float32 joint efforts [N m].
+        sent: (T, 10) float32 last target that the arm had accepted at the row's reading.
+        stamp: (T,) measurement time of the state [s].
+        outcome: (T,) `lerobot_adamanip.contract.keyframes.Outcome` of the latest complete motion; -1 for none.
+        success: (T,) whether the task was done.
+        task: task instruction.
+        asked: (T, 10) float32 action of the teleoperator or policy for the row.
+        corrected: (T,) whether a person or an expert had taken over; None outside rollouts.
     """
 
     state: NDArray[np.float32]
@@ -53,24 +53,24 @@ class DenseEpisode:
         return len(self.state)
 
     def take(self, ticks: slice | NDArray[np.int64]) -> DenseEpisode:
-        """Returns the episode of some of the ticks."""
+        """Returns an episode with a subset of the ticks."""
         arrays = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
         taken: dict[str, Any] = {name: values[ticks] for name, values in arrays.items()}
         return replace(self, **taken)
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """(T, 10) measured: position [m], rotation 6D, gripper opening."""
+        """Measured poses (T, 10): position [m], rotation 6D, gripper opening."""
         return self.state[:, : schema.ACTION_DIM].astype(np.float64)
 
 
 @dataclass(frozen=True)
 class KeyFrameOptions(SparsifyOptions):
-    """Thresholds, with those of standing still and giving up.
+    """Thresholds of key frames, including those of `SparsifyOptions`.
 
     Attributes:
-        reached_position: a target this close was reached [m].
-        reached_rotation: likewise [rad].
+        reached_position: maximum distance to a reached target [m].
+        reached_rotation: maximum angle to a reached target [rad].
     """
 
     reached_position: float = DEFAULT_MOTION.reached_position
@@ -79,12 +79,12 @@ class KeyFrameOptions(SparsifyOptions):
 
 @dataclass(frozen=True)
 class ChosenKeyFrames:
-    """The key frames of an episode: one row of a demonstration each, the last one terminal.
+    """Key frames of an episode. Each is one row of a demonstration; the last one is terminal.
 
     Attributes:
-        rows: (K,) ticks at which they are observed, ascending.
-        accepted: (K - 1,) ticks whose `DenseEpisode.sent` is the action of each row but the last.
-        actions: (K, 10) float32; the last stays where the tool is.
+        rows: (K,) ticks of their observations, ascending.
+        accepted: (K - 1,) ticks whose `DenseEpisode.sent` is the action of each row except the last.
+        actions: (K, 10) float32; the last one keeps the tool's pose.
         outcomes: (K,) `lerobot_adamanip.contract.keyframes.Outcome` of the actions.
     """
 
@@ -97,12 +97,12 @@ class ChosenKeyFrames:
 def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions | None = None) -> ChosenKeyFrames:
     """Returns the key frames of an episode.
 
-    Row k is observed at key frame k; its action is the accepted target that was in force when key frame k + 1 was
-    reached or given up, its gripper made 0 or 1.
+    Row k is observed at key frame k. Its action is the accepted target that was active when key frame k + 1 was
+    reached or abandoned, with the gripper rounded to 0 or 1.
 
     Args:
-        episode: two ticks or more.
-        fps: of the recording [Hz], for episodes whose stamps stand still.
+        episode: episode of two or more ticks.
+        fps: rate of the recording [Hz], for episodes with constant timestamps.
         options: thresholds.
 
     Raises:
@@ -114,7 +114,7 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
     if len(rows) < 2:
         raise DatasetError(
             "There is nothing to learn from in an episode.",
-            got=f"{len(episode)} ticks, in which the arm stays in one place",
+            got=f"{len(episode)} ticks, the arm stays in one place",
             allowed="two key frames or more",
             hint="--skip-still, or lerobot-edit-dataset --operation.type=delete_episodes",
         )
@@ -133,22 +133,22 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
 def trajectory_of(
     episode: DenseEpisode, grips: NDArray[np.bool_], fps: int
 ) -> tuple[DenseTrajectory, NDArray[np.int64]]:
-    """Returns the input of `sparsify`, and its ticks: each reading of the arm once."""
+    """Returns the input of `sparsify` and its ticks, with each reading of the arm once."""
     moments = _moments(episode, fps)
     ticks = np.flatnonzero(np.r_[True, np.diff(moments) > _SHORTEST])
     pose = episode.pose[ticks]
     pose[:, schema.GRIPPER_DIM] = grips[ticks]
     way = np.array([distance(a, b) for a, b in itertools.pairwise(pose)])
     speed = np.r_[way / np.diff(moments[ticks]), 0.0]
-    # In force after a reading is what the next one tells.
+    # the target active after a reading is reported by the next reading
     command = episode.sent[np.r_[ticks[1:], len(episode) - 1]].astype(np.float64)
     return DenseTrajectory(pose, speed, command), ticks
 
 
 def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
-    """Returns whether the hand is open, (T,): as it was sent, once the fingers are half way or rest.
+    """Returns whether the hand is open, (T,): the commanded state, once the fingers are half way or at rest.
 
-    Fingers that close on a bottle's cap stay open by more than half.
+    Fingers that close on a bottle cap stay more than half open.
     """
     wanted, opening = episode.sent[:, schema.GRIPPER_DIM] > 0.5, episode.state[:, schema.GRIPPER_DIM]
     moments, found = _moments(episode, fps), np.empty(len(episode), bool)
@@ -164,7 +164,7 @@ def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
 
 
 def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Drops key frames where the fingers were still on their way, as when a hand opens after a blocked pull."""
+    """Drops key frames during a finger motion, e.g. when a hand opens after a blocked pull."""
     wanted = episode.sent[:, schema.GRIPPER_DIM] > 0.5
     kept = [int(rows[0])]
     for row in rows[1:].tolist():
@@ -174,7 +174,7 @@ def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.
 
 
 def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
-    """Returns when each row was measured (T,) [s]; by the rate where the stamps stand still."""
+    """Returns each row's measurement time (T,) [s]; computed from the rate if the timestamps are constant."""
     told = episode.stamp
     if np.isfinite(told).all() and told[-1] - told[0] > _SHORTEST:
         return told
@@ -182,7 +182,7 @@ def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
 
 
 def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArray[np.bool_]:
-    """Returns for each tick whether the accepted target stood still since the reading before it, (T,)."""
+    """Returns for each tick (T,) whether the accepted target has not moved since the previous reading."""
     moments, sent = _moments(episode, fps), episode.sent.astype(np.float64)
     stands, before = np.ones(len(episode), bool), 0
     for tick in range(1, len(episode)):
@@ -196,22 +196,22 @@ def _stands(episode: DenseEpisode, fps: int, options: KeyFrameOptions) -> NDArra
 def _key_rows(episode: DenseEpisode, grips: NDArray[np.bool_], fps: int, options: KeyFrameOptions) -> NDArray[np.int64]:
     trajectory, ticks = trajectory_of(episode, grips, fps)
     kept = sparsify(trajectory, options)
-    # An arm that waits before it begins has two key frames in one place: the first sample, and the end of the wait.
+    # An arm that waits before it starts has two key frames in one place: the first sample and the end of the wait.
     waits = len(kept) > 1 and stays(trajectory.pose[kept[0] : kept[1] + 1], options.same_place)
     return ticks[kept[1:] if waits else kept]
 
 
 def stays(pose: NDArray[np.float64], same_place: float) -> bool:
-    """Whether poses (T, 10) are all in one place, with the hand open in all or in none."""
+    """Returns whether all poses (T, 10) are in one place with the same gripper state."""
     is_open = pose[:, schema.GRIPPER_DIM] > 0.5
     return bool((is_open == is_open[0]).all()) and all(distance(pose[0], each) <= same_place for each in pose)
 
 
 def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last: int, options: KeyFrameOptions) -> int:
-    """Returns the tick after ``first`` whose ``sent`` is the target that key frame ``last`` ended.
+    """Returns the tick after ``first`` whose ``sent`` is the target of key frame ``last``.
 
-    The target of the next key frame may be accepted before the arm leaves. So it is the first target that stands still
-    while the arm is in its last place, with the fingers sent to where they are then.
+    The arm may accept the next target before it leaves. So this is the first constant target while the arm is in its
+    last place and the commanded gripper state equals the measured one.
     """
     begin, here = last, episode.pose[last]
     while begin - 1 > first and distance(episode.pose[begin - 1], here) <= options.same_place:
@@ -220,7 +220,7 @@ def _accepted(episode: DenseEpisode, usable: NDArray[np.bool_], first: int, last
 
 
 def _outcome(episode: DenseEpisode, tick: int, target: NDArray[np.float32], options: KeyFrameOptions) -> int:
-    """Returns how the motion to a target had ended by a tick: as the arm reports, or else by its distance."""
+    """Returns the outcome of the motion to a target at a tick, from the arm's report or from the distance."""
     if episode.outcome[tick] >= 0:
         return int(episode.outcome[tick])
     far, turned = pose_error(*(pose_from_vector(each)[0] for each in (episode.pose[tick], target)))

@@ -1,4 +1,4 @@
-"""Read a dense recording of LeRobot's recorder: columns by name, episodes, and pictures."""
+"""Reads a dense recording of LeRobot's recorder: columns by name, episodes and images."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 INTERVENTION = "intervention"
-"""Column of LeRobot's DAgger recordings: whether a person, or an expert, had taken over."""
+"""Column of LeRobot's DAgger recordings: whether a person or an expert had taken over."""
 _IMAGES = "observation.images."
 _ROTATION_OFF = 0.05
-"""A target's rotation that is off by more than this is none: the robot has not accepted a target yet."""
+"""Maximum error of a valid target rotation. A larger error means that the robot has not accepted a target yet."""
 
 
 @dataclass(frozen=True)
 class DenseRecording:
-    """A dataset that `lerobot-record`, or `lerobot-rollout`, made of one of our robots.
+    """A dataset that `lerobot-record` or `lerobot-rollout` recorded with one of our robots.
 
     Attributes:
-        root: its folder.
-        info: its ``meta/info.json``.
-        camera: whose depth becomes the cloud.
+        root: dataset folder.
+        info: content of ``meta/info.json``.
+        camera: key of the camera whose depth becomes the cloud.
     """
 
     root: Path
@@ -58,7 +58,7 @@ class DenseRecording:
 
     @classmethod
     def open(cls, root: Path, camera: str = FRONT_CAMERA) -> DenseRecording:
-        """Returns a recording; raises `DatasetError` if there is none, or it is of another robot, or has no depth."""
+        """Opens a recording. Raises `DatasetError` if it is missing, from another robot, or without depth."""
         folder = root.absolute()
         try:
             info = read_info(folder)
@@ -74,12 +74,12 @@ class DenseRecording:
         depth = f"{_IMAGES}{camera}{DEPTH_SUFFIX}"
         if depth not in info["features"]:
             pictures = [key for key in info["features"] if key.startswith(_IMAGES)]
-            raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a camera that tells depth")
+            raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a depth camera")
         return cls(folder, info, camera)
 
     @property
     def fps(self) -> int:
-        """Ticks per second."""
+        """Rate of the recording [Hz]."""
         return int(self.info["fps"])
 
     @cached_property
@@ -90,16 +90,16 @@ class DenseRecording:
         return LeRobotDataset(f"local/{self.root.name}", root=self.root, video_backend="pyav")
 
     def calibration(self, path: Path | None = None) -> CameraCalibration:
-        """Returns the calibration of the camera, from a file, or as it was recorded with the episodes.
+        """Returns the calibration of the camera, from a file or from the recording.
 
         Raises:
-            DatasetError: there is none, or only of other cameras.
-            ConfigurationError: the file holds no calibrations.
+            DatasetError: there is no calibration of this camera.
+            ConfigurationError: the file contains no calibrations.
         """
         chosen = path or self.root / CALIBRATIONS
         if path is None and not chosen.exists():
             got, hint = f"no {CALIBRATIONS} in {self.root.name}", "adamanip keyframes --calibration FILE"
-            raise _unusable(self.root, got, "the calibration that the robot had", hint)
+            raise _unusable(self.root, got, "the robot's camera calibration", hint)
         known = read_calibrations(chosen)
         if self.camera not in known:
             raise _unusable(self.root, f"calibrations of {', '.join(known)}", self.camera, "--camera, --calibration")
@@ -120,7 +120,7 @@ class DenseRecording:
         return pa.concat_tables(tables).sort_by("index")
 
     def episode(self, number: int) -> DenseEpisode:
-        """Returns an episode's columns; raises `DatasetError` for values that are not finite."""
+        """Returns an episode's columns. Raises `DatasetError` for values that are not finite."""
         table = self._rows.filter(pc.equal(self._rows["episode_index"], number))
         states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
         names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
@@ -151,9 +151,9 @@ class DenseRecording:
         )
 
     def _accepted(self, asked: NDArray[np.float32], first: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Returns the accepted target at each tick of a roll-out, which records only what was asked for, (T, 10).
+        """Returns the accepted target at each tick of a rollout (T, 10). A rollout records only the requested actions.
 
-        It is what was asked for a tick earlier, after the robot's safety filter if the filter's limits are recorded.
+        It is the action of the previous tick, passed through the safety filter if the filter's limits are recorded.
         """
         path = self.root / SAFETY
         if not path.exists():
@@ -174,11 +174,11 @@ class DenseRecording:
 
     @property
     def tells_success(self) -> bool:
-        """Whether it records success; roll-outs do not."""
+        """Whether the recording contains success. Rollouts do not."""
         return self._tells([LABEL_NAME])
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
-        """Returns colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""
+        """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""
         begin = int(self.dataset.meta.episodes[number]["dataset_from_index"])
         item = self.dataset[begin + tick]
         depth = np.asarray(item[f"{_IMAGES}{self.camera}{DEPTH_SUFFIX}"]).squeeze()
@@ -189,12 +189,12 @@ class DenseRecording:
 
 
 def _targets(sent: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Returns accepted targets; the tool's pose before the first was accepted."""
+    """Returns accepted targets, or the tool pose before the first accepted target."""
     rotation = sent[:, schema.ROTATION_DIMS].reshape(-1, 2, 3)
     known = np.isfinite(sent).all(axis=1) & (np.abs(np.linalg.norm(rotation, axis=2) - 1.0) < _ROTATION_OFF).all(axis=1)
     return np.where(known[:, None], sent, state[:, : schema.ACTION_DIM]).astype(np.float32)
 
 
 def _unusable(root: Path, got: str, allowed: str, hint: str) -> DatasetError:
-    what = f"{root.name} cannot be made into key frames."
+    what = f"{root.name} cannot be converted to key frames."
     return DatasetError(what, got=got, allowed=allowed, hint=hint)

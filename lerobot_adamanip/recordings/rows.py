@@ -1,4 +1,4 @@
-"""Make the columns of a demonstration from the key frames of a dense episode."""
+"""Computes the columns of a demonstration from the key frames of a dense episode."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from lerobot_adamanip.recordings.keyframe_choice import ChosenKeyFrames, DenseEp
 from lerobot_adamanip.util.errors import DatasetError
 
 Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
-"""Tick -> colour (H, W, 3), if there is any, and depth (H, W) [mm]."""
+"""Tick -> colour (H, W, 3), if any, and depth (H, W) [mm]."""
 _OPEN_FINGER = 0.04
-"""Way of each finger of an open hand [m]."""
+"""Travel of each finger from closed to open [m]."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class RowOptions:
     """Sizes of the columns.
 
     Attributes:
-        num_points: per cloud.
-        image_size: height and width of the front image [px]; None for none.
-        workspace: box of the clouds.
+        num_points: number of points per cloud.
+        image_size: height and width of the front image [px]; None for no image.
+        workspace: bounding box of the clouds.
     """
 
     num_points: int = schema.DEFAULT_NUM_POINTS
@@ -47,13 +47,13 @@ def demonstration_columns(
     calibration: CameraCalibration,
     options: RowOptions,
 ) -> dict[str, NDArray[Any]]:
-    """Returns one (K, ...) array per column of the contract, for the K key frames of an episode.
+    """Returns one array (K, ...) per dataset column for the K key frames of an episode.
 
-    Tries are unlabelled: phase and trial are -1, and no row has a try. Object joints are unknown and 0. ``action`` is
-    what a corrector asked for, if there was one; ``complementary_info.executed`` is what the arm accepted.
+    Tries are unlabelled: phase and trial are -1, and no row has a try. Object joints are unknown and set to 0.
+    ``action`` is the corrector's action, if any; ``complementary_info.executed`` is the target that the arm accepted.
 
     Raises:
-        DatasetError: pictures are wanted, and there are none.
+        DatasetError: images are requested but not recorded.
     """
     rows, count = chosen.rows, len(chosen.rows)
     success = np.maximum.accumulate(episode.success[np.r_[rows[1:], rows[-1:]]])
@@ -82,7 +82,7 @@ def demonstration_columns(
 def _asked(episode: DenseEpisode, chosen: ChosenKeyFrames) -> NDArray[np.float32]:
     if episode.corrected is None:
         return chosen.actions
-    # What was asked for in answer to a row is, after the safety filter, what the next row tells as sent.
+    # the next row records the action of a row, after the safety filter, as sent
     asked = episode.asked[np.maximum(chosen.accepted - 1, 0)].copy()
     asked[:, schema.GRIPPER_DIM] = asked[:, schema.GRIPPER_DIM] > 0.5
     return np.asarray(np.concatenate([asked, chosen.actions[-1:]]), np.float32)
@@ -112,7 +112,7 @@ def _seen(
 
 
 def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """Returns the middle square of a picture (H, W, 3), as (size, size, 3)."""
+    """Returns the centre square of an image (H, W, 3), resized to (size, size, 3)."""
     height, width = picture.shape[:2]
     side = min(height, width)
     left, top = (width - side) // 2, (height - side) // 2
@@ -122,11 +122,11 @@ def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
 
 
 def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str, Any]:
-    """Returns the value of column ``camera``, JSON-able, as the simulator writes it.
+    """Returns the JSON-able value of the column ``camera``, in the simulator's format.
 
     Args:
-        calibration: of the camera; its colour imager is described if it was calibrated, else its depth imager.
-        size: of the front image [px]; None without images, for the depth picture's middle square.
+        calibration: camera calibration. Describes the colour imager if calibrated, else the depth imager.
+        size: size of the front image [px]; None without images, for the centre square of the depth image.
     """
     imager = calibration.color or calibration.depth
     side = min(imager.width, imager.height)

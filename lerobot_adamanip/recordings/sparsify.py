@@ -1,4 +1,4 @@
-"""Find key frames in dense motion: where the arm stopped, the gripper changed, or a command was given up."""
+"""Finds key frames in dense motion: the arm stopped, the gripper changed, or a command was abandoned."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
 
 _STANDS, _AWHILE = 1e-3, 3
-"""A goal that moves by less than this [m] for so many samples stands still."""
+"""A goal that moves less than this [m] during this number of samples stands still."""
 _SPRINGS = 2
-"""So many samples at most an arm that leaned on something takes to spring back, once its goal is given up."""
+"""Maximum number of samples in which a pressing arm springs back after its goal is abandoned."""
 _LEVER = 0.1
-"""Weighs a rotation against a translation: the way of a point this far from the tool centre point [m]."""
+"""Lever that converts a rotation to a distance [m]: the path of a point this far from the tool centre point."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class DenseTrajectory:
     """Samples of a motion at any rate.
 
     Attributes:
-        pose: (T, 10) measured: position [m], rotation 6D, gripper opening, base frame.
-        speed: (T,) measured, of tool centre point and a point 0.1 m off it [m/s].
-        command: (T, 10) goal in force at each sample; None if there was none to give up.
+        pose: (T, 10) measured pose: position [m], rotation 6D, gripper opening, base frame.
+        speed: (T,) measured speed of the tool centre point and a point 0.1 m from it [m/s].
+        command: (T, 10) active goal at each sample; None without goals.
     """
 
     pose: NDArray[np.float64]
@@ -33,19 +33,19 @@ class DenseTrajectory:
     command: NDArray[np.float64] | None = None
 
     def take(self, indices: NDArray[np.int64]) -> DenseTrajectory:
-        """Returns the trajectory of some of the samples."""
+        """Returns a trajectory with a subset of the samples."""
         command = None if self.command is None else self.command[indices]
         return DenseTrajectory(self.pose[indices], self.speed[indices], command)
 
 
 @dataclass(frozen=True)
 class SparsifyOptions:
-    """Thresholds.
+    """Thresholds of key frames.
 
     Attributes:
-        stopped: an arm slower than this stands still [m/s].
-        same_place: poses closer than this are one place [m].
-        given_up: a goal replaced at a larger distance than this was given up [m].
+        stopped: maximum speed of an arm at rest [m/s].
+        same_place: maximum distance of poses in one place [m].
+        given_up: distance above which a replaced goal counts as abandoned [m].
     """
 
     stopped: float = 0.02
@@ -54,7 +54,7 @@ class SparsifyOptions:
 
 
 def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Returns how far two (10,) poses are apart [m]: translation plus rotation on a lever of 0.1 m; gripper ignored."""
+    """Returns the distance between two poses (10,) [m]: translation plus rotation times 0.1 m, without gripper."""
     turn = matrix_from_rotation_6d(a[schema.ROTATION_DIMS]).T @ matrix_from_rotation_6d(b[schema.ROTATION_DIMS])
     sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     angle = np.arctan2(sine, np.trace(turn) - 1.0)
@@ -62,12 +62,12 @@ def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None) -> NDArray[np.int64]:
-    """Returns the indices of key frames, ascending. Applied to its own result, it changes nothing.
+    """Returns the indices of key frames, ascending. Idempotent.
 
     - The first and the last sample are key frames.
-    - Of a stay in one place the last sample is one: arm and gripper have settled.
-    - A change of the gripper is kept at the end of its stay, or where it happens if the arm is moving.
-    - A goal that is replaced ends a stay.
+    - The last sample of a stay in one place is a key frame: arm and gripper have settled.
+    - A gripper change is a key frame at the end of its stay, or at its own sample if the arm is moving.
+    - A replaced goal ends a stay.
     """
     chosen = options or SparsifyOptions()
     indices: NDArray[np.int64] = np.arange(len(trajectory.pose))
@@ -85,7 +85,7 @@ def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.i
     is_open = trajectory.pose[:, schema.GRIPPER_DIM] > 0.5  # half way: a closed gripper may hold something wide
     stay_end = _stay_ends(trajectory, is_open, options)
     kept = {0, count - 1, *stay_end[stay_end >= 0].tolist()}
-    # A change of the gripper within a stay is kept by the stay's end.
+    # the end of a stay also covers a gripper change within it
     kept.update(t for t in range(1, count) if is_open[t] != is_open[t - 1] and stay_end[t] < 0)
     if trajectory.command is not None:
         given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
@@ -102,10 +102,10 @@ def _late_ends(
     is_open: NDArray[np.bool_],
     options: SparsifyOptions,
 ) -> set[int]:
-    """Returns ends of stays whose goal was given up before: an arm takes a while to begin, or springs back first."""
+    """Returns ends of stays after an abandoned goal: the arm starts with a delay or springs back first."""
     pose, late, last = trajectory.pose, set[int](), len(stay_end) - 1
     for t in given_up:
-        # Every sample in between: of samples kept before, the next but one may be where an arm has come back to.
+        # check every sample in between: the arm may return to the same place two kept samples later
         left = t + 1
         while left <= last and _one_place(pose, is_open, t, left, options):
             left += 1
@@ -120,10 +120,10 @@ def _take_back_beginnings(
     is_open: NDArray[np.bool_],
     options: SparsifyOptions,
 ) -> None:
-    """Moves key frames at which an arm has begun to move to where its goal changed, or drops them.
+    """Moves key frames at the start of a motion back to the change of goal, or drops them.
 
-    An arm that leaves for another goal is slow at first: by its speed it stands still, and yet is on its way. If the
-    goal before has a key frame of its own, as where the fingers changed, the one here is dropped.
+    An arm that leaves for a new goal is slow at first, so its speed still counts as rest. If the previous goal already
+    has a key frame, e.g. at a finger change, this one is dropped.
     """
     pose, command, last = trajectory.pose, trajectory.command, len(trajectory.pose) - 1
     assert command is not None
@@ -147,7 +147,7 @@ def _take_back_beginnings(
 
 
 def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: SparsifyOptions) -> NDArray[np.int64]:
-    """Returns for each sample the last sample of the stay it is part of, (T,); -1 where the arm is moving."""
+    """Returns for each sample (T,) the last sample of its stay; -1 while the arm moves."""
     ends = np.full(len(trajectory.pose), -1, dtype=np.int64)
     start = None
     for t, speed in enumerate(trajectory.speed):
@@ -169,9 +169,9 @@ def _one_place(
 def _replaced(
     pose: NDArray[np.float64], command: NDArray[np.float64], stay_end: NDArray[np.int64], options: SparsifyOptions
 ) -> list[int]:
-    """Returns the last sample before each change of goal that ends a stay, or comes while the old goal is far away.
+    """Returns the last sample before each change of goal that ends a stay or abandons a distant goal.
 
-    Small changes do not count: in teleoperation a goal streams ahead of the arm.
+    Small changes do not count: in teleoperation the goal streams ahead of the arm.
     """
     return [
         t
