@@ -1,8 +1,8 @@
-"""The nine categories: what they are called, how many objects the paper has of each, and what a robot is told to do.
+"""The nine categories: name, number of objects in the paper, and task instruction.
 
-Pure data, light to import. Everything else about a category stands in a module named after it: its objects in
-`lerobot_adamanip.objects`, its rules in `lerobot_adamanip.mechanisms`, its experts in `lerobot_adamanip.experts`, its
-ManiSkill task a row of `lerobot_env_adamanip.sim.tasks.categories`.
+Pure data, light to import. A module named after the category holds everything else: its objects in
+`lerobot_adamanip.objects`, its rules in `lerobot_adamanip.mechanisms`, its experts in `lerobot_adamanip.experts`. Its
+ManiSkill task is a row of `lerobot_env_adamanip.sim.tasks.categories`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class Category:
 
     Attributes:
         name: ``pressure_cooker``.
-        seen: number of objects in the paper (its Table 1), those that demonstrations are collected on.
+        seen: number of training objects in the paper's Table 1; demonstrations are collected on them.
         instruction: the task in words, as policies and datasets carry it.
     """
 
@@ -51,7 +51,7 @@ CATEGORIES = {
 }
 """In the order of the paper's result tables."""
 ALL = "all"
-"""Stands for every category where a command takes one."""
+"""Selects every category where a command expects one."""
 
 
 def is_asset_id(identifier: str) -> bool:

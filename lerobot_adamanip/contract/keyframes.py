@@ -1,4 +1,4 @@
-"""Key frames: what robot, policy, expert and simulator share. Goals out, felt feedback in, and how a motion ends."""
+"""Key frames, shared by robot, policy, expert and simulator: goals, feedback, outcomes and motion limits."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.rotations import pose_vector
 
 PRE_GRASP = 0.10
-"""Distance from a grasp, along its approach, at which a part is approached and left [m]."""
+"""Distance of the pre-grasp pose from the grasp, along the approach [m]; a retreat goes back as far."""
 FOLLOWED = 0.5
-"""A part that has covered this share of a commanded motion follows; one that has not is blocked."""
+"""Least share of a commanded motion that a following part covers; a part that covers less is blocked."""
 EMPTY_HAND = 0.05
-"""Finger opening below which nothing is between them: the grip was torn off, or closed on nothing."""
+"""Gripper opening below which the hand is empty: the grip was lost, or closed on nothing."""
 
 OPEN_HAND = 0.9
-"""Finger opening above which a hand holds nothing: around a bottle's cap it is at 0.6."""
+"""Gripper opening above which the hand holds nothing; around a bottle's cap it is 0.6."""
 
 
 class Outcome(enum.IntEnum):
-    """How a key frame ended. Felt by the arm itself, so a policy and a real robot know it too."""
+    """How a key frame ended. The arm itself measures it, so policies and real robots have it too."""
 
     REACHED = 0
     STALLED = 1
@@ -32,7 +32,7 @@ class Outcome(enum.IntEnum):
 
 
 class Phase(enum.IntEnum):
-    """What an expert is doing: a label for people and analysis, never an input to a policy."""
+    """What an expert is doing. A label for analysis, never a policy input."""
 
     APPROACH = 0
     GRASP = 1
@@ -63,7 +63,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Feedback:
-    """What was felt after a key frame (or at the start): no hidden state, nothing a camera or the arm could not tell.
+    """Measured result of a key frame, or the state at the start. Contains no hidden state.
 
     Attributes:
         tcp_in_base: (4, 4) pose reached, robot base frame [m].
@@ -77,25 +77,25 @@ class Feedback:
 
     @property
     def failed(self) -> bool:
-        """True if the arm did not get where it was sent."""
+        """True if the arm did not reach its goal."""
         return self.outcome is not None and self.outcome is not Outcome.REACHED
 
 
 @dataclass(frozen=True)
 class KeyFrameLabels:
-    """What a key frame tried, and its result: written by the environment, for people and analysis.
+    """Which joint a key frame tried to move, and the result. Set by the environment, for analysis.
 
-    A *try* is a key frame in which a closed hand that is at a part was sent far enough to move one of the part's
-    joints; the joint is the one that leads the hand nearest to where it was sent. It has *failed* if the joint covered
-    less than half of the way it was sent (of the way that its nominal range leaves: a button is pushed past its stop).
-    A label never is a policy's input. `lerobot_adamanip.episode.contact_labels` finds them.
+    A *try* is a key frame in which a closed hand at a part is commanded far enough to move one of its joints. The tried
+    joint is the one whose motion ends nearest to the goal. The try *failed* if the joint covered less than half of the
+    commanded motion, clipped to its nominal range (a button is commanded past its stop). Labels are never policy
+    inputs. `lerobot_adamanip.episode.contact_labels` computes them.
 
     Attributes:
-        tried: index of the joint that was tried in the mechanism's `joints` (0 the one that opens); -1 for none.
-        failed: whether the try failed; False where nothing was tried.
-        progress: how far the tried joint moved, in the direction it was sent [rad or m]; 0 where nothing was tried.
-        sent: how far the tried joint was sent, signed [rad or m]; 0 where nothing was tried.
-        trial: failed tries of this episode before this key frame: it counts up right after each failed one.
+        tried: index of the tried joint in the mechanism's `joints` (0 is the one that opens); -1 for none.
+        failed: whether the try failed; False without a try.
+        progress: motion of the tried joint in the commanded direction [rad or m]; 0 without a try.
+        sent: commanded motion of the tried joint, signed [rad or m]; 0 without a try.
+        trial: number of failed tries in this episode before this key frame.
     """
 
     tried: int = -1
@@ -106,28 +106,28 @@ class KeyFrameLabels:
 
 
 KeyFrames = Generator[Goal, Feedback, None]
-"""An expert at work. Prime it with ``next``; send each `Feedback`; it ends when it has nothing more to do."""
+"""A running expert. Prime it with ``next``, then send each `Feedback`; it ends when it has no further goal."""
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """How the arm moves, and when it gives up. Speeds and forces a real Franka is comfortable with.
+    """Limits of the arm's motion, and conditions that end it. A real Franka stays well within them.
 
     Attributes:
         linear_speed: [m/s] peak.
         angular_speed: [rad/s] peak.
         linear_acceleration: [m/s^2] peak; low enough that the arm's own inertia never looks like a stall.
         angular_acceleration: [rad/s^2] peak.
-        joint_speed: [rad/s] of the fastest joint, where the arm has to go round in joint space.
-        stall_position: [m] that the tool lags behind its target, for ``stall_ticks``, end a motion: some 30 N.
-        stall_rotation: [rad] likewise: 1.1 N m about the approach, which is what two fingers can hold.
+        joint_speed: [rad/s] of the fastest joint, where the arm takes a detour in joint space.
+        stall_position: [m] lag of the tool behind its target that ends a motion after ``stall_ticks``: about 30 N.
+        stall_rotation: [rad] likewise: 1.1 N m about the approach, the most that two fingers can hold.
         stall_ticks: control ticks.
-        settle_ticks: at most waited for the arm to come to rest.
-        finger_speed: [m/s] of each finger. Unbounded, they would be inside what they close on within one physics step.
-        grip_ticks: waited for the fingers.
+        settle_ticks: longest wait for the arm to come to rest.
+        finger_speed: [m/s] of each finger. Without a bound they would penetrate a part within one physics step.
+        grip_ticks: wait for the fingers.
         reached_position: [m] error up to which a goal counts as reached.
         reached_rotation: [rad] likewise.
-        max_ticks: a key frame never lasts longer.
+        max_ticks: longest duration of a key frame.
         reach_lower, reach_upper: commanded positions are clipped to this box [m, base frame].
     """
 
@@ -151,5 +151,5 @@ class MotionLimits:
 
 DEFAULT_MOTION = MotionLimits()
 GENTLE = MotionLimits(angular_speed=0.8, stall_rotation=0.03, stall_ticks=3)
-"""For round parts: at the usual speed a blocked one slips by up to 20 degrees in the fingers before the arm gives up,
-and then it looks as if it had followed."""
+"""For round parts. At the usual speed a blocked part slips up to 20 degrees in the fingers before the arm detects the
+stall, and then looks as if it had followed."""

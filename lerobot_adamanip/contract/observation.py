@@ -1,4 +1,4 @@
-"""Observations: from points and joints to the contract's arrays, and from those to dataset columns."""
+"""Observations: builds the contract's arrays from points and joints, and dataset columns from the arrays."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Observation = Mapping[str, Any]
 
 
 class RepeatedPointsWarning(UserWarning):
-    """A cloud has fewer points than it was asked for, and repeats them."""
+    """A cloud has fewer points than requested and repeats some of them."""
 
 
 def workspace_cloud(points_in_base: Cloud, workspace: Workspace, num_points: int) -> Cloud:
-    """Crops (M, 3) to the workspace and orders ``num_points`` of it farthest first. -> (num_points, 3).
+    """Crops (M, 3) points to the workspace and samples ``num_points`` in farthest-point order -> (num_points, 3).
 
-    Where the workspace has fewer points they are repeated from the start, which `RepeatedPointsWarning` tells: a view
-    that something blocks must not end an episode.
+    If the workspace has fewer points, they are repeated from the start, with a `RepeatedPointsWarning`: an occluded
+    view must not end an episode.
     """
     inside = points_in_base.take(np.flatnonzero(workspace.contains(points_in_base)), axis=0)
     if len(inside) < num_points:
-        # The same words each time, so that Python's filter tells it once and not at every key frame.
+        # Constant text, so that Python's filter shows the warning once and not at every key frame.
         text = f"The camera sees fewer than num_points={num_points} points in the workspace; the cloud repeats them."
         warnings.warn(text, RepeatedPointsWarning, stacklevel=2)
     return farthest_point_order(inside, num_points)
@@ -45,7 +45,7 @@ def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np
 
 
 def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
-    """Returns the dataset columns of one Gym observation: copies, so that the environment may reuse its buffers."""
+    """Returns the dataset columns of one Gym observation, as copies: the environment may reuse its buffers."""
     return {
         schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32).reshape(-1),
         schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),

@@ -14,11 +14,11 @@ from lerobot_adamanip.util.errors import ConfigurationError
 Cloud = NDArray[np.float32]
 
 KDTREE_HEIGHT = 6
-"""Bucket height of the k-d line sampler: a tenth faster than the paper's ("QuickFPS") 5 for some 2 * 10^4 points. Where
-no two points are equally far it does not change what is sampled."""
+"""Bucket height of the k-d line sampler. At about 2 * 10^4 points it is 10 % faster than 5, the QuickFPS paper's value.
+The samples are equal unless two points are equally far."""
 
 DEPTH_SIZE, FEW_POINTS, DEPTH_SIZE_OF_FEW = 320, 2048, 240
-"""Side of the depth picture whose pixels are the points [px], and what is enough for clouds of so few."""
+"""Side of the depth image that clouds are sampled from [px]; clouds of at most `FEW_POINTS` use the smaller one."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Workspace:
     upper: tuple[float, float, float] = (0.80, 0.36, 1.05)
 
     def contains(self, points: Cloud) -> NDArray[np.bool_]:
-        """(N, 3) -> (N,): which points are inside."""
+        """Returns the mask of the points inside, (N, 3) -> (N,)."""
         lower, upper = np.asarray(self.lower, points.dtype), np.asarray(self.upper, points.dtype)
         inside = np.ones(len(points), np.bool_)
         for axis in range(3):  # column by column: a reduction over three is slow
@@ -41,7 +41,7 @@ DEFAULT_WORKSPACE = Workspace()
 
 
 def check_num_points(num_points: int) -> int:
-    """Returns ``num_points`` if a cloud can have that many; raises `ConfigurationError` otherwise."""
+    """Returns ``num_points`` if it is allowed; raises `ConfigurationError` otherwise."""
     if 1 <= num_points <= 16_384:
         return num_points
     raise ConfigurationError(
@@ -50,13 +50,13 @@ def check_num_points(num_points: int) -> int:
 
 
 def as_points(cloud: Any) -> Any:
-    """Returns the points (..., N, 3) of clouds (..., 3 N), as a view; clouds (..., N, 3) as they are.
+    """Returns the points (..., N, 3) of clouds (..., 3 N), as a view; clouds (..., N, 3) stay unchanged.
 
     Args:
         cloud: a numpy array or a torch tensor.
 
     Raises:
-        ConfigurationError: the last dimension is no number of points.
+        ConfigurationError: the last dimension is not a multiple of 3.
     """
     width = cloud.shape[-1]
     if width == 3:
@@ -72,10 +72,10 @@ def as_points(cloud: Any) -> Any:
 
 
 def depth_size(num_points: int) -> int:
-    """Returns the side of the depth picture [px] that a cloud of so many points is sampled from.
+    """Returns the side of the depth image [px] that ``num_points`` are sampled from.
 
-    The smallest object, a pen, shows 3,670 points at 240 px and 6,500 at 320; two thirds of a cloud's time go with the
-    number of pixels.
+    The smallest object, a pen, shows 3,670 points at 240 px and 6,500 at 320 px. Two thirds of the time for a cloud
+    grow with the number of pixels.
     """
     return DEPTH_SIZE_OF_FEW if num_points <= FEW_POINTS else DEPTH_SIZE
 
@@ -83,10 +83,9 @@ def depth_size(num_points: int) -> int:
 def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
     """Returns ``num_points`` of the cloud, each the farthest from those before it. (M, 3) -> (num_points, 3).
 
-    The order makes any prefix a farthest-point sample itself, so one dataset serves every smaller N. Equal clouds give
-    equal samples: the first point is the first of the sampler's own tree, which the points alone determine. A cloud
-    with fewer points is repeated from its start; an empty one is all zeros (a camera that sees nothing must not end an
-    episode).
+    Any prefix of the result is itself a farthest-point sample, so one dataset serves every smaller N. Equal clouds give
+    equal samples: the first point depends on the points alone. A cloud with fewer points is repeated from its start. An
+    empty cloud becomes zeros: a camera that sees nothing must not end an episode.
     """
     check_num_points(num_points)
     if len(points) == 0:
@@ -94,7 +93,7 @@ def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
     wanted = min(num_points, len(points))
     if len(points) < 2:
         return np.repeat(points[:1], num_points, axis=0).astype(np.float32)
-    height = min(KDTREE_HEIGHT, len(points).bit_length() - 1)  # a tree of 2^h buckets needs as many points
+    height = min(KDTREE_HEIGHT, len(points).bit_length() - 1)  # a tree of 2^h buckets needs at least 2^h points
     indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=height, start_idx=0)
     chosen = points[np.asarray(indices, dtype=np.int64)]
     return (

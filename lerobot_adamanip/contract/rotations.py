@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 
 HALF_TURN = 1e-4
-"""Sine of an angle near half a turn, below which an axis is found in another way."""
+"""Sine of an angle near pi below which the axis needs another formula."""
 SMALL_ANGLE = 1e-5
-"""[rad], below which sin(x) / x is 1 and (1 - cos(x)) / x^2 is 1/2 in double precision."""
+"""Angle [rad] below which sin(x) / x is 1 and (1 - cos(x)) / x^2 is 1/2 in double precision."""
 
 
 def rotation_6d_from_matrix(matrix: ArrayLike) -> Array:
@@ -25,7 +25,7 @@ def rotation_6d_from_matrix(matrix: ArrayLike) -> Array:
 def matrix_from_rotation_6d(rotation_6d: ArrayLike) -> Array:
     """Returns the nearest rotation by Gram-Schmidt. (..., 6) -> (..., 3, 3); any six finite numbers are accepted.
 
-    Rows that vanish or are parallel do not name a rotation; they fall back to a rotation about the usable one.
+    Zero or parallel rows do not define a rotation; a fixed perpendicular axis replaces the unusable row.
     """
     array = np.asarray(rotation_6d, dtype=np.float64)
     first, second = _scaled(array[..., :3]), _scaled(array[..., 3:])
@@ -37,10 +37,10 @@ def matrix_from_rotation_6d(rotation_6d: ArrayLike) -> Array:
 
 
 def _scaled(vector: Array) -> Array:
-    """Rows brought near length 1 by a power of two, which rounds nothing.
+    """Scales rows to a length near 1 by a power of two, without rounding.
 
-    Squares of huge numbers would overflow, and what a projection leaves of a huge parallel row is rounding error, which
-    must not pass for a direction.
+    Squares of huge numbers would overflow. The projection of a huge parallel row leaves only rounding error, which must
+    not be used as a direction.
     """
     _, exponent = np.frexp(np.max(np.abs(vector), axis=-1, keepdims=True))
     return np.asarray(np.ldexp(vector, -exponent))
@@ -52,12 +52,12 @@ def _normalised(vector: Array, fallback: Array) -> Array:
 
 
 def matrix_from_quaternion(quaternion_wxyz: ArrayLike) -> Array:
-    """(..., 4) wxyz -> (..., 3, 3)."""
+    """Converts quaternions (..., 4) wxyz -> (..., 3, 3)."""
     return np.asarray(Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=np.float64), scalar_first=True).as_matrix())
 
 
 def quaternion_from_matrix(matrix: ArrayLike) -> Array:
-    """(..., 3, 3) -> (..., 4) wxyz with w >= 0."""
+    """Converts rotations (..., 3, 3) -> (..., 4) wxyz with w >= 0."""
     array = np.asarray(matrix, dtype=np.float64)
     if array.ndim == 2:
         return _quaternion(array)
@@ -65,7 +65,7 @@ def quaternion_from_matrix(matrix: ArrayLike) -> Array:
 
 
 def _quaternion(matrix: Array) -> Array:
-    """One rotation (3, 3) -> (4,) wxyz: an object has dozens of poses, and scipy takes 0.2 ms for each."""
+    """Converts one rotation (3, 3) -> (4,) wxyz; scipy takes 0.2 ms each, and an object has dozens of poses."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
     squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)  # four times those of w, x, y, z
     largest = squares.index(max(squares))
@@ -91,23 +91,23 @@ def transform(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None 
 def rotation_vector_from_matrix(matrix: Array) -> Array:
     """Returns the rotation vector (3,) [rad] of one rotation (3, 3).
 
-    As scipy's, which takes 0.3 ms to check and orthonormalise its input: inverse kinematics does this thousands of
-    times per second of simulation. The input has to be a rotation.
+    Faster than scipy, which takes 0.3 ms to check and orthonormalise its input. Inverse kinematics calls this thousands
+    of times per simulated second. The input must be a rotation.
     """
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
     x, y, z = (h - f) / 2, (c - g) / 2, (d - b) / 2
     sine, cosine = math.sqrt(x * x + y * y + z * z), (a + e + i - 1) / 2
-    if sine < HALF_TURN and cosine < 0:  # about half a turn the axis is not in the antisymmetric part
+    if sine < HALF_TURN and cosine < 0:  # near half a turn the antisymmetric part vanishes
         return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
     scale = math.atan2(sine, cosine) / sine if sine > 0 else 1.0
     return np.array((scale * x, scale * y, scale * z))
 
 
 def matrix_from_rotation_vector(vector: Array) -> Array:
-    """Returns the rotation (3, 3) of one rotation vector (3,) [rad], by Rodrigues' formula; fast, as its inverse."""
+    """Returns the rotation (3, 3) of one rotation vector (3,) [rad], by Rodrigues' formula."""
     x, y, z = vector.tolist()
     angle = math.sqrt(x * x + y * y + z * z)
-    # Series where the quotients are 0/0: they are exact to the last bit there.
+    # Series where the quotients are 0/0; exact to the last bit there.
     s = math.sin(angle) / angle if angle > SMALL_ANGLE else 1.0
     c = (1 - math.cos(angle)) / (angle * angle) if angle > SMALL_ANGLE else 0.5
     return np.array(

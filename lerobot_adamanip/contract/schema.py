@@ -28,12 +28,12 @@ FAILED = "complementary_info.failed"
 PROGRESS = "complementary_info.progress"
 JOINTS = "complementary_info.joints"
 EXECUTED = "complementary_info.executed"
-"""What the arm was really sent, where a policy drove and ``action`` is what an expert would have done."""
+"""Action sent to the arm. Where a policy drove it differs from ``action``, which is then the expert's correction."""
 SUCCESS = "next.success"
 DONE = "next.done"
 
 POSE_NAMES = ("ee.x.pos", "ee.y.pos", "ee.z.pos", *(f"ee.r6d_{i}.pos" for i in range(6)), "gripper.pos")
-"""Position [m], rotation 6D [-], gripper opening [0 closed, 1 open]: the action, and the state's first ten."""
+"""Position [m], rotation 6D [-], gripper opening [0 closed, 1 open]: the action, and the first ten state values."""
 NUM_JOINTS = 7
 STATE_NAMES = (
     *POSE_NAMES,
@@ -42,13 +42,13 @@ STATE_NAMES = (
 )
 EFFORT_NAMES = tuple(f"joint_{i}.effort" for i in range(1, NUM_JOINTS + 1))
 MAX_OBJECT_JOINTS = 4
-"""Of an object; every category has two or fewer."""
+"""Largest number of joints of an object; today's categories have at most two."""
 JOINT_NAMES = (
     *(f"joint_{i}.pos" for i in range(1, NUM_JOINTS + 1)), "left_finger.pos", "right_finger.pos",
     *(f"object_joint_{i}.pos" for i in range(1, MAX_OBJECT_JOINTS + 1)),
 )  # fmt: skip
-"""Everything that moves, so that a picture of a row can be made later: arm [rad], fingers [m], then the object's joints
-in the order of its links [rad or m], 0 where it has fewer. Tells more than a camera sees, so never a policy's input."""
+"""All joint positions, for rendering a row later: arm [rad], fingers [m], then the object's joints in the order of its
+links [rad or m], padded with 0. They tell more than a camera sees, so they are never a policy input."""
 ACTION_DIM = len(POSE_NAMES)
 STATE_DIM = len(STATE_NAMES)
 POSITION_DIMS = slice(0, 3)
@@ -59,15 +59,15 @@ DEFAULT_NUM_POINTS = 1024
 PAPER_NUM_POINTS = 4096
 IMAGE_SIZE = 256
 MAX_KEY_FRAMES = 45
-"""Per episode. A locked safe takes the adaptive expert 19 to 21."""
+"""Per episode. The adaptive expert needs 19 to 21 for a locked safe."""
 FPS = 4
-"""Key frames have no clock. Four a second is the paper code's macro-step rate, and a comfortable video speed."""
+"""Nominal, as key frames have no fixed duration: the rate of the paper code's macro steps, comfortable for videos."""
 
 LABEL_DTYPES = {
     PHASE: "int64", TRIAL: "int64", OUTCOME: "int64", TRIED: "int64", FAILED: "bool", PROGRESS: "float32",
     SUCCESS: "bool", DONE: "bool",
 }  # fmt: skip
-"""Columns about a row's action and its result: one number each, never a policy's input."""
+"""Columns that label a row's action and its result: one number each, never a policy input."""
 
 Statistics = dict[str, dict[str, NDArray[Any]]]
 """Feature key -> statistic name -> values, as LeRobot keeps them."""
@@ -81,8 +81,8 @@ def dataset_features(
 ) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 
-    A cloud is one row of numbers, x, y, z of each point in turn: LeRobot's tools cannot edit columns of two dimensions.
-    `lerobot_adamanip.contract.pointcloud.as_points` gives the points back.
+    A cloud is stored flat, x, y, z of each point in turn, because LeRobot's tools cannot edit two-dimensional columns.
+    `lerobot_adamanip.contract.pointcloud.as_points` restores the points.
 
     Args:
         num_points: points per cloud, N.
@@ -105,9 +105,9 @@ def dataset_features(
 def fix_pose_statistics(stats: Statistics) -> Statistics:
     """Returns dataset statistics with rotation 6D and gripper ranges set to [-1, 1] in state and action.
 
-    For normalising alone: ``meta/stats.json`` holds the statistics of the data. A dimension that hardly varies in the
-    demonstrations explodes under LeRobot's normalisation (its denominator is the measured range or deviation); the
-    true range of these dimensions is known and needs no scaling.
+    For normalisation only; ``meta/stats.json`` keeps the measured statistics. LeRobot divides by the measured range or
+    deviation, so a dimension that hardly varies in the demonstrations would explode. The true range of these dimensions
+    is known and needs no scaling.
     """
     fixed = {key: dict(value) for key, value in stats.items()}
     dims = list(FIXED_RANGE_DIMS)

@@ -1,7 +1,7 @@
-"""Splits of scenes: every seed belongs to one of training, validation and test, so that the three never meet.
+"""Splits of scenes: each seed belongs to training, validation or test, so the three never overlap.
 
-A scene is an episode's seed: object, poses and hidden state follow from it. LeRobot seeds evaluations itself (1000 and
-up in ``lerobot-eval``, ``--seed`` and up while training), so an evaluation's seed is mapped into its split's range.
+An episode's seed defines its scene: object, poses and hidden state. LeRobot seeds evaluations itself (1000 and up in
+``lerobot-eval``, ``--seed`` and up while training), so an evaluation's seed is mapped into its split's range.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import require_choice
 
 SPLITS = {"test": (0, 10**6), "validation": (10**6, 2 * 10**6), "train": (2**24, 2**31)}
-"""Split -> first seed, end. ``train``: demonstrations. ``validation``: models are chosen on it. ``test``: reported."""
+"""Split -> first seed, end. ``train``: demonstrations; ``validation``: model selection; ``test``: reported numbers."""
 
 CATEGORY_STRIDE = 100_000
-"""From a category's seeds to the next one's in a suite: poses and hidden state of one seed would be alike otherwise."""
+"""Seed offset between the categories of a suite; otherwise equal seeds give similar poses and hidden states."""
 
 CHOOSE_SPLIT = (
     "--env.split=validation (the default, also while training); --env.split=test for numbers that are reported"
@@ -25,7 +25,7 @@ CHOOSE_SPLIT = (
 def scene_seed(seed: int, split: str) -> int:
     """Returns the seed of a split's scene: ``seed`` if it lies in the split's range, else wrapped into it.
 
-    Equal seeds give equal scenes; seeds that follow each other give different ones.
+    Equal seeds give equal scenes; consecutive seeds give different ones.
 
     Args:
         seed: any whole number, 0 or larger.
@@ -46,6 +46,6 @@ def split_of(seed: int) -> str | None:
 
 
 def retried_seed(seed: int, split: str, attempt: int) -> int:
-    """Returns the seed of the scene that is tried instead of ``seed``'s, in the same split, the ``attempt``-th time."""
+    """Returns the seed of the ``attempt``-th replacement for a scene, in the same split."""
     drawn = np.random.SeedSequence([seed, attempt]).generate_state(1)[0]
     return scene_seed(int(drawn), split)

@@ -22,13 +22,13 @@ Pose = NDArray[np.float64]
 NEAR_PART = 0.06
 """A tool within this distance of a part's grasp is at the part [m]."""
 FAR_ENOUGH_DISTANCE, FAR_ENOUGH_ANGLE = 0.008, 0.1
-"""A motion that takes the tool at least this far along a joint is a try, not just a grip that settles [m, rad]."""
+"""Least commanded motion along a joint that is a try [m, rad]; a grip that settles moves less."""
 MIN_JOINT_MOTION = {"revolute": 0.01, "prismatic": 0.0005}
-"""A joint that moved less than this did not follow, however short its commanded way [rad, m]."""
+"""Least motion of a joint that counts as following [rad, m], however short the commanded motion."""
 CLOSED = 0.5
 """A gripper commanded below this opening is closed."""
 METRES_PER_RADIAN = 0.1
-"""Weight of one radian where a goal is compared with a joint's motion [m/rad]."""
+"""Weight of one radian in the distance between a goal and a joint's motion [m/rad]."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class JointRange:
 
 @dataclass(frozen=True)
 class Try:
-    """A motion of a hand at a part that was meant to move a joint of it.
+    """Motion of a hand at a part that is meant to move one of its joints.
 
     Attributes:
         part: name of the part.
@@ -63,16 +63,16 @@ class Try:
     way: float
 
     def progress(self, before: float, after: float) -> float:
-        """Returns how far the joint moved in the direction it was sent, by its positions [rad or m]."""
+        """Returns how far the joint moved in the commanded direction, from its positions [rad or m]."""
         return float(np.sign(self.sent)) * (after - before)
 
     def failed(self, progress: float) -> bool:
-        """Returns whether less than half of the way was covered, or next to nothing."""
+        """Returns whether the joint covered less than half of the way, or less than `MIN_JOINT_MOTION`."""
         return progress < max(FOLLOWED * abs(self.way), MIN_JOINT_MOTION[self.kind])
 
 
 def present_motions(part: PartAnnotation, joints: Mapping[str, float]) -> list[Motion]:
-    """Returns a part's motions with their axes where the joints before them have taken them [rad or m]."""
+    """Returns a part's motions, their axes moved by the joints before them in the chain [rad or m]."""
     frame, motions = np.eye(4), []
     for motion in part.motions:
         motions.append(motion.in_frame(frame))
@@ -81,7 +81,7 @@ def present_motions(part: PartAnnotation, joints: Mapping[str, float]) -> list[M
 
 
 def meant(motions: Sequence[Motion], start: Pose, goal: Pose) -> Motion:
-    """Returns the motion that leads a hand from ``start`` nearest to ``goal``, (4, 4) both."""
+    """Returns the motion that takes a hand from ``start`` nearest to ``goal``, both (4, 4)."""
 
     def missed(motion: Motion) -> float:
         there = motion.applied(start, motion.followed(start, goal))
@@ -92,14 +92,14 @@ def meant(motions: Sequence[Motion], start: Pose, goal: Pose) -> Motion:
 
 
 def part_at(tool: Pose, parts: Mapping[str, PartAnnotation], joints: Mapping[str, float]) -> PartAnnotation | None:
-    """Returns the part that a tool (4, 4) is at, where the parts are now; None if it is at none."""
+    """Returns the part near a tool pose (4, 4), with the object's joints as given; None if there is none."""
     away = [(float(np.linalg.norm(tool[:3, 3] - part.moved(joints)[:3, 3])), name) for name, part in parts.items()]
     distance, nearest = min(away, default=(np.inf, ""))
     return parts[nearest] if distance < NEAR_PART else None
 
 
 def _far_enough(before: Feedback, there: Pose) -> bool:
-    """Whether a hand sent ``there`` along a joint would move it: far enough, and forward if it holds nothing."""
+    """Returns whether a motion ``there`` along a joint can move it: far enough, and forward if the hand is empty."""
     start = before.tcp_in_base
     shift = there[:3, 3] - start[:3, 3]
     if before.gripper < EMPTY_HAND:
@@ -113,10 +113,10 @@ class TryLabeler:
 
     Args:
         obj: the object.
-        joints: names, the one that opens first: `Mechanism.joints`.
+        joints: names as in `Mechanism.joints`; the joint that opens comes first.
         parts: annotations, robot base frame, joints at zero.
-        start: what was felt at the episode's start.
-        positions: of the joints at the start [rad or m].
+        start: feedback at the episode's start.
+        positions: joint positions at the start [rad or m].
 
     Attributes:
         labels: of the latest key frame.
@@ -143,13 +143,13 @@ class TryLabeler:
     def after_key_frame(
         self, goal: Pose, gripper: float, feedback: Feedback, positions: Mapping[str, float]
     ) -> KeyFrameLabels:
-        """Labels a key frame that has ended.
+        """Labels a finished key frame.
 
         Args:
             goal: (4, 4) commanded tool pose, robot base frame [m].
             gripper: commanded opening.
-            feedback: what was felt at its end.
-            positions: of the joints at its end [rad or m].
+            feedback: at its end.
+            positions: joint positions at its end [rad or m].
         """
         trial = self.labels.trial + self.labels.failed
         tried = self._find_try(goal) if self._was_closed and gripper < CLOSED else None

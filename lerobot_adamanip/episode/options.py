@@ -1,4 +1,4 @@
-"""The options of an environment: one frozen object from a command line or config to the simulator and the manifest."""
+"""Options of an environment: one frozen object for commands, configurations, the simulator and the manifest."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 POSES = ("randomized", "fixed")
-"""``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as upstream's code has them."""
+"""``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as in upstream's code."""
 RENDER_BACKENDS = ("auto", "cuda", "cpu")
-"""``auto``: the first of the others that renders on this machine."""
+"""``auto``: the first of the other two that works on this machine."""
 CLOUD_SOURCES = ("raycast", "render")
 """``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
 IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
-"""Least and largest."""
+"""Smallest and largest allowed value."""
 DEFAULT_LATE_STARTS = 0.15
-"""Share of a collection's episodes that start late."""
+"""Share of collected episodes that start from a perturbed mid-task state."""
 STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
-"""Option -> its key in files (manifests, episode logs), where the two differ."""
+"""Option -> its key in files (manifests, episode logs), if the two differ."""
 RENAMED = {
     "mechanism_preset": ("mechanism_rules", "paper, upstream or hard", "upstream"),
     "pose_preset": ("poses", "randomized (was default) or fixed (was paper)", "fixed"),
@@ -34,11 +34,11 @@ RENAMED = {
 
 @dataclass(frozen=True)
 class EnvironmentOptions:
-    """What decides an environment, apart from an episode's seed. Checked when it is made; can be pickled.
+    """All options of an environment except an episode's seed. Validated on creation; can be pickled.
 
     Attributes:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`.
-        objects: which ones: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's is drawn from its seed.
+        objects: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's seed selects one of them.
         assets: folder of external assets to use instead of generated objects; then ``seen`` means all of them.
         num_points: points per cloud.
         image_size: side of the front image [px].
@@ -47,18 +47,18 @@ class EnvironmentOptions:
         mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
-        split: whose scenes seeds stand for, see `contract.seeds.SPLITS`; a seed of another is mapped into it.
-        seed_offset: added to seeds, so that the suite's categories have scenes of their own.
+        split: of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
+        seed_offset: added to seeds, so that the categories of a suite have different scenes.
         cloud_source: see `CLOUD_SOURCES`.
         render_backend: see `RENDER_BACKENDS`.
-        episode_log: a file to which each ended episode's record is appended as a line of JSON.
-        run_id: of the evaluation that those records belong to; drawn anew if left out.
-        run_label: what to call it in reports, for instance the policy.
-        logged_seeds: log only episodes whose given seed is in this half-open range, first and end; all if left out.
-        workspace: the box of which the cloud keeps the points, robot base frame [m].
+        episode_log: file to which each finished episode appends a line of JSON.
+        run_id: of the evaluation, in those lines; drawn anew by default.
+        run_label: name of the run in reports, for instance the policy.
+        logged_seeds: log only episodes whose seed, before mapping, is in this range (first, excluded end); default all.
+        workspace: box that the cloud is cropped to, robot base frame [m].
 
     Raises:
-        ConfigurationError: a value cannot work.
+        ConfigurationError: a value is invalid.
     """
 
     category: str = "safe"
@@ -82,13 +82,13 @@ class EnvironmentOptions:
     workspace: Workspace = DEFAULT_WORKSPACE
 
     def __post_init__(self) -> None:
-        """Rejects what cannot work, before a simulator starts."""
+        """Validates all values before a simulator starts."""
         object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides or {})))
         for name in ("assets", "episode_log"):
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else str(value))
         require_choice("category", self.category, CATEGORIES)
-        # Here, so that registering the plugin does not wait for them.
+        # Imported here, so that registering the plugin stays fast.
         from lerobot_adamanip.catalog import select_objects
         from lerobot_adamanip.mechanisms import MECHANISM_RULES
 
@@ -112,12 +112,12 @@ class EnvironmentOptions:
             )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles as values: a read-only mapping cannot be pickled as it is."""
+        """Pickles plain values, because a read-only mapping cannot be pickled."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         return _restored, ({**values, "hidden_overrides": dict(self.hidden_overrides)},)
 
     def changed(self, **values: Any) -> EnvironmentOptions:
-        """Returns a copy with other values; raises `ConfigurationError` for a name that is no option."""
+        """Returns a copy with other values; raises `ConfigurationError` for an unknown option."""
         require_known(values)
         return replace(self, **values)
 
@@ -128,18 +128,18 @@ class EnvironmentOptions:
 
 
 def to_stored(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns options under the keys that files have for them, see `STORED_NAMES`."""
+    """Returns options under their keys in files, see `STORED_NAMES`."""
     return {STORED_NAMES.get(name, name): value for name, value in values.items()}
 
 
 def from_stored(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns what a file holds under the names of options."""
+    """Returns the values of a file under the names of the options."""
     names = {stored: name for name, stored in STORED_NAMES.items()}
     return {names.get(name, name): value for name, value in values.items()}
 
 
 def refuse_former_name(former: str, value: object) -> None:
-    """Raises `ConfigurationError` that says what an option is called now, if its former name has a value."""
+    """Raises `ConfigurationError` with the new name of an option if its former name has a value."""
     if value is not None:
         name, allowed, example = RENAMED[former]
         raise ConfigurationError(
@@ -151,7 +151,7 @@ def refuse_former_name(former: str, value: object) -> None:
 
 
 def require_known(values: Mapping[str, Any]) -> None:
-    """Raises `ConfigurationError` if a key is no option of `EnvironmentOptions`."""
+    """Raises `ConfigurationError` if a key is not an option of `EnvironmentOptions`."""
     known = [item.name for item in fields(EnvironmentOptions)]
     for name in values:
         if name in RENAMED:

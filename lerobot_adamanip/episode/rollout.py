@@ -15,11 +15,11 @@ from lerobot_adamanip.objects import PartAnnotation
 
 
 class KeyframeEnvironment(Protocol):
-    """One step is one key frame: `lerobot_env_adamanip.keyframe_env.KeyframeEnv`, a robot, or a fake."""
+    """Environment with one key frame per step: `lerobot_env_adamanip.keyframe_env.KeyframeEnv`, a robot, or a fake."""
 
     @property
     def max_key_frames(self) -> int:
-        """Key frames per episode at most."""
+        """Largest number of key frames per episode."""
 
     @property
     def task_description(self) -> str:
@@ -35,7 +35,7 @@ class KeyframeEnvironment(Protocol):
 
     @property
     def annotations(self) -> Mapping[str, PartAnnotation]:
-        """The annotated part poses an expert may know, robot base frame."""
+        """Annotated part poses, robot base frame; experts may know them."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts the episode of ``seed`` on ``options["object_id"]``."""
@@ -48,19 +48,19 @@ class KeyframeEnvironment(Protocol):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the object's joints as `labels` counts them: the one that opens first."""
+        """Names of the object's joints, in the order of `labels`; the joint that opens comes first."""
 
     def fingerprint(self) -> dict[str, str]:
         """Part -> hash or name of what an episode's data depends on; see `lerobot_adamanip.util.fingerprint`."""
 
     def hidden_state(self) -> dict[str, Any]:
-        """This episode's draw of the mechanism, JSON-able. Privileged."""
+        """Returns the hidden draw of this episode, JSON-able. Privileged."""
 
     def episode_record(self) -> dict[str, Any]:
         """Record of the episode, JSON-able."""
 
     def camera_parameters(self) -> dict[str, Any]:
-        """Intrinsics and extrinsics of the front camera in this episode, JSON-able."""
+        """Returns intrinsics and extrinsics of the front camera in this episode, JSON-able."""
 
     def close(self) -> None:
         """Releases the simulator."""
@@ -93,10 +93,10 @@ class KeyFrame:
         observation: before the action.
         goal: of the expert.
         feedback: after the action.
-        following: the observation after it.
+        following: observation after the action.
         success: whether the task is done by now.
         labels: its try and the result.
-        executed: (10,) action that was sent, if not the goal's: see `lerobot_adamanip.collection.corrections`.
+        executed: (10,) action that was sent, if it is not the goal: see `lerobot_adamanip.collection.corrections`.
     """
 
     observation: Observation

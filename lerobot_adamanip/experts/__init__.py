@@ -1,4 +1,4 @@
-"""Scripted experts: generators of key frames that receive what the robot felt, and branch on it."""
+"""Scripted experts: generators that yield key frames and branch on the robot's feedback."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Expert:
     """The experts of a category.
 
     Attributes:
-        adaptive: trial and error, without sight of the hidden state.
-        static: optimal under full observation.
-        sequence: what the adaptive one does, in words.
-        others: strategy -> another adaptive sequence, where the category has one: ``upstream``, its released code's,
-            and ``to_stop``, which turns until it feels a stop, or no episode's is farther, before it tries to open.
+        adaptive: trial and error, without the hidden state.
+        static: optimal, with the hidden state.
+        sequence: the adaptive sequence in words.
+        others: strategy -> alternative adaptive sequence. ``upstream``: as in the released code. ``to_stop``: turns to
+            the stop, or until the final joint is free in every episode, and then tries to open.
     """
 
     adaptive: Callable[[Hand, Knowledge], KeyFrames]
@@ -39,9 +39,9 @@ class Expert:
 
 
 def _turned(style: TurnToOpen, not_before: float) -> Expert:
-    """A row of what is turned and then opened; upstream's first try comes not before an angle [rad].
+    """Returns the experts of a part that is turned and then opened.
 
-    That is where the narrowest range is free, and a range is at least half of the widest.
+    ``not_before`` is upstream's earliest try [rad]: there the narrowest range is free, at least half of the widest.
     """
     others = {"upstream": style.upstream(not_before), "to_stop": style.to_stop(2 * not_before)}
     return Expert(style.adaptive, style.static, style.sequence, others)
@@ -74,23 +74,23 @@ def make_expert(
     feedback: Feedback | None = None,
     belief: Belief | None = None,
 ) -> KeyFrames:
-    """Returns an expert at work.
+    """Returns an expert, not yet primed.
 
     Args:
         category: ``bottle`` ... ``lamp``.
         kind: ``adaptive`` (observation and history only) or ``static`` (with sight of the hidden state).
         annotations: part poses in the robot's base frame, joints at zero.
-        generator: decides what the expert leaves to chance.
-        trials: failed tries the adaptive expert makes before it changes its mind, at least 1.
-        hidden: the hidden state, for the static expert alone; the adaptive one refuses it.
-        strategy: of the adaptive expert: ``paper``, or one of `Expert.others` where the category has it.
-        mechanism_rules: of the environment: a direction that it fixes for all episodes an adaptive expert knows.
-        positions: joint -> where it stands at the start [rad or m], as a camera sees it. Left out is at rest.
-        feedback: of the hand at the start, if it may hold something or be about a part: it goes on with what it wants.
-        belief: what tries before this expert's own tell.
+        generator: random numbers of the expert's choices.
+        trials: failed tries of a motion before the adaptive expert chooses another, at least 1.
+        hidden: the hidden state; the static expert needs it, the adaptive one refuses it.
+        strategy: of the adaptive expert: ``paper``, or a key of `Expert.others` (``paper`` if the category lacks it).
+        mechanism_rules: of the environment. An adaptive expert knows a direction that the rules fix for all episodes.
+        positions: joint -> position at the start [rad or m], as a camera sees it; default at rest.
+        feedback: of the hand at the start, if it may hold or touch a part; the expert then continues from there.
+        belief: results of tries made before this expert took over.
 
     Raises:
-        ConfigurationError: an unknown name, or knowledge that this kind of expert must not have or lacks.
+        ConfigurationError: unknown name, too few trials, or a hidden state that is missing or not allowed.
     """
     expert = EXPERTS[require_choice("category", category, EXPERTS)]
     hand = Hand(generator, trials, dict(positions or {}), belief=belief or Belief())
@@ -107,7 +107,7 @@ def _adaptive(expert: Expert, strategy: str) -> Callable[[Hand, Knowledge], KeyF
 
 
 def _check_knowledge(kind: str, trials: int, hidden: Hidden | None) -> None:
-    """Raises `ConfigurationError` unless the static expert, and it alone, is told the hidden state."""
+    """Raises `ConfigurationError` unless the static expert has the hidden state and the adaptive one does not."""
     if kind == "static" and hidden is None:
         raise ConfigurationError(
             "The static expert needs the hidden state.", got=None, allowed="a mapping", hint="env.hidden_state()"

@@ -1,7 +1,7 @@
-"""What an expert knows: part poses, and what the tries so far tell of the hidden state, its own or of others.
+"""Knowledge of an expert: part poses, and the tries so far in the episode, by itself or by others.
 
-A belief is nothing but the tries and what was felt of each. Everything hidden is one of a few possibilities (a
-direction, a mode, locked or not), and a try that failed rules some of them out until something else has changed.
+A belief stores only the tries and their measured results. Hidden state has few possible values (a direction, a mode,
+locked or not). A failed try rules some of them out until something else has changed.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from lerobot_adamanip.objects import PartAnnotation
 Parts = Mapping[str, PartAnnotation]
 Positions = Mapping[str, float]
 Hidden = Mapping[str, bool | int | float]
-"""A hidden state by name, as `Mechanism.hidden` returns it."""
+"""Hidden state, name -> value, as `Mechanism.hidden` returns it."""
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What an adaptive expert knows at the start: nothing that a policy could not learn from demonstrations.
+    """Initial knowledge of an adaptive expert. A policy could learn all of it from demonstrations.
 
     Attributes:
         parts: annotated part poses, robot base frame, joints at zero.
-        direction: the one way the key turns in every episode of the category; None where it is drawn per episode.
+        direction: of the key, if all episodes of the category share it; None if it is drawn per episode.
     """
 
     parts: Parts
@@ -69,7 +69,7 @@ class Belief:
         return next((each for each in reversed(self.tries) if each.joint == joint), None)
 
     def blocked(self, joint: str, *, until: str = "") -> bool:
-        """Whether the latest try of a joint failed, and no try of another one (``until``) has succeeded since."""
+        """Returns whether the latest try of a joint failed and no later try of ``until`` succeeded."""
         for each in reversed(self.tries):
             if each.joint == joint:
                 return each.failed
@@ -83,7 +83,7 @@ class Belief:
         return found - self._ways(joint, rest)
 
     def way(self, joint: str, rest: float) -> int:
-        """Returns the sign in which a joint has followed, or must do since the other way is blocked; 0 if unknown."""
+        """Returns the sign of a joint's free direction, as it has moved or the other one is blocked; 0 if unknown."""
         ways = self._ways(joint, rest)
         blocked = self.blocked_ways(joint, rest)
         if len(ways) == 1:
@@ -91,11 +91,11 @@ class Belief:
         return -next(iter(blocked)) if len(blocked) == 1 else 0
 
     def farthest(self, joint: str) -> float:
-        """Returns the farthest from zero that tries have taken a joint [rad or m], without sign."""
+        """Returns the largest absolute position that tries of a joint have reached [rad or m]."""
         return max((abs(each.after[joint]) for each in self.tries if each.joint == joint), default=0.0)
 
     def stopped(self, joint: str, rest: float) -> bool:
-        """Whether a joint has been felt to come to its stop: it was sent on from where it stood, and did not move."""
+        """Returns whether a joint is at its stop: already moved, it was sent farther and did not follow."""
         latest = self.latest(joint)
         return (
             latest is not None
@@ -105,7 +105,7 @@ class Belief:
         )
 
     def blocked_at(self, joint: str, key: str) -> float:
-        """Returns the farthest position of ``key``, unsigned, at which ``joint`` was tried and failed; -1 for never."""
+        """Returns the largest absolute position of ``key`` at which a try of ``joint`` failed; -1 for none."""
         return max((abs(each.before[key]) for each in self.tries if each.joint == joint and each.failed), default=-1.0)
 
     def _ways(self, joint: str, rest: float) -> set[int]:
@@ -114,5 +114,5 @@ class Belief:
 
 
 def at_rest(felt: FeltTry, rest: float) -> bool:
-    """Whether a try began with its joint at rest."""
+    """Returns whether a try began with its joint at rest."""
     return abs(felt.before[felt.joint]) < rest

@@ -11,13 +11,13 @@ from lerobot_adamanip.experts.primitives import Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 PULL_ANGLES = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
-"""Door angles of the pulls [rad]; the first is the try, the last well past success, as in upstream's demonstrations."""
+"""Door angles of the pulls [rad]. The first is the try; the last is well past success, as in upstream's code."""
 MAX_ROUNDS = 3
-"""Times an expert changes over between key and handle before it gives up."""
+"""Largest number of changes between key and handle before an expert gives up."""
 
 
 def pull_door(hand: Hand, handle: PartAnnotation, joint: str, tries: int = 1) -> Generator[Goal, Feedback, Opening]:
-    """Takes hold of the handle where the door stands, and pulls it along its arc; ``tries`` times if it is blocked."""
+    """Grasps the handle where the door stands and pulls along its arc, up to ``tries`` times while it is blocked."""
     if not (yield from hand.grasp(handle)):
         yield from hand.regrasp(handle)
     opening = Opening.BLOCKED

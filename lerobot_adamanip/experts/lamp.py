@@ -1,6 +1,6 @@
 """Experts for the lamp (paper, appendix "Adaptive Manipulation Sequence").
 
-Randomly choose to push, rotate clockwise or rotate counter-clockwise; never choose again what has failed.
+Randomly choose to push, rotate clockwise or rotate counter-clockwise; never repeat a failed choice.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from lerobot_adamanip.experts.primitives import MAX_GRIPS, Attempt, Hand
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.018
-"""How far a push goes [m]: past what switches the lamp on."""
+"""Commanded depth of a push [m], deeper than switching on needs."""
 TURN_STEP = np.deg2rad(30.0)
 """Knob angle of one key frame [rad]."""
 MAX_TURNS = 6
 MOTIONS = (("button", 1), ("knob", 1), ("knob", -1))
-"""By mode: the joint and the direction that are free."""
+"""Free joint and direction of each mode."""
 TURNED = np.deg2rad(10.0)
-"""A knob that stands this far from rest [rad] shows that it turns, and which way."""
+"""A knob this far from rest [rad] is known to turn, and in which direction."""
 MAX_ROUNDS = 2
-"""Times all motions are gone through, if none has yielded: one whose grip slipped may have been the right one."""
+"""Rounds through all motions if none succeeds: the grip may have slipped in the right one."""
 SEQUENCE = "hold knob; push, turn + or turn - in random order, never again what failed, until one yields"
 
 
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
-    """Trial and error, as control flow. It never learns the hidden state."""
+    """Switches on by trial and error, without the hidden state."""
     knob = known.parts["knob"]
     yield from _hold(hand, knob)
     if abs(hand.at("knob")) > TURNED:
@@ -45,7 +45,7 @@ def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
-    """Optimal under full observation; ``hidden`` holds ``mode``."""
+    """Switches on in the mode of ``hidden["mode"]``: optimal under full observation."""
     yield from _hold(hand, parts["knob"])
     for _ in range(MAX_ROUNDS):
         if (yield from _attempt(hand, parts["knob"], int(hidden["mode"]))):
@@ -59,7 +59,7 @@ def _hold(hand: Hand, knob: PartAnnotation) -> Attempt:
 
 
 def _failed_before(hand: Hand) -> set[int]:
-    """Returns the modes that others have tried and failed; none if that is all: one that slipped tells nothing."""
+    """Returns the modes that failed before; empty if all did, because one of them must have slipped."""
     blocked = {("knob", way) for way in hand.belief.blocked_ways("knob", TURNED)}
     blocked |= {("button", 1)} if hand.belief.blocked("button") else set()
     failed = {mode for mode, motion in enumerate(MOTIONS) if motion in blocked}
@@ -67,7 +67,7 @@ def _failed_before(hand: Hand) -> set[int]:
 
 
 def _attempt(hand: Hand, knob: PartAnnotation, mode: int) -> Attempt:
-    """Pushes, or turns on as long as it yields; True if it did. About it again if the grip is torn off."""
+    """Pushes once, or turns while the knob follows. Returns True if it followed. Grasps again if the grip is lost."""
     joint, direction = MOTIONS[mode]
     step, count = (PUSH, 1) if joint == "button" else (TURN_STEP, MAX_TURNS)
     start, number, grips = hand.at(joint), 1, 0
@@ -83,5 +83,5 @@ def _attempt(hand: Hand, knob: PartAnnotation, mode: int) -> Attempt:
         number += 1
     if not hand.empty and direction * (hand.at(joint) - start) > FOLLOWED * step:
         return True
-    hand.positions[joint] = start  # what does not yield is where it was; the hand gave way
+    hand.positions[joint] = start  # a blocked joint has not moved; the hand gave way
     return False

@@ -12,12 +12,12 @@ from lerobot_adamanip.experts.primitives import Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.03
-"""How far a push goes [m]: past the end of any button's travel, so that it ends where the button stops."""
+"""Commanded depth of a push [m], past the travel of every button, so that the button's stop ends it."""
 SEQUENCE = "pull door; if it is blocked: let go, push button with the closed hand, pull again"
 
 
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
-    """Trial and error, as control flow. It never learns the hidden state."""
+    """Opens by trial and error, without the hidden state."""
     yield from open_by_trial(
         hand,
         known.parts["handle"],
@@ -27,7 +27,7 @@ def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
-    """Optimal under full observation; ``hidden`` holds ``locked``."""
+    """Opens with knowledge of ``hidden["locked"]``: optimal under full observation."""
     handle = parts["handle"]
     for _ in range(MAX_ROUNDS):
         if hidden["locked"] and not hand.is_ajar(handle, "door"):
@@ -38,7 +38,7 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 
 
 def push_button(hand: Hand, button: PartAnnotation) -> Frames:
-    """Pushes with the closed hand until the button stops it, and backs off; the button comes back by itself."""
+    """Pushes the button to its stop with the closed hand, then backs off; the button springs back."""
     yield from hand.press(button)
     yield from hand.move_to(button.moved({**hand.positions, "button": PUSH}), 0.0, Phase.UNLOCK)
     yield from hand.back_off(0.0)

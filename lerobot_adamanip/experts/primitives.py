@@ -25,39 +25,39 @@ from lerobot_adamanip.experts.belief import Belief, Parts
 from lerobot_adamanip.objects import PartAnnotation
 
 JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
-"""Standard deviation of a pre-grasp about its nominal pose [m, rad], cut at two. Only the grasp has to be exact; the
-approach varies, so that a policy learns to correct the last 10 cm from its observation."""
+"""Standard deviation of a pre-grasp about its nominal pose [m, rad], clipped at two. The grasp is exact. The approach
+varies, so that a policy learns to correct the last 10 cm from its observation."""
 APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
-"""Share of `PRE_GRASP`, and of the jitter, of one approach after the other: the farther away, the nearer to the end of
-the arm's reach, where a path may not exist though both of its ends are within reach."""
+"""Shares of `PRE_GRASP` and of the jitter, one pair an approach, each nearer to the part than the one before. Far away,
+at the end of the arm's reach, a path may not exist although both of its ends are reachable."""
 HELD_WITHIN_M, HELD_WITHIN_RAD = 0.025, 0.3
 """A closed hand within this distance and angle of a grasp holds the part."""
 AT_GRASP_M, AT_GRASP_RAD = 0.012, 0.12
-"""An open hand within this distance and angle of a grasp only closes. Sent to the exact grasp first, a hand that is
-always a few millimetres off would never close."""
+"""An open hand within this distance and angle of a grasp closes at once. If it had to reach the exact grasp first, a
+hand that is always a few millimetres off would never close."""
 STRAIGHT_WITHIN_M, STRAIGHT_WITHIN_RAD = 0.035, 0.35
 """An open hand within `PRE_GRASP` of a grasp, and this close to its approach line, goes straight to the grasp."""
 NEAR_PART = 0.06
-"""A hand this close to a grasp [m] has to back off before it goes anywhere else."""
+"""A hand this close to a grasp [m] backs off before any other motion."""
 AJAR_POSITION = {"revolute": 0.07, "prismatic": 0.006, "fixed": np.inf}
-"""A joint beyond this position [rad or m] is not locked: a blocked joint moves less in the hand."""
+"""A joint beyond this position [rad or m] is not locked; a blocked joint appears to move less."""
 HAND_COMPLIANCE = {"revolute": 0.045, "prismatic": 0.004, "fixed": 0.0}
-"""How far a joint seems to move before the hand feels a stall [rad or m]."""
+"""Apparent motion of a blocked joint before the hand feels a stall [rad or m]."""
 MIN_MOVED = 0.003
 """A joint this far from rest [rad or m] has moved."""
 OPEN_SHARE = 0.8
-"""Share of the way to an expert's last pose at which it is done; well past the success threshold."""
+"""Share of the opening path at which an expert is done; well past the success threshold."""
 MAX_PULLS = 8
-"""Further pulls at a part that followed and stalled before it was open: a full-size door opens 0.1 rad with each."""
+"""Further pulls of a part that followed but stalled before it was open; each opens a full-size door by 0.1 rad."""
 MAX_GRIPS = 4
-"""Grasps of a part to open it, before an expert tries something else."""
+"""Grasps of a part before an expert tries something else."""
 
 Frames = Generator[Goal, Feedback, None]
 Attempt = Generator[Goal, Feedback, bool]
 
 
 class Opening(enum.Enum):
-    """How a try at opening ended: all the way, not at all, part of the way, or with an empty hand."""
+    """Result of a try to open: fully open, blocked, partly open, or grip lost."""
 
     DONE = enum.auto()
     BLOCKED = enum.auto()
@@ -67,20 +67,19 @@ class Opening(enum.Enum):
 
 @dataclass
 class Hand:
-    """One episode's hand: what it felt, and where it has to go for a part that has moved.
+    """Hand of one episode: tracks the object's joints and moves to parts where they are now.
 
     Attributes:
-        rng: decides what an expert leaves to chance.
-        trials: how often a motion that does not yield is repeated before another is tried (paper's Table 2; 1 is
-            theirs).
-        positions: joint -> where it stands [rad or m]: seen at the start, then felt by the hand that holds its part.
-        feedback: the latest. At the start: of the hand as it is, if it need not be open and away from every part.
-        home: (4, 4) pose at the start, where known: from there the arm gets anywhere.
-        belief: what tries before this expert's own tell.
-        parts: all of them, where the hand takes over from another: it may be about any of them. None where it starts
-            open and away from every part.
-        settles: joint -> where it goes when its part is let go after it has moved [rad or m]: a lever springs back, a
-            lid falls shut, a portafilter falls out.
+        rng: random numbers of the expert's choices.
+        trials: tries of a blocked motion before another is chosen (paper's Table 2; the paper uses 1).
+        positions: joint -> position [rad or m]: seen at the start, then measured by the hand that holds its part.
+        feedback: the latest. At the start it matters if the hand may be closed or near a part.
+        home: (4, 4) pose at the start, if known; the arm can reach any goal from there.
+        belief: results of tries made before this expert took over.
+        parts: all parts, if the expert takes over and the hand may be near any of them; None if the hand starts open
+            and away from every part.
+        settles: joint -> position after its moved part is released [rad or m]: a lever springs back, a lid falls shut,
+            a portafilter falls out.
     """
 
     rng: np.random.Generator
@@ -99,21 +98,21 @@ class Hand:
         return self.feedback.gripper < EMPTY_HAND
 
     def at(self, joint: str) -> float:
-        """Returns where a joint stands [rad or m], as far as is known."""
+        """Returns the last known position of a joint [rad or m]."""
         return self.positions.get(joint, 0.0)
 
     def is_ajar(self, part: PartAnnotation, joint: str) -> bool:
-        """Whether a joint stands so far from rest that nothing locks it."""
+        """Returns whether a joint is too far from rest to be locked."""
         return abs(self.at(joint)) > AJAR_POSITION[part.motion(joint).kind]
 
     def move_to(self, pose: NDArray[np.float64], gripper: float, phase: Phase) -> Frames:
-        """One key frame."""
+        """Yields one key frame and stores its feedback."""
         self.feedback = yield Goal(pose, gripper, phase)
 
     def clear(self) -> Frames:
-        """Lets go and backs off where this expert takes over with a hand that is closed, or about a part.
+        """Releases and backs off, if the expert takes over a hand that is closed or near a part.
 
-        A hand that is open already only backs off: who is asked anew at each key frame would open it for ever.
+        An open hand only backs off: an expert that is restarted at each key frame would otherwise open it forever.
         """
         parts, self.parts = self.parts or {}, None
         here = self.feedback.tcp_in_base[:3, 3]
@@ -125,18 +124,18 @@ class Hand:
             yield from self.back_off(1.0)
 
     def holds(self, part: PartAnnotation) -> bool:
-        """Whether the hand that is taken over holds a part already."""
+        """Returns whether the hand already holds a part when the expert takes over."""
         away, turned = self._beside(part.moved(self.positions))
         full = EMPTY_HAND <= self.feedback.gripper < OPEN_HAND
         return full and float(np.linalg.norm(away)) < HELD_WITHIN_M and turned < HELD_WITHIN_RAD
 
     def _beside(self, pose: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-        """Returns where the hand is as seen from a pose (4, 4): (3,) [m], and how far it is turned from it [rad]."""
+        """Returns the hand's position (3,) [m] in the frame of a pose (4, 4), and the angle between both [rad]."""
         here = self.feedback.tcp_in_base
         return pose[:3, :3].T @ (here[:3, 3] - pose[:3, 3]), angle_between(pose[:3, :3], here[:3, :3])
 
     def grasp(self, part: PartAnnotation) -> Attempt:
-        """Goes to a part where it is now, and closes the fingers. True if there is something between them."""
+        """Moves to a part where it is now and closes the fingers. Returns True if the hand holds something."""
         if self.parts is not None and self.holds(part):
             self.parts = None
             return True
@@ -145,7 +144,7 @@ class Hand:
         return not self.empty
 
     def press(self, part: PartAnnotation) -> Frames:
-        """Goes to a part with the fingers closed, to push it."""
+        """Moves to a part with closed fingers, to push it."""
         yield from self._approach(part, 0.0)
 
     def _approach(self, part: PartAnnotation, gripper: float) -> Frames:
@@ -158,13 +157,13 @@ class Hand:
                 yield from self.move_to(self.home, gripper, Phase.APPROACH)
             yield from self.move_to(before(grasp, distance) @ self._jitter(spread), gripper, Phase.APPROACH)
             if self.feedback.outcome is Outcome.UNREACHABLE and number < len(APPROACHES) - 1:
-                continue  # from somewhere else the way to the part would lead through it
+                continue  # from elsewhere the path to the grasp would pass through the part
             yield from self.move_to(grasp, gripper, Phase.APPROACH)
             if not self.feedback.failed:
                 return
 
     def _go_on(self, grasp: NDArray[np.float64], gripper: float) -> Attempt:
-        """Takes an approach up where another hand has left it; True if the hand is at the grasp then."""
+        """Continues an approach begun before the takeover. Returns True if the hand is then at the grasp."""
         away, turned = self._beside(grasp)
         as_wanted = self.feedback.gripper > OPEN_HAND if gripper else self.empty
         short = -PRE_GRASP - STRAIGHT_WITHIN_M < away[2] < STRAIGHT_WITHIN_M
@@ -190,19 +189,19 @@ class Hand:
         yield from self.move_to(before(self.feedback.tcp_in_base), gripper, Phase.RELEASE)
 
     def move(self, part: PartAnnotation, joint: str, position: float, phase: Phase) -> Frames:
-        """Moves a held part until ``joint`` is at ``position`` [rad or m], the others where they are; feels how far."""
+        """Moves ``joint`` of a held part to ``position`` [rad or m], the others stay; measures how far it came."""
         self._sent = (joint, position)
         yield from self.move_to(part.moved({**self.positions, joint: position}), 0.0, phase)
         if not self.empty:
             self.positions[joint] = self.followed(part, joint)
 
     def followed(self, part: PartAnnotation, joint: str) -> float:
-        """Returns where ``joint`` stands [rad or m], as the hand that holds its part tells."""
+        """Returns the position of ``joint`` [rad or m], measured by the hand that holds its part."""
         at_zero = part.moved({**self.positions, joint: 0.0})
         return part.motion(joint).followed(at_zero, self.feedback.tcp_in_base)
 
     def open(self, part: PartAnnotation, joint: str, path: Sequence[float]) -> Generator[Goal, Feedback, Opening]:
-        """Takes a held part along until ``joint`` is open; about it again where the grip does not last.
+        """Moves a held part until ``joint`` is open; grasps it again if the grip is lost.
 
         ``path`` are its positions [rad or m], rising, one key frame each; the first that lies ahead of it is the try.
         """
@@ -219,7 +218,7 @@ class Hand:
         return opening
 
     def regrasp(self, part: PartAnnotation) -> Attempt:
-        """Lets go, and takes hold of a part where it is. True if there is something in the hand then."""
+        """Releases a part and grasps it where it is. Returns True if the hand then holds something."""
         felt, torn = dict(self.positions), self.empty
         yield from self.release()
         return (yield from self._find(part, felt, torn))
@@ -235,7 +234,7 @@ class Hand:
         return False
 
     def _places(self, part: PartAnnotation, felt: dict[str, float], torn: bool) -> list[dict[str, float]]:
-        """Where the joints may stand after a release, the likeliest first, by what was felt before it."""
+        """Returns possible joint positions after a release, the likeliest first, from those felt before it."""
         likely = dict(self.positions)
         if self._sent is None:
             return [likely]
@@ -244,12 +243,12 @@ class Hand:
             others = [felt.get(joint, 0.0)]
         elif torn:
             others = [(self.at(joint) + goal) / 2, goal, 0.0]
-        else:  # a hand that has stalled has given way a little
+        else:  # a stalled hand has given way a little
             others = [self.at(joint) - np.sign(goal) * HAND_COMPLIANCE[part.motion(joint).kind]]
         return [likely, *({**likely, joint: each} for each in others)]
 
     def slip(self, part: PartAnnotation, joint: str) -> float:
-        """Returns how far [m] the hand is from where it would hold the part, wherever ``joint`` is: along the part."""
+        """Returns how far [m] the hand has slipped along the part, from its grasp at the joint's current position."""
         there = part.moved({**self.positions, joint: self.followed(part, joint)})
         return float(np.linalg.norm(self.feedback.tcp_in_base[:3, 3] - there[:3, 3]))
 
@@ -264,13 +263,13 @@ class Hand:
             yield from self.move(part, joint, position, Phase.TRY if trying else Phase.OPEN)
             if self.empty:
                 return Opening.LOST
-            # Also later on: a grip that slips leaves the joint behind.
+            # Checked at each step: a slipping grip leaves the joint behind.
             if self.feedback.failed and self.at(joint) - start < least:
                 if self.is_ajar(part, joint):
-                    break  # heavy, not locked: pulled at from where it is
-                self.positions[joint] = start  # what is blocked is where it was; the hand gave way
+                    break  # heavy, not locked: keep pulling from here
+                self.positions[joint] = start  # a blocked joint has not moved; the hand gave way
                 return Opening.BLOCKED
-        for _ in range(MAX_PULLS):  # from where the hand is now, a stiff joint comes farther
+        for _ in range(MAX_PULLS):  # repeated pulls open a stiff joint farther
             if self.empty:
                 return Opening.LOST
             if not self.feedback.failed:
@@ -279,7 +278,7 @@ class Hand:
         return Opening.DONE if self.is_open(joint, path) else Opening.AJAR
 
     def is_open(self, joint: str, path: Sequence[float]) -> bool:
-        """Whether a joint stands as good as where `open` takes it."""
+        """Returns whether a joint is near the end of its opening path."""
         return self.at(joint) > OPEN_SHARE * path[-1]
 
     def _jitter(self, spread: float) -> NDArray[np.float64]:
@@ -289,5 +288,5 @@ class Hand:
 
 
 def before(grasp: NDArray[np.float64], distance: float = 1.0) -> NDArray[np.float64]:
-    """Returns the (4, 4) pose short of a grasp, along its approach, by a share of `PRE_GRASP`."""
+    """Returns the (4, 4) pose before a grasp, back along its approach by a share of `PRE_GRASP`."""
     return grasp @ transform((0.0, 0.0, -distance * PRE_GRASP))

@@ -1,7 +1,7 @@
 """Experts for the safe (paper, appendix "Adaptive Manipulation Sequence").
 
 Pull the door. If that fails, turn the knob: choose a direction at random, take the other one if it fails. Then pull
-again. The adaptive expert knows the annotated part poses and what the arm felt; the static one also the hidden state.
+again. The adaptive expert knows the annotated part poses and the arm's feedback; the static one also the hidden state.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ TURN_STEP = np.deg2rad(40.0)
 MAX_TURNS = 4
 """Key frames in one direction; no knob turns farther than 4 x 40 degrees."""
 TURNED = np.deg2rad(10.0)
-"""A knob that stands this far from rest [rad] shows which way it turns."""
+"""A knob this far from rest [rad] shows in which direction it turns."""
 RELEASED = 0.9
-"""Share of its range at which a knob has released the door for certain: the mechanism does at 0.85."""
+"""Share of its range beyond which a knob has certainly released the door; the mechanism releases at 0.85."""
 SEQUENCE = "pull door; if it is blocked: let go, turn knob one way at random, the other way if blocked, pull again"
 
 
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
-    """Trial and error, as control flow. It never learns the hidden state."""
+    """Opens by trial and error, without the hidden state."""
 
     def unlock() -> Frames:
         first = hand.belief.way("knob", TURNED) or known.direction or int(hand.rng.choice([-1, 1]))
         yield from turn_knob(hand, known.parts["knob"], (first, -first))
         yield from hand.release()
 
-    # Who takes over from a hand that has turned the knob part of the way turns it on.
+    # If the knob is partly turned at the takeover, turn it further.
     blocked = hand.belief.blocked("door", until="knob")
     yield from open_by_trial(hand, known.parts["handle"], unlock, unlock_first=blocked or _turns(hand))
 
 
 def _turns(hand: Hand) -> bool:
-    """Whether the hand that is taken over is turning the knob, and has not felt it stop."""
+    """Returns whether the knob was being turned at the takeover and has not reached its stop."""
     latest = hand.belief.tries[-1] if hand.belief.tries else None
     return latest is not None and latest.joint == "knob" and not hand.belief.stopped("knob", TURNED)
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
-    """Optimal under full observation: straight to what opens it. ``hidden`` holds ``locked`` and ``direction``."""
+    """Opens with knowledge of ``hidden["locked"]`` and ``hidden["direction"]``: optimal under full observation."""
     handle = parts["handle"]
     for _ in range(MAX_ROUNDS):
         if hidden["locked"] and not hand.is_ajar(handle, "door") and not _is_released(hand, hidden):
@@ -57,7 +57,7 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 
 
 def turn_knob(hand: Hand, knob: PartAnnotation, directions: tuple[int, ...]) -> Frames:
-    """Turns the knob until it stops, in the first of ``directions`` that it follows; on, if it stands turned."""
+    """Turns the knob to its stop in the first of ``directions`` it follows; a turned knob continues its direction."""
     if not (yield from hand.grasp(knob)):
         yield from hand.regrasp(knob)
     if abs(hand.at("knob")) > TURNED:
@@ -68,7 +68,7 @@ def turn_knob(hand: Hand, knob: PartAnnotation, directions: tuple[int, ...]) -> 
 
 
 def _turn_until_it_stops(hand: Hand, knob: PartAnnotation, direction: int) -> Attempt:
-    """True if it followed."""
+    """Turns in one direction to the stop. Returns True if the knob followed."""
     start = hand.at("knob")
     for turn in range(1, MAX_TURNS + 1):
         yield from hand.move(knob, "knob", start + direction * turn * TURN_STEP, Phase.UNLOCK)
@@ -78,7 +78,7 @@ def _turn_until_it_stops(hand: Hand, knob: PartAnnotation, direction: int) -> At
             break
     if direction * (hand.at("knob") - start) > FOLLOWED * TURN_STEP:
         return True
-    hand.positions["knob"] = start  # what is blocked is where it was; the hand gave way
+    hand.positions["knob"] = start  # a blocked joint has not moved; the hand gave way
     return False
 
 

@@ -1,8 +1,8 @@
-"""Experts for what is turned and then opened: bottle, pen, pressure cooker, coffee maker, window and door.
+"""Experts for parts that are turned and then opened: bottle, pen, pressure cooker, coffee maker, window and door.
 
-Paper, appendix "Adaptive Manipulation Sequence": turn after a failed try at opening; after a turn, either turn on or
-try to open, at random; if a direction fails, take the other one. Nobody sees how far is far enough. A lift may come
-first (bottle, pen, pressure cooker, coffee maker); a window or a door is turned first.
+Paper, appendix "Adaptive Manipulation Sequence": turn after a failed try to open. After a turn, turn further or try to
+open, at random. If a direction fails, take the other one. The angle that frees the part is hidden. The first motion
+may be a lift (bottle, pen, pressure cooker, coffee maker); a window or a door is turned first.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 MAX_MOTIONS = 30
-"""Turns, each followed by at most one try, until an adaptive expert gives up: twice what the widest range takes."""
+"""Turns, each with at most one try, before an adaptive expert gives up: twice as many as the widest range needs."""
 MAX_OPENINGS = 3
-"""Times a static expert turns and opens; more than once only after a grip that slipped."""
+"""Rounds of turning and opening by a static expert; it needs a second one only after a slipped grip."""
 RELEASED = 0.9
-"""Share of the range a static expert turns through: the final joint is free at 0.85."""
+"""Share of the range that a static expert turns; the final joint is free at 0.85."""
 TURN_LAG_RATIO = 0.04
-"""Share of its angle by which a turned part lags behind the hand."""
+"""Lag of a turned part behind the hand, as a share of its angle."""
 SLIPPED = 0.008
-"""A hand this far [m] from its grasp, carried along by the joint, has slipped along the part."""
+"""Distance [m] from its grasp, which moves with the joint, beyond which a hand has slipped along the part."""
 
 MAX_SLIPS = 3
-"""Such tries until the part is grasped anew. A blocked pull often moves the hand a little, and does no harm."""
+"""Slipped tries before the part is grasped again. A blocked pull often moves the hand a little, without harm."""
 
 
 @dataclass(frozen=True)
 class TurnToOpen:
-    """How one category is turned and opened.
+    """Parameters of turning and opening one category.
 
     Attributes:
-        part: that is held all the time.
+        part: the part that is held all the time.
         key, final: joints: the one that turns, the one that opens.
         step: angle of one turn [rad].
         opening: positions of the final joint [rad or m], one key frame each; the first is the try.
         p_open: probability of a try after a turn that the part followed.
         p_open_first: probability that the very first motion is a try.
-        not_before: angle below which no try is made [rad]; upstream's code, not the paper's text.
-        enough: angle at which the final joint is free in any episode [rad]: who has seen many turns no farther.
+        not_before: angle below which no try is made [rad]; from upstream's code, not the paper's text.
+        enough: angle at which the final joint is free in every episode [rad]; no turn goes farther.
         settles: see `Hand`.
     """
 
@@ -72,19 +72,19 @@ class TurnToOpen:
         )
 
     def upstream(self, not_before: float) -> TurnToOpen:
-        """Returns the sequence as upstream's code has it: no try first, none before an angle that can be enough."""
+        """Returns the sequence of upstream's code: no try first, and none before the angle ``not_before`` [rad]."""
         return replace(self, p_open_first=0.0, not_before=not_before)
 
     def to_stop(self, enough: float) -> TurnToOpen:
-        """The sequence that tries least: nobody sees how far is far enough, but the stop behind it is felt."""
+        """Returns the sequence with the fewest tries: it first turns to the stop, or to the angle ``enough`` [rad]."""
         return replace(self, p_open=0.0, p_open_first=0.0, enough=enough)
 
     def adaptive(self, hand: Hand, known: Knowledge) -> KeyFrames:
-        """Trial and error, as control flow. It never learns the hidden state."""
+        """Opens by trial and error, without the hidden state."""
         return TurnToOpenExpert(self, known.parts[self.part], hand).adaptive(known.direction)
 
     def static(self, hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
-        """Optimal under full observation; ``hidden`` holds ``direction`` and ``turn_range``."""
+        """Opens with ``hidden["direction"]`` and ``hidden["turn_range"]``: optimal under full observation."""
         expert = TurnToOpenExpert(self, parts[self.part], hand)
         return expert.static(int(hidden["direction"]), float(hidden["turn_range"]))
 
@@ -107,34 +107,34 @@ class TurnToOpenExpert:
         self.direction = 1
         self.farthest = max(abs(hand.at(style.key)), hand.belief.farthest(style.key))
         self.slips = 0
-        """Tries after which the hand was not where it had taken hold, since it took hold."""
+        """Tries with a slipped hand since the latest grasp."""
         self.at_end = hand.belief.stopped(style.key, FOLLOWED * style.step)
-        """Whether the key has been felt to stop after it had turned: it turns no farther."""
+        """Whether the key has turned to its stop."""
         hand.settles = style.settles
 
     @property
     def angle(self) -> float:
-        """Of the key joint, as felt [rad]."""
+        """Measured angle of the key joint [rad]."""
         return self.hand.at(self.style.key)
 
     @property
     def is_free(self) -> bool:
-        """Whether the final joint is free for all that is known: the key has stopped, or no episode's turns so far."""
+        """Whether the final joint is known to be free: the key is at its stop, or has turned by ``enough``."""
         return self.at_end or abs(self.angle) >= self.style.enough
 
     def adaptive(self, fixed_direction: int | None) -> KeyFrames:
-        """Trial and error: which way and how far is found out, and a try comes when it may."""
+        """Finds direction and range by trial and error; tries to open at random, or once the joint should be free."""
         rng, style = self.hand.rng, self.style
         drawn = int(rng.choice([-1, 1]))
         turned = abs(self.angle) > FOLLOWED * style.step
         if self.hand.is_open(style.final, style.opening):
             return
-        # A key that stands turned shows which way it goes.
+        # A turned key shows its direction.
         known = fixed_direction or self.hand.belief.way(style.key, FOLLOWED * style.step)
         self.direction = int(np.sign(self.angle)) if turned else known or drawn
         yield from self._hold()
         may = rng.random() < (style.p_open if turned else style.p_open_first) or self.is_free
-        # Where others have tried it and failed, it is not tried again.
+        # No try where an earlier one has failed.
         may = may and abs(self.angle) > self.hand.belief.blocked_at(style.final, style.key) + FOLLOWED * style.step / 2
         ajar = self.hand.is_ajar(self.part, style.final)
         if (ajar or (may and abs(self.angle) >= style.not_before)) and (yield from self._try_to_open()):
@@ -146,7 +146,7 @@ class TurnToOpenExpert:
                 return
 
     def static(self, direction: int, turn_range: float) -> KeyFrames:
-        """The true direction, just far enough, then open."""
+        """Turns in the true direction, just far enough, and opens."""
         hand, style = self.hand, self.style
         if hand.is_open(style.final, style.opening):
             return
@@ -170,12 +170,12 @@ class TurnToOpenExpert:
         return (yield from self.hand.grasp(self.part)) or (yield from self.hand.regrasp(self.part))
 
     def _turn(self) -> Attempt:
-        """One step in the present direction, or the other one if this is known to be blocked. True if it followed."""
+        """Turns one step. Returns True if the key followed; after a blocked step the direction is reversed."""
         style, hand = self.style, self.hand
         start = self.angle
-        # What has sprung back is turned on twice as fast until it is where it was; any faster feels like a stop.
+        # A key that sprang back returns to its old angle in double steps; larger ones feel like a stop.
         ahead = max(self.direction * start, self.farthest) + style.step - self.direction * start
-        # No farther than is enough, and a little more, for the hand gives way.
+        # Not farther than ``enough``, plus a little because the part lags behind the hand.
         left = (1.0 + TURN_LAG_RATIO) * style.enough - self.direction * start
         goal = start + self.direction * min(ahead, 2 * style.step, max(left, style.step / 2))
         yield from hand.move(self.part, style.key, goal, Phase.UNLOCK)
@@ -189,14 +189,14 @@ class TurnToOpenExpert:
             self.at_end = stopped
             return True
         if self.direction * self.angle > FOLLOWED * style.step:
-            self.at_end = True  # it has turned this way before, and has come to its stop
+            self.at_end = True  # it has turned this way before, so this is its stop
             return False
-        hand.positions[style.key] = start  # what is blocked is where it was; the hand gave way
+        hand.positions[style.key] = start  # a blocked joint has not moved; the hand gave way
         self.direction, self.farthest = -self.direction, 0.0
         return False
 
     def _try_to_open(self) -> Attempt:
-        """Tries, as often as asked for; True once it is open."""
+        """Tries to open, up to ``hand.trials`` times while it is blocked. Returns True once it is open."""
         hand, style = self.hand, self.style
         for _ in range(hand.trials):
             opening = yield from hand.open(self.part, style.final, style.opening)
@@ -204,7 +204,7 @@ class TurnToOpenExpert:
                 return True
             if opening is not Opening.BLOCKED:
                 break
-        # A lever slips in fingers that pull at it askew, and springs back; turned on, it may slip each time.
+        # A lever that is pulled askew slips in the fingers and springs back. It may slip again at each try.
         self.slips += hand.slip(self.part, style.final) > SLIPPED
         if self.slips == MAX_SLIPS:
             self.slips, self.at_end = 0, False

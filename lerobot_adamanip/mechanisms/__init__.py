@@ -1,4 +1,4 @@
-"""Hidden state as pure functions: the rules of each category, and which presets there are.
+"""Hidden state as pure functions: the rules of each category, and their presets.
 
 Presets: see `MECHANISM_RULES`, and docs/differences.md for what each of them takes from where.
 """

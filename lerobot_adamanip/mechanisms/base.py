@@ -1,4 +1,4 @@
-"""Rules of an object: pure functions from where its joints stand to how far each joint may move."""
+"""Rules of an object: pure functions from joint positions to joint limits."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ SHUT: Limits = (0.0, 0.0)
 class Mechanism[StateT](ABC):
     """Rules of one object. Pure: no simulator, no random numbers in `step`, inputs are never changed.
 
-    A state is a frozen dataclass: the episode's hidden draw, in fields of the names in `hidden_names`, and what the
-    mechanism remembers.
+    A state is a frozen dataclass with the episode's hidden draw (fields named as in `hidden_names`) and the mechanism's
+    memory.
     """
 
     joints: tuple[str, str]
     """Names of the joints it reads and limits."""
     goals: Mapping[str, float]
-    """Joint name -> distance from rest [rad or m]: one of these joints beyond it is success."""
+    """Joint name -> distance from rest [rad or m]; an episode succeeds when one of these joints is beyond it."""
     hidden_names: tuple[str, ...]
-    """Hidden values, as overrides and results name them."""
+    """Names of the hidden values, in overrides and results."""
 
     def draw(self, generator: torch.Generator, overrides: Overrides | None = None) -> StateT:
         """Draws the hidden state of a new episode.
 
-        ``overrides`` fixes hidden values by name. The generator is advanced equally with and without them, so that an
-        override changes nothing else. Raises `ConfigurationError` for an unknown name or an impossible value.
+        ``overrides`` fixes hidden values by name. The generator advances equally with and without them, so an override
+        changes no other value. Raises `ConfigurationError` for an unknown name or an impossible value.
         """
         unknown = set(overrides or ()) - set(self.hidden_names)
         if unknown:
@@ -60,11 +60,11 @@ class Mechanism[StateT](ABC):
         """Returns ``hidden``, ``draws`` and ``thresholds`` in words, for the documentation's table."""
 
     def hidden(self, state: StateT) -> dict[str, Any]:
-        """Returns the hidden draw, JSON-able, by the names that ``overrides`` takes."""
+        """Returns the hidden draw, JSON-able, under the names that ``overrides`` accepts."""
         return {name: getattr(state, name) for name in self.hidden_names}
 
     def succeeded(self, positions: Positions) -> bool:
-        """Returns whether a joint is beyond its goal, in single precision, as the simulator has positions."""
+        """Returns whether a joint is beyond its goal, in the single precision of the simulator."""
         return any(bool(np.float32(abs(positions[joint])) > np.float32(goal)) for joint, goal in self.goals.items())
 
 
@@ -78,10 +78,10 @@ def uniform(generator: torch.Generator) -> float:
 def overridden[ValueT: (bool, int, float)](
     drawn: ValueT, overrides: Overrides, name: str, choices: Collection[int] = ()
 ) -> ValueT:
-    """Returns ``drawn``, or the overriding value in its type.
+    """Returns the override of ``name`` in the type of ``drawn``; without one, ``drawn``.
 
     Raises:
-        ConfigurationError: the value is none of ``choices``; without choices, no positive number.
+        ConfigurationError: the value is not in ``choices``; or there are no choices and it is not positive.
     """
     if name not in overrides:
         return drawn
@@ -99,14 +99,14 @@ def draw_locked(generator: torch.Generator, overrides: Overrides) -> bool:
 
 
 def draw_direction(generator: torch.Generator, p_positive: float, overrides: Overrides) -> int:
-    """Draws the one way in which a part turns, +1 or -1; override ``direction``."""
+    """Draws the direction in which a part turns, +1 or -1; override ``direction``."""
     return overridden(1 if uniform(generator) < p_positive else -1, overrides, "direction", (-1, 1))
 
 
 def draw_range(
     generator: torch.Generator, nominal: float, fractions: tuple[float, float], overrides: Overrides, name: str
 ) -> float:
-    """Draws how far a part turns [rad]: uniform between two fractions of ``nominal``; override ``name``."""
+    """Draws the range of a part [rad], uniform between two fractions of ``nominal``; override ``name``."""
     low, high = fractions
     return overridden(float(nominal * (low + (high - low) * uniform(generator))), overrides, name)
 

@@ -1,4 +1,4 @@
-"""Which category has which mechanism, under which rules, and where the paper says so. One row a category."""
+"""Mechanism, rules and source in the paper of each category, one row per category."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lerobot_adamanip.mechanisms.families import (
 )
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
-if TYPE_CHECKING:  # objects need scipy, and every lerobot command imports the names of rules
+if TYPE_CHECKING:  # objects import scipy; every lerobot command imports this module
     from lerobot_adamanip.objects.base import ArticulatedObject
 
 MECHANISM_RULES: Mapping[str, str] = {
@@ -26,11 +26,11 @@ MECHANISM_RULES: Mapping[str, str] = {
 }
 DEFAULT_MECHANISM_RULES = "paper"
 LIFTED = 0.025
-"""A cap, lid or portafilter is off beyond this [m] (paper code)."""
+"""Distance beyond which a cap, lid or portafilter is off [m] (paper code)."""
 SWUNG, SASH_SWUNG = math.pi / 7, math.pi / 6
-"""A door, a sash is open beyond this [rad] (paper code)."""
+"""Angles beyond which a door and a sash are open [rad] (paper code)."""
 GOAL_MARGIN = 1.1
-"""A joint has to go this many times as far as its goal: success is being beyond it."""
+"""Least ratio of a joint's limit to its goal, because success means being beyond the goal."""
 Build = Callable[["ArticulatedObject", float, bool], Mechanism[Any]]
 
 
@@ -39,11 +39,11 @@ class CategoryRules:
     """One category's rules.
 
     Attributes:
-        build: (object, probability of the positive direction, whether upstream's rules hold) -> mechanism.
-        paper: quotation that decides.
-        reading: what `paper` makes of it.
-        fixed_direction: +1 or -1 where ``paper`` and ``upstream`` fix the direction of the key; None where it is drawn,
-            or there is none.
+        build: (object, probability of the positive direction, whether upstream's rules apply) -> mechanism.
+        paper: quotation that the rules follow.
+        reading: our interpretation of the quotation.
+        fixed_direction: +1 or -1 if ``paper`` and ``upstream`` fix the key's direction; None if it is drawn, or
+            there is none.
     """
 
     build: Build
@@ -138,7 +138,7 @@ RULES: Mapping[str, CategoryRules] = {
 
 
 def fixed_direction(category: str, rules: str = DEFAULT_MECHANISM_RULES) -> int | None:
-    """Returns the one direction, +1 or -1, in which a category's key turns in every episode; None where it is drawn.
+    """Returns the direction of a category's key, +1 or -1, if it is equal in every episode; None if it is drawn.
 
     Raises `ConfigurationError` for an unknown category or rules.
     """
@@ -154,9 +154,9 @@ def make_mechanism(obj: ArticulatedObject, rules: str = DEFAULT_MECHANISM_RULES)
 
 
 def infeasible(obj: ArticulatedObject) -> str | None:
-    """Returns why an object can never be opened, in words; None if it can.
+    """Returns the reason why an object can never be opened; None if it can.
 
-    Every goal has to be within reach, as the hidden state decides which of them an episode is about (a lamp's).
+    Every goal has to be within reach: the hidden state decides which of them an episode needs (lamp).
     """
     try:
         goals = make_mechanism(obj).goals
