@@ -1,8 +1,8 @@
 """Labels of key frames: which joint a key frame tried, how far it moved, and whether the try failed.
 
 One definition for simulator, datasets, logs and reports. In a *try* the hand is closed and at a part before the key
-frame, stays closed, and is sent far enough along one of the part's joints. A hand closed on nothing can only push.
-Approaches, grasps and releases are no tries, nor is backing off from a button.
+frame, stays closed, and is sent far enough along one of the part's joints. An empty closed hand can only push.
+Approaches, grasps, releases and backing off from a button are not tries.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ METRES_PER_RADIAN = 0.1
 
 @dataclass(frozen=True)
 class JointRange:
-    """Kind and nominal limits of a joint [rad or m]; nothing hidden."""
+    """Kind and nominal limits of a joint [rad or m]; no hidden state."""
 
     kind: str
     lower: float
     upper: float
 
     def room(self, position: float, sent: float) -> float:
-        """Returns ``sent``, cut to the rest of the nominal range from ``position`` on."""
+        """Returns ``sent``, clipped so that ``position`` + ``sent`` stays in the nominal range."""
         return float(np.clip(position + sent, min(self.lower, position), max(self.upper, position)) - position)
 
 
@@ -53,7 +53,7 @@ class Try:
         joint: name of the joint.
         kind: of the joint.
         sent: commanded motion along the joint, signed [rad or m].
-        way: the same, cut to the joint's nominal range: a button is pushed past its stop.
+        way: ``sent`` clipped to the joint's nominal range, because a button is commanded past its stop.
     """
 
     part: str

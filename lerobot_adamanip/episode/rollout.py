@@ -44,20 +44,20 @@ class KeyframeEnvironment(Protocol):
         """Drives the arm to one key frame, a (10,) action of the contract."""
 
     def part_positions(self) -> dict[str, float]:
-        """Present joint positions of the object [rad or m], as a camera could see them."""
+        """Returns the object's current joint positions [rad or m]; a camera could see them too."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the object's joints, in the order of `labels`; the joint that opens comes first."""
 
     def fingerprint(self) -> dict[str, str]:
-        """Part -> hash or name of what an episode's data depends on; see `lerobot_adamanip.util.fingerprint`."""
+        """Returns part -> hash or name of all that episodes depend on; see `lerobot_adamanip.util.fingerprint`."""
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden draw of this episode, JSON-able. Privileged."""
 
     def episode_record(self) -> dict[str, Any]:
-        """Record of the episode, JSON-able."""
+        """Returns the record of the episode, JSON-able."""
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics and extrinsics of the front camera in this episode, JSON-able."""
@@ -67,22 +67,22 @@ class KeyframeEnvironment(Protocol):
 
 
 class SimulatedEnvironment(KeyframeEnvironment, Protocol):
-    """A simulated one, with all positions and pictures: demonstrations are recorded in it."""
+    """Environment with full state and rendering, for recording demonstrations."""
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """As `step` without an observation; returns whether the task is done, and whether key frames are used up."""
+        """Steps without an observation. Returns whether the task is done, and whether key frames are used up."""
 
     def observe(self) -> Observation:
-        """The present observation."""
+        """Returns the current observation."""
 
     def joints(self) -> NDArray[np.float32]:
-        """Positions of all joints (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
+        """Returns the positions of all joints (13,), see `schema.JOINT_NAMES`: for records, never for policies."""
 
     def render(self) -> NDArray[np.uint8]:
-        """The present picture (H, W, 3)."""
+        """Returns a picture (H, W, 3) of the current state."""
 
     def pictures_at(self, joints: NDArray[np.float32]) -> dict[str, NDArray[np.uint8]]:
-        """Each camera's picture (H, W, 3) of this episode's scene at rest, with these ``joints`` (13,)."""
+        """Returns camera -> picture (H, W, 3) of this episode's scene at rest, with these ``joints`` (13,)."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def rollout(
         observation: the first one.
         expert: not yet primed; closed at the end.
         on_key_frame: called with every key frame.
-        past_success: go on after success until the expert ends, as demonstrations do: a door is then pulled wide open.
+        past_success: continue after success until the expert ends, as demonstrations do: it pulls a door wide open.
     """
     success, reason, key_frames = False, "the expert ended without success", 0
     try:

@@ -35,9 +35,9 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class FeltTry:
-    """One try, as its hand felt it: the sign of the way a joint was sent, and where each stood [rad or m].
+    """One try and its measured result: the sign of the commanded motion, and joint positions [rad or m].
 
-    It has ``failed`` if the joint did not follow, see `KeyFrameLabels`.
+    ``failed`` means that the joint did not follow, see `KeyFrameLabels`.
     """
 
     joint: str
@@ -49,14 +49,14 @@ class FeltTry:
 
 @dataclass(frozen=True)
 class Belief:
-    """What is known of an episode's hidden state: the tries so far, in order. Nothing at the start."""
+    """Knowledge of an episode's hidden state: all tries so far, in order; empty at the start."""
 
     tries: tuple[FeltTry, ...] = ()
 
     def after(self, labels: KeyFrameLabels, joints: tuple[str, ...], before: Positions, after: Positions) -> Belief:
-        """Returns the belief after a key frame, which took joints from ``before`` to ``after`` [rad or m].
+        """Returns the belief after a key frame that moved joints from ``before`` to ``after`` [rad or m].
 
-        ``joints`` are the mechanism's, as ``labels.tried`` counts them.
+        ``joints`` are the names of the mechanism's joints; ``labels.tried`` is an index into them.
         """
         if labels.tried < 0:
             return self
@@ -78,7 +78,7 @@ class Belief:
         return False
 
     def blocked_ways(self, joint: str, rest: float) -> set[int]:
-        """Returns the signs in which a joint did not follow from within ``rest`` [rad or m] of zero, and never has."""
+        """Returns the signs in which a joint was blocked within ``rest`` [rad or m] of zero, and has never moved."""
         found = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
         return found - self._ways(joint, rest)
 

@@ -29,9 +29,9 @@ def pull_door(hand: Hand, handle: PartAnnotation, joint: str, tries: int = 1) ->
 
 
 def open_by_trial(hand: Hand, handle: PartAnnotation, unlock: Callable[[], Frames], *, unlock_first: bool) -> KeyFrames:
-    """Pulls the door; where that fails, does ``unlock`` until the hand is free again, and pulls again.
+    """Pulls the door; if it is blocked, runs ``unlock`` until the hand is free again, and pulls again.
 
-    An expert that takes over after a failed pull begins with ``unlock_first``.
+    ``unlock_first`` starts with ``unlock``, because a pull failed before this expert took over.
     """
     unlocking = unlock_first and not hand.is_ajar(handle, "door")
     for number in range(MAX_ROUNDS + 1):

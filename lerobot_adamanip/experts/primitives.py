@@ -203,7 +203,7 @@ class Hand:
     def open(self, part: PartAnnotation, joint: str, path: Sequence[float]) -> Generator[Goal, Feedback, Opening]:
         """Moves a held part until ``joint`` is open; grasps it again if the grip is lost.
 
-        ``path`` are its positions [rad or m], rising, one key frame each; the first that lies ahead of it is the try.
+        ``path`` are rising joint positions [rad or m], one key frame each; the first one ahead of the joint is the try.
         """
         for grip in range(MAX_GRIPS):
             opening = yield from self._open_in_one_grip(part, joint, path)

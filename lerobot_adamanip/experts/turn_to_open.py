@@ -100,7 +100,7 @@ DOOR = TurnToOpen("lever", "lever", "leaf", np.deg2rad(18.0), SWING, p_open_firs
 
 
 class TurnToOpenExpert:
-    """One episode's expert: the hand holds the part, and knows where its joints stand."""
+    """One episode's expert; ``hand`` holds ``part`` and tracks its joints."""
 
     def __init__(self, style: TurnToOpen, part: PartAnnotation, hand: Hand) -> None:
         self.style, self.part, self.hand = style, part, hand

@@ -1,6 +1,6 @@
 """Hidden state as pure functions: the rules of each category, and their presets.
 
-Presets: see `MECHANISM_RULES`, and docs/differences.md for what each of them takes from where.
+`MECHANISM_RULES` names the presets; docs/differences.md gives the source of each.
 """
 
 from __future__ import annotations

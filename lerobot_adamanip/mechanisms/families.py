@@ -1,4 +1,4 @@
-"""The paper's five families as four mechanisms. Which object has which: `lerobot_adamanip.mechanisms.table`."""
+"""The paper's five families as four mechanisms. `lerobot_adamanip.mechanisms.table` assigns them to categories."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TURN_RELEASE = 0.85
 
 @dataclass(frozen=True)
 class TurnToOpenState:
-    """The hidden draw, and ``free``: whether the final joint has been released; one-way."""
+    """The hidden draw, and ``free``: whether the final joint has been released; it stays free."""
 
     direction: int
     turn_range: float
@@ -42,9 +42,9 @@ class TurnToOpenState:
 
 
 class TurnToOpenMechanism(Mechanism[TurnToOpenState]):
-    """Rotate & Slide, or Lock with Random Rotation Direction: a key joint that turns one way, and what it holds.
+    """Rotate & Slide, or Lock with Random Rotation Direction: a key joint that turns one way and locks a final joint.
 
-    Nobody sees how far the key turns. Once it has turned far enough the final joint is free.
+    The key's range is hidden. Once it has turned far enough the final joint is free.
 
     Args:
         key: joint that turns (``cap``).
@@ -72,7 +72,7 @@ class TurnToOpenMechanism(Mechanism[TurnToOpenState]):
         return TurnToOpenState(direction, turn_range, free=False)
 
     def step(self, state: TurnToOpenState, positions: Positions) -> tuple[TurnToOpenState, dict[str, Limits]]:
-        """Turning alone frees the final joint; pulling never does."""
+        """Frees the final joint once the key is turned far enough; pulling never does."""
         free = state.free or abs(positions[self.key]) >= TURN_RELEASE * state.turn_range
         final = (0.0, self._final_upper) if free else SHUT
         return replace(state, free=free), {self.key: turn_limits(state.direction, state.turn_range), self.final: final}
@@ -89,14 +89,14 @@ class TurnToOpenMechanism(Mechanism[TurnToOpenState]):
 KNOB_RANGE = (0.9, 1.0)
 """An episode's knob range is uniform between these fractions of the object's (paper code)."""
 KNOB_RELEASE, SPOIL = 0.85, 0.15
-"""Shares of that range at which the lock gives, and at which `lock_on_turn` locks (paper code)."""
+"""Shares of that range at which the door is released, and at which `lock_on_turn` locks it (paper code)."""
 AJAR = 0.02
-"""A door that has moved this far [rad] is open, and cannot be locked by its knob."""
+"""A door beyond this angle [rad] is open; its knob cannot lock it."""
 
 
 @dataclass(frozen=True)
 class SafeState:
-    """The hidden draw, and ``released``: open from the start, or opened since; one-way but for `lock_on_turn`."""
+    """The hidden draw, and ``released``: whether the door can open; it stays released except with `lock_on_turn`."""
 
     locked: bool
     direction: int
@@ -114,8 +114,8 @@ class SafeMechanism(Mechanism[SafeState]):
         knob_range: the object's nominal knob range [rad].
         success: door angle beyond which the safe is open [rad] (paper code: pi/7).
         p_positive: probability that the knob turns clockwise, seen from the front.
-        lock_on_turn: upstream's variant, not the paper's: in a safe that was not locked, moving the knob by more than
-            `SPOIL` of its range locks a shut door for the rest of the episode.
+        lock_on_turn: upstream's variant, not the paper's. In a safe that was drawn unlocked, turning the knob by more
+            than `SPOIL` of its range locks a shut door for the rest of the episode.
     """
 
     joints = ("door", "knob")
@@ -143,7 +143,7 @@ class SafeMechanism(Mechanism[SafeState]):
         )
 
     def step(self, state: SafeState, positions: Positions) -> tuple[SafeState, dict[str, Limits]]:
-        """The knob alone releases the door; pulling never does."""
+        """Releases the door once the knob is turned far enough; pulling never does."""
         turned = abs(positions["knob"])
         released = state.released or turned >= KNOB_RELEASE * state.knob_range
         if self._lock_on_turn and not state.locked:
@@ -164,12 +164,12 @@ class SafeMechanism(Mechanism[SafeState]):
 
 
 BUTTON_RELEASE = 0.7
-"""Share of the button's travel at which the lock gives (paper code)."""
+"""Share of the button's travel at which the door is released (paper code)."""
 
 
 @dataclass(frozen=True)
 class MicrowaveState:
-    """``locked``: the draw. ``released``: open from the start, or opened since; one-way."""
+    """``locked``: as drawn. ``released``: whether the door can open, from the start or since; it stays released."""
 
     locked: bool
     released: bool
@@ -195,7 +195,7 @@ class MicrowaveMechanism(Mechanism[MicrowaveState]):
         return MicrowaveState(locked, not locked)
 
     def step(self, state: MicrowaveState, positions: Positions) -> tuple[MicrowaveState, dict[str, Limits]]:
-        """The button alone releases the door; it moves whether the door is locked or not."""
+        """Releases the door once the button is pushed. The button moves whether the door is locked or not."""
         released = state.released or abs(positions["button"]) >= BUTTON_RELEASE * self._travel
         door = (0.0, self._door_upper) if released else SHUT
         return MicrowaveState(state.locked, released), {"door": door, "button": (0.0, self._travel)}
@@ -222,7 +222,7 @@ class LampState:
 
 
 class LampMechanism(Mechanism[LampState]):
-    """Push / Rotate: one part that is a button, or a knob that turns one way; it looks the same.
+    """Push / Rotate: a part that is a button, or a knob that turns one way; both look the same.
 
     Joints ``button`` (0 out ... ``push_upper`` in [m]) and ``knob`` (0 at rest, ``turn_upper`` to a side [rad]).
     """
@@ -240,7 +240,7 @@ class LampMechanism(Mechanism[LampState]):
         return LampState(overridden(mode, overrides, "mode", (PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE)))
 
     def step(self, state: LampState, positions: Positions) -> tuple[LampState, dict[str, Limits]]:
-        """The mode decides which one of three motions is free, all episode long."""
+        """Frees one of the three motions, by mode, for the whole episode."""
         if state.mode == PUSH:
             return state, {"button": (0.0, self._push_upper), "knob": SHUT}
         direction = 1 if state.mode == ROTATE_POSITIVE else -1

@@ -1,4 +1,4 @@
-"""The policies. Importing this registers configurations and processor steps; the models come later."""
+"""The policies. Importing this registers configurations and processor steps; models are imported when needed."""
 
 # LeRobot loads a checkpoint's processors by registered name before it imports the policy's processor file.
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig

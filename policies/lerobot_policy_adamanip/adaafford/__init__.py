@@ -1,8 +1,8 @@
-"""The policy ``adaafford``: AdaAfford (Wang et al., ECCV 2022) on key frames, the row of AdaManip's table that adapts.
+"""The policy ``adaafford``: AdaAfford (Wang et al., ECCV 2022) on key frames, the adaptive row of AdaManip's table.
 
-Past interactions are condensed to a vector z, which the next one's success is predicted from; the first few are also
-chosen for their information. One interaction is one motion in contact. Sources: released code
-(`wangyian-me/AdaAffordCode`) for modules and losses; AdaManip, section 5, for the row.
+A vector z summarises past interactions and predicts the next one's success. The first few are also chosen for their
+information. One interaction is one motion in contact. Sources: released code (`wangyian-me/AdaAffordCode`) for modules
+and losses; AdaManip, section 5, for the row.
 
 ==============================================  ======================================================================
 published                                       here
@@ -21,10 +21,10 @@ Deviations
 - **Data**: adaptive demonstrations are sequences of interactions under one hidden state. AIP chooses none in training.
 - **Result of an interaction**: the pose commanded, the part left undone, and the gripper (`events`), instead of the
   part's motion from the simulator. **Success** is "nearer to open", not "it moved": a try that did not fail, and not
-  its way back. Otherwise the policy could turn back and forth for ever.
-- **Known results**: those of the row's stretch, in which nothing moved (`interactions`), instead of 32 random ones. z
-  summarises all earlier interactions, and all but the latest, with their order and the present cloud.
-- **Negatives**: away from demonstrated contacts, success and information are taught to be zero.
+  its way back. Otherwise the policy could turn back and forth forever.
+- **Known results**: those of the row's stretch, in which nothing moved (`interactions`), instead of 32 random ones. One
+  z summarises all earlier interactions, another one all but the latest, with their order and the present cloud.
+- **Negatives**: the targets of success and information are zero away from demonstrated contacts.
 - **A held part** is kept unless another contact promises 0.1 more, since a new grasp costs key frames. Candidates
   include the last motion again and the way back.
 - **The actor**: a conditional VAE that learns from tries, without z, with two nats of free bits (Kingma et al. 2016).

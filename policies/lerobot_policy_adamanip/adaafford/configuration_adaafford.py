@@ -14,7 +14,7 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 class AdaAffordConfig(AffordanceConfig):
     """Options of ``adaafford``. The comment above a field is its help in ``--policy.type=adaafford --help``."""
 
-    # The nearest points around a place.
+    # Number of nearest points that describe a place.
     patch_points: int = 32
     # Size of z, the summary of past interactions.
     hidden_dim: int = 64
@@ -22,33 +22,33 @@ class AdaAffordConfig(AffordanceConfig):
     num_interactions: int = 16
     # Training only: actions per row with a known outcome.
     num_candidates: int = 12
-    # Training only: proposals per row, away from demonstrated contacts, taught to move nothing.
+    # Training only: proposals per row away from demonstrated contacts, as examples that move nothing.
     num_astray: int = 4
     # Size of the latent vector of actions at a place.
     latent_dim: int = 4
 
-    # Motions proposed for a held part.
+    # Number of motions proposed for a held part.
     held_proposals: int = 48
-    # Points of a new contact that are compared.
+    # Number of points compared for a new contact.
     contact_points: int = 8
-    # Actions proposed at each of them, and in training at each of two points.
+    # Actions proposed at each of these points; in training at each of two points.
     contact_proposals: int = 8
-    # Number of first interactions that are also chosen for their information.
+    # Number of first interactions that are chosen for information as well as success.
     explorations: int = 4
-    # Interactions with less predicted information than this [nats] are chosen for their success alone.
+    # Least predicted information [nats] for which an interaction is chosen; below it only success counts.
     least_information: float = 0.01
-    # A held part is kept unless another promises this much more success: a new grasp costs five key frames.
+    # Least gain in success for which a held part is released: a new grasp costs five key frames.
     contact_margin: float = 0.1
 
-    # Weight of a proposal's offset: a button missed by a centimetre is not pressed.
+    # Weight of a proposal's position error: a push that misses a button by 1 cm fails.
     offset_weight: float = 3.0
-    # Weight of the proposals' divergence from their prior [nats], relative to an error in units of a typical motion.
+    # Weight of the KL divergence of proposals from their prior [nats]; the error's unit is a typical motion.
     divergence_weight: float = 0.3
-    # Free bits: divergence without a cost [nats], enough to distinguish some seven actions.
+    # Free bits: KL divergence without a cost [nats]; 2.0 suffices to distinguish about seven actions.
     free_divergence: float = 2.0
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for values that do not go together."""
+        """Raises `ConfigurationError` for options that do not fit together."""
         super().check()
         self.require_positive(
             *("hidden_dim", "num_interactions", "num_candidates", "latent_dim", "num_astray"),

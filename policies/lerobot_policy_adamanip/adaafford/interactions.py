@@ -19,17 +19,17 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class InteractionLabels:
-    """Interactions of a dataset, and for each row the earlier ones and those with a known result there.
+    """Interactions of a dataset; for each row, the earlier ones and those with a known result.
 
     Attributes:
         before: (M, 10) float32 tool pose, with the measured gripper.
-        command: (M, 10) float32 pose that was sent.
-        after: (M, 10) float32 pose that was reached, with the measured gripper.
-        opening: (M,) float32 opening of the approach to the part, 1 to grasp, 0 to push.
-        moved: (M,) float32, 1 if it brought the object nearer to open, 0 if not.
-        tried: (M,) bool: meant to move a joint, so that an actor can learn it.
-        history: (I, H) int64 interactions before the row with this `index`, oldest first, then -1.
-        candidates: (I, K) int64 interactions with a known result at that row, then -1.
+        command: (M, 10) float32 pose sent.
+        after: (M, 10) float32 pose reached, with the measured gripper.
+        opening: (M,) float32 gripper opening during the approach, 1 to grasp, 0 to push.
+        moved: (M,) float32, 1 if the interaction brought the object nearer to open, else 0.
+        tried: (M,) bool, True if it was meant to move a joint; the actor learns only these.
+        history: (I, H) int64 interactions before the row with this `index`, oldest first, padded with -1.
+        candidates: (I, K) int64 interactions with a known result at that row, padded with -1.
     """
 
     before: Array
@@ -50,7 +50,7 @@ class _Recorded:
     results: list[tuple[float, bool, bool]] = field(default_factory=list)
 
     def add(self, before: Array, command: Array, after: Array, opening: float, *, moved: bool, tried: bool) -> int:
-        """Returns its number."""
+        """Adds an interaction and returns its number."""
         self.poses.append((before, command, after))
         self.results.append((opening, moved, tried))
         return len(self.poses) - 1
@@ -70,13 +70,13 @@ class _Recorded:
 
 
 def label_interactions(demonstrations: Demonstrations, history: int, candidates: int) -> InteractionLabels:
-    """Finds interactions, and those that each row can learn from.
+    """Finds interactions, and assigns to each row those that it can learn from.
 
-    An interaction is a key frame in contact (`ContactTracker`). It brought the object nearer to open if it was a try
-    that did not fail: an expert never turns back. Its result is known at all rows of its stretch, in which nothing
-    moved. After a motion, the way back is added as an interaction without success, though no expert made it.
+    An interaction is a key frame in contact (`ContactTracker`). A try that did not fail brought the object nearer to
+    open, because an expert never turns back. Its result holds at all rows of its stretch, in which nothing moved. After
+    a motion, the way back is added as an interaction without success, although no expert made it.
 
-    Kept are at most ``history`` interactions before a row, the latest, and ``candidates`` with a known result. Raises
+    A row keeps the latest ``history`` interactions before it, and up to ``candidates`` with a known result. Raises
     `ConfigurationError` if no try failed, or none moved anything.
     """
     recorded = _Recorded()
@@ -134,11 +134,11 @@ class InteractionMemory:
 
     @property
     def opening(self) -> float | None:
-        """Opening of the approach to the part in contact; None without contact."""
+        """Gripper opening during the approach to the part in contact; None without contact."""
         return self._tracker.opening
 
     def observe(self, pose: Tensor) -> None:
-        """Adds the latest command with its result, the present pose (10,), if it was a motion in contact."""
+        """Stores the latest command with its result, the present pose (10,), if it was a motion in contact."""
         if self.sent is None:
             return
         before, command = self.sent

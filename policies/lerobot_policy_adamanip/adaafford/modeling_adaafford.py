@@ -1,4 +1,4 @@
-"""``adaafford``: chooses contacts and motions by the results of its own interactions. See the package."""
+"""``adaafford``: chooses contacts and motions from the results of its own interactions. See the package."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss,
 from lerobot_policy_adamanip.common.policy import ChunkGuard
 
 OFFSET = slice(plans.GRASP_GROUPS[0], plans.GRASP_GROUPS[0] + plans.GRASP_GROUPS[1])
-"""Numbers of a proposal: offset of the tool from a place in the cloud."""
+"""Entries of a proposal that hold the offset of the tool from a place in the cloud."""
 BEST_SUCCESSES, BEST_INFORMATION = 3, 5
-"""Best proposals at a place whose mean is the target of each map."""
+"""Number of best proposals at a place; their mean is the target of each map."""
 
 
 class AdaAffordPolicy(AffordancePolicy):
@@ -41,13 +41,13 @@ class AdaAffordPolicy(AffordancePolicy):
     name = "adaafford"
 
     def make_labels(self, demonstrations: Demonstrations) -> InteractionLabels:
-        """Returns interactions, and those that each row can learn from."""
+        """Returns the interactions that each row can learn from."""
         return label_interactions(demonstrations, self.config.num_interactions, self.config.num_candidates)
 
     # Training ---------------------------------------------------------------------------------------------------
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the modules' losses, over the rows with known results of interactions."""
+        """Returns the sum of the modules' losses, over the rows that have interactions with a known result."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         recorded = self.rows_of(batch)
         candidates = labels.candidates[recorded]
@@ -92,8 +92,8 @@ class AdaAffordPolicy(AffordancePolicy):
     def _negatives(self, cloud: Tensor, known: Interactions, held: Tensor, elsewhere: Tensor) -> NegativeActions:
         """Returns actions (B, 1 + E) away from contacts: a known one, and proposals at E other points.
 
-        The known one alone would leave the actor's own proposals without a target: their hands are turned as in no
-        demonstration, and if hardly any try fails, the scorer predicts success for everything new.
+        Without the proposals, the scorer would predict success for every new action if hardly any try fails: the actor
+        turns its hands as in no demonstration.
         """
         points = points_away(cloud, held, plans.PART_RADIUS_M, self.config.num_astray)
         grasps, commands = (each.squeeze(2) for each in self.model.proposals(cloud, points, 1))
@@ -127,10 +127,10 @@ class AdaAffordPolicy(AffordancePolicy):
         return F.l1_loss(predicted.squeeze(1), gained.detach(), reduction="none")
 
     def _actor_error(self, cloud: Tensor, known: Interactions) -> Tensor:
-        """Returns ``L1 + KL`` () of known tries as proposals, one a row; added ways back are not proposed.
+        """Returns the actor's ``L1 + KL`` (), with one known try per row as target; added ways back are excluded.
 
-        Half of them are proposed at the tool's own place, as motions of a held part are. A motion's numbers count
-        singly, since a turn is one of six. The mean divergence has free bits, as in ``vat_mart``.
+        Half of the places are the tool's own, as for motions of a held part. Each number of a motion is its own group,
+        since a turn is only one of six. The mean divergence has free bits, as in ``vat_mart``.
         """
         drawn = (torch.rand_like(known.moved) + known.tried).argmax(dim=1)
         row = torch.arange(len(drawn), device=drawn.device)
@@ -167,7 +167,7 @@ class AdaAffordPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns the next key frame (B, 10) for one observation, and remembers the result of the one before."""
+        """Returns the next key frame (B, 10) for one observation; first stores the result of the previous one."""
         cloud, pose = self.observed(batch)
         self._chunks.select()
         self._memories += self._new_memories(len(cloud) - len(self._memories))
@@ -189,7 +189,7 @@ class AdaAffordPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns the plans (B, T, 10) that would be made now, padded with their last key frame. See `ChunkGuard`."""
+        """Returns the plans (B, T, 10) for this observation, padded with their last key frame. See `ChunkGuard`."""
         cloud, pose = self.observed(batch)
         self._chunks.predict({POINT_CLOUD: cloud, STATE: pose})
         memories = self._memories or self._new_memories(len(cloud))
@@ -244,7 +244,7 @@ class AdaAffordPolicy(AffordancePolicy):
         return memory.made < self.config.explorations
 
     def _scores(self, cloud: Tensor, z: Tensor, before: Tensor, command: Tensor, memory: InteractionMemory) -> Tensor:
-        """Returns ``C`` (K,) of K actions; ``C + G`` while interactions are chosen for their information."""
+        """Returns ``C`` (K,) of K actions, or ``C + G`` while interactions are also chosen for information."""
         likely, information = (each[0] for each in self.model.scores(cloud, z, before[None], command[None]))
         if self._explores(memory) and float(information.amax()) >= self.config.least_information:
             return likely + information

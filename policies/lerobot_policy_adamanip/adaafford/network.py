@@ -19,12 +19,12 @@ ACTION_NUMBERS = 6 + MOTION_DIM - 1
 PROPOSAL_NUMBERS = GRASP_DIM + MOTION_DIM - 1
 """A proposal: a grasp at a place, and the tool's goal from there."""
 ORDER_UNIT = 16.0
-"""Unit of an interaction's number, which a weighted mean would lose."""
+"""Unit of an interaction's number in its token; without the number a weighted mean would lose the order."""
 
 
 @dataclass(frozen=True)
 class Interactions:
-    """Interactions (B, K) as tensors, see `InteractionLabels`; those that are not ``valid`` are padding."""
+    """Interactions (B, K) as tensors, see `InteractionLabels`; entries that are not ``valid`` are padding."""
 
     before: Tensor
     command: Tensor
@@ -51,25 +51,25 @@ class NegativeActions:
 
 
 def trim_padding(numbers: Tensor) -> Tensor:
-    """Returns rows (B, K) of numbers, padded with -1, cut to the longest row; at least one column."""
+    """Cuts numbers (B, K), padded with -1, to the longest row; keeps at least one column."""
     longest = int((numbers >= 0).sum(dim=1).amax())
     return numbers[:, : max(1, longest)]
 
 
 def action_numbers(before: Tensor, command: Tensor) -> Tensor:
-    """Tool poses (..., 10) and their goals (..., 10) -> actions (..., 12)."""
+    """Converts tool poses (..., 10) and their goals (..., 10) to actions (..., 12)."""
     motion = motion_between(command, before)[..., :6]
     return torch.cat([before[..., ROTATION_DIMS], motion / constant(MOTION_UNITS[:6], motion)], dim=-1)
 
 
 def encode_proposal(before: Tensor, command: Tensor, opening: Tensor, place: Tensor) -> Tensor:
-    """Actions at places (B, 3) [m], with the approach's ``opening`` (B,), -> proposals (B, 16)."""
+    """Converts actions at places (B, 3) [m], with the approach's ``opening`` (B,), to proposals (B, 16)."""
     grasp = torch.cat([before[..., :9], opening[..., None]], dim=-1)
     return torch.cat([encode_grasp(grasp, place), action_numbers(before, command)[..., 6:]], dim=-1)
 
 
 def decode_proposal(code: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-    """The inverse: any numbers (..., 16) at places (..., 3) -> grasps and their goals, (..., 10) each."""
+    """Inverts `encode_proposal`: any numbers (..., 16) at places (..., 3) -> grasps and their goals, (..., 10) each."""
     grasp = decode_grasp(code[..., :GRASP_DIM], place)
     return grasp, goal_of(grasp, code[..., GRASP_DIM:])
 
@@ -81,7 +81,7 @@ def goal_of(pose: Tensor, motion: Tensor) -> Tensor:
 
 
 class AdaAffordNetwork(nn.Module):
-    """All modules. Those of success and information share features of places; the actor and the maps have their own."""
+    """All modules. Success and information share the features of places; the actor and the maps have their own."""
 
     def __init__(self, config: AdaAffordConfig) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class AdaAffordNetwork(nn.Module):
 
     def tokens(self, before: Tensor, command: Tensor, after: Tensor) -> Tensor:
         """Returns tokens (B, H, 22) of interactions: action, result and number, from poses (B, H, 10) each."""
-        # Each is a history of one to `events`; the last of its numbers is its validity.
+        # `events` sees each interaction as a history of length one; its last number is validity.
         poses, valid = torch.stack([before, after], dim=-2), torch.ones_like(before[..., :1], dtype=torch.bool)
         happened = events(command.flatten(0, 1)[:, None], poses.flatten(0, 1), valid.flatten(0, 1))
         happened = happened[:, 0, :-1].unflatten(0, before.shape[:2])  # type: ignore[no-untyped-call]
@@ -126,7 +126,7 @@ class AdaAffordNetwork(nn.Module):
         return logits
 
     def predicted_information(self, features: Tensor, z: Tensor, actions: Tensor, likely: Tensor) -> Tensor:
-        """Returns G (B, K) [nats] of actions (B, K, 12) whose success is as ``likely`` (B, K) as C predicts."""
+        """Returns G (B, K) [nats] of actions (B, K, 12), given their success ``likely`` (B, K) from C."""
         information: Tensor = self.information(_join(features, z), torch.cat([actions, likely[..., None]], dim=-1))
         return information
 

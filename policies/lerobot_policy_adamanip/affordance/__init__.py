@@ -1,1 +1,1 @@
-"""What vat_mart, adaafford and sampling share: networks, options, plans, contact labels."""
+"""Shared parts of vat_mart, adaafford and sampling: networks, options, plans, contact labels."""

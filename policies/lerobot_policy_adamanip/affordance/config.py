@@ -1,4 +1,4 @@
-"""Options that the point-level methods share: vat_mart, adaafford, sampling."""
+"""Shared options of the point-level methods vat_mart, adaafford and sampling."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWC
 
 @dataclass
 class AffordanceConfig(CloudPolicyConfig):
-    """Base of configurations: a cloud and a tool pose in metres in, a pose out."""
+    """Base configuration: a cloud and a tool pose in metres in, a pose out."""
 
-    # Points that describe the whole cloud, the first of it; all of them describe the surroundings of a place.
+    # Number of points that describe the whole cloud (its first ones); places are described by all points.
     context_points: int = 256
-    # Widths of the encoder of the whole cloud.
+    # Layer widths of the encoder of the whole cloud.
     encoder_dims: tuple[int, ...] = (64, 128)
-    # Features of a place.
+    # Number of features of a place.
     feature_dim: int = 128
-    # Points within this distance are around a place [m].
+    # Radius of a place's surroundings [m].
     patch_radius: float = 0.08
-    # Number of the nearest points around a place that are used.
+    # Number of nearest points that describe a place.
     patch_points: int = 64
 
-    # Normalisation of each kind of feature: none, since near and far are measured in metres.
+    # Normalisation of each kind of feature; only IDENTITY works, because distances are measured in metres.
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(("STATE", "ENV", "VISUAL", "ACTION"), NormalizationMode.IDENTITY)
     )
@@ -36,11 +36,11 @@ class AffordanceConfig(CloudPolicyConfig):
     optimizer_lr: float = 1e-3
     # Weight decay of AdamW.
     optimizer_weight_decay: float = 1e-5
-    # Steps until the full learning rate, which then falls to 0 as a cosine.
+    # Warm-up steps to the full learning rate, which then falls to 0 as a cosine.
     scheduler_warmup_steps: int = 50
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for options that do not go together."""
+        """Raises `ConfigurationError` for options that do not fit together."""
         self.require_positive("num_points", "context_points", "feature_dim", "patch_points", "patch_radius")
         others = [mode for mode in self.normalization_mapping.values() if mode is not NormalizationMode.IDENTITY]
         if others or self.n_obs_steps != 1 or not self.encoder_dims or self.context_points > self.num_points:
@@ -65,7 +65,7 @@ class AffordanceConfig(CloudPolicyConfig):
 
     @property
     def observation_delta_indices(self) -> None:
-        """None: the present observation alone."""
+        """None: the policy reads the present observation only."""
         return None
 
     def validate_features(self) -> None:
@@ -74,9 +74,9 @@ class AffordanceConfig(CloudPolicyConfig):
         self.require_poses()
 
     def get_optimizer_preset(self) -> FusedAdamWConfig:
-        """AdamW."""
+        """Returns AdamW."""
         return FusedAdamWConfig(lr=self.optimizer_lr, betas=(0.9, 0.999), weight_decay=self.optimizer_weight_decay)
 
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
-        """Cosine with warm-up."""
+        """Returns a cosine schedule with warm-up."""
         return DiffuserSchedulerConfig(name="cosine", num_warmup_steps=self.scheduler_warmup_steps)

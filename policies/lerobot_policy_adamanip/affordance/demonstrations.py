@@ -1,7 +1,7 @@
-"""A dataset's columns that labels are made from, and the contacts of its episodes.
+"""Dataset columns that labels are computed from, and the contacts of episodes.
 
-A training batch holds no ``complementary_info.*`` or ``next.*``: what a row tried, and with which result. Labels are
-made from the files when a policy is made, and looked up by ``index``. At run time a policy has none of them.
+A training batch lacks ``complementary_info.*`` and ``next.*``, which hold a row's try and its result. Labels are
+computed from the files when a policy is created, and looked up by ``index``. They do not exist at run time.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, read_co
 MIN_CLEARANCE_M = 0.05
 """A hand at least this far from a grasp does not hide the part."""
 MAX_GRASP_TRAVEL_M = 0.03
-"""A hand that closes within this distance of its place grasps; one that closes on a longer way pushes."""
+"""A hand that closes within this distance of its position grasps; one that closes on a longer way pushes."""
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """Columns of a dataset, one entry a row.
+    """Columns of a dataset, one entry per row.
 
     Attributes:
         index, episode, task: (T,) int64, LeRobot's ``index``, ``episode_index`` and ``task_index``.
         poses: (T, 10) float32 tool pose and gripper before the row's command.
         commands: (T, 10) float32 executed pose.
         tried: (T,) int64 joint that the command tried to move, -1 for none.
-        failed: (T,) bool, whether it did not follow.
+        failed: (T,) bool, whether that joint did not follow.
         success: (T,) bool, whether the task is done after the command.
-        final: (T,) bool: an episode's final observation, whose command was not sent.
+        final: (T,) bool, whether the row is an episode's final observation, whose command was not sent.
         joints: (T, 4) float32 positions of the object's joints before the command [rad or m].
     """
 
@@ -51,7 +51,7 @@ class Demonstrations:
     joints: NDArray[np.float32]
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Returns the number of rows."""
         return len(self.index)
 
     def episodes(self) -> Iterator[slice]:
@@ -61,15 +61,15 @@ class Demonstrations:
             yield slice(int(start), int(end))
 
     def open_and_away(self, rows: NDArray[np.int64], place: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Returns at which rows (R,) the hand is open and `MIN_CLEARANCE_M` away from a place (3,) [m]."""
+        """Returns whether at rows (R,) the hand is open and `MIN_CLEARANCE_M` away from a place (3,) [m]."""
         poses = self.poses[rows]
         away: NDArray[np.bool_] = np.linalg.norm(poses[:, :3] - place, axis=1) > MIN_CLEARANCE_M
         return away & (poses[:, schema.GRIPPER_DIM] > OPEN_HAND)
 
     def stretches(self, rows: slice) -> NDArray[np.int64]:
-        """Returns how many tries of an episode had moved a joint before each of its rows (T,).
+        """Returns, for each row (T,) of an episode, the number of earlier tries that moved a joint.
 
-        Rows of one number are a stretch in which nothing moved: a try would have the same result at all of them. A row
+        Rows with the same number are a stretch in which nothing moved: a try has the same result at all of them. A row
         whose try moves something is the last of its stretch.
         """
         moved = (self.tried[rows] >= 0) & ~self.failed[rows]
@@ -108,7 +108,7 @@ class Contact:
 
     Attributes:
         start: row in which the fingers close.
-        grasp: (10,) float32 pose of contact; its gripper is the opening of the approach, 1 to grasp, 0 to push.
+        grasp: (10,) float32 pose of contact; its gripper is the opening during the approach, 1 to grasp, 0 to push.
         first: row of the first motion in contact.
         end: row after the last one.
     """
@@ -122,11 +122,11 @@ class Contact:
 class ContactTracker:
     """Tracks from key frame to key frame whether a hand is in contact with a part.
 
-    A hand that closes in place grasps, and motions follow. One that closes on its way will push: the next command leads
-    it to the part, and motions follow. A hand that is closed from the start is not in contact until it has opened.
+    A hand that closes in place grasps; motions follow. A hand that closes while it moves will push: the next command
+    takes it to the part, then motions follow. A hand closed from the start has no contact until it has opened.
 
     Attributes:
-        opening: opening of the approach, 1 to grasp, 0 to push; None without contact.
+        opening: gripper opening during the approach, 1 to grasp, 0 to push; None without contact.
     """
 
     def __init__(self) -> None:
@@ -134,7 +134,7 @@ class ContactTracker:
         self._pushes, self._was_closed = False, False
 
     def sent(self, pose: NDArray[np.float32], command: NDArray[np.float32]) -> bool:
-        """Processes a key frame, pose (10,) before it and command (10,); returns whether it was a motion in contact."""
+        """Processes a command (10,) sent at ``pose`` (10,); returns whether it was a motion in contact."""
         in_contact = self.opening is not None
         if command[schema.GRIPPER_DIM] >= CLOSED:
             self.opening, self._pushes, self._was_closed = None, False, False

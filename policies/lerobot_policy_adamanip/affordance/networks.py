@@ -1,6 +1,6 @@
 """Networks of the point-level methods (Where2Act's family): features of places in a cloud, proposals, scores.
 
-Instead of the papers' PointNet++ on 10,000 points, one PointNet encodes the whole cloud, another one each place's.
+One PointNet encodes the whole cloud, another one each place, instead of the papers' PointNet++ on 10,000 points.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 from lerobot_policy_adamanip.common.encoders import PatchEncoder, PointNetEncoder
 
 CLOUD_UNIT, PLACE_UNIT = 0.15, 0.05
-"""Units of points and of places relative to the cloud's centre [m]."""
+"""Units of points, and of places relative to the cloud's centre [m]."""
 
 
 class PlaceFeatures(nn.Module):
     """Features of places in a cloud (VAT-Mart's f_p): their surroundings, the whole cloud, and their position in it.
 
-    Shifting cloud and places together changes nothing.
+    The features are invariant to a common shift of cloud and places.
     """
 
     def __init__(self, config: AffordanceConfig) -> None:
@@ -34,18 +34,18 @@ class PlaceFeatures(nn.Module):
         )
 
     def forward(self, cloud: Tensor, places: Tensor) -> Tensor:
-        """Clouds (B, N, 3) [m], places (B, Q, 3) [m] -> (B, Q, out_dim)."""
+        """Returns features (B, Q, out_dim) of places (B, Q, 3) [m] in clouds (B, N, 3) [m]."""
         context = cloud[:, : self.context_points]
         middle = context.mean(dim=1, keepdim=True)
         whole = self.whole((context - middle) / CLOUD_UNIT)[:, None].expand(-1, places.shape[1], -1)
         where = self.where((places - middle) / PLACE_UNIT)
-        # The position skips the normalisation: a grasp's offset is a linear function of it.
+        # The position bypasses the normalisation: a grasp's offset is a linear function of it.
         features: Tensor = self.join(torch.cat([self.around(cloud, places), whole, where], dim=-1)) + where
         return features
 
 
 class Score(nn.Module):
-    """A score of an action at a place, or, with ``action_dim`` 0, of a place alone."""
+    """Score of an action at a place; of the place alone if ``action_dim`` is 0."""
 
     def __init__(self, action_dim: int, features: int) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class Score(nn.Module):
 
 
 class ConditionalVAE(nn.Module):
-    """A conditional variational autoencoder (Sohn et al. 2015) that proposes actions at a place."""
+    """Conditional variational autoencoder (Sohn et al. 2015) that proposes actions at a place."""
 
     def __init__(self, action_dim: int, features: int, latent: int) -> None:
         super().__init__()
@@ -98,7 +98,7 @@ class ConditionalVAE(nn.Module):
 def scores_of_points(score: Callable[[Tensor, Tensor], Tensor], cloud: Tensor) -> Tensor:
     """Returns ``score(cloud, places)`` of each point of clouds (B, N, 3) [m] -> (B, N).
 
-    One cloud at a time: the surroundings of all points of a batch take a gigabyte.
+    Processes one cloud at a time, because the surroundings of all points of a batch would take a gigabyte.
     """
     return torch.cat([score(one, one) for one in torch.split(cloud, 1)])
 
@@ -109,14 +109,14 @@ def mean_of_best(scores: Tensor, count: int) -> Tensor:
 
 
 def point_near(cloud: Tensor, place: Tensor, radius: float) -> Tensor:
-    """Draws a point (B, 3) of each cloud (B, N, 3) [m] within a radius of a place (B, 3), else the nearest."""
+    """Draws a point (B, 3) of each cloud (B, N, 3) [m] within a radius of a place (B, 3); the nearest if none is."""
     distance = (cloud - place[:, None]).norm(dim=-1)
     preferred = torch.where(distance <= radius, torch.rand_like(distance), -distance).argmax(dim=1)
     return cloud[torch.arange(len(cloud), device=cloud.device), preferred]
 
 
 def points_away(cloud: Tensor, places: Tensor, distance: float, count: int) -> Tensor:
-    """Draws points (B, count, 3) of clouds (B, N, 3) [m], if possible beyond a distance from all places (B, C, 3)."""
+    """Draws points (B, count, 3) of clouds (B, N, 3) [m], away from all places (B, C, 3) if possible."""
     beyond = (torch.cdist(cloud, places) > distance).all(dim=-1)
     chosen = (torch.rand_like(cloud[..., 0]) + beyond).topk(count, dim=1).indices
     return cloud.gather(1, chosen[..., None].expand(-1, -1, 3))

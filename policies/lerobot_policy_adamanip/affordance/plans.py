@@ -15,7 +15,7 @@ from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 
 GRASP_DIM = 10
 GRASP_GROUPS = (6, 3, 1)
-"""Numbers of rotation 6D, offset, and opening of the approach."""
+"""Sizes of rotation 6D, offset, and gripper opening of the approach."""
 OFFSET_UNIT = 0.05
 """Unit of a grasp's offset from a place in the cloud [m]: the tool is inside a handle, the place on it."""
 PART_RADIUS_M = 0.03
@@ -23,19 +23,19 @@ PART_RADIUS_M = 0.03
 
 
 def encode_grasp(grasp: Tensor, place: Tensor) -> Tensor:
-    """Returns grasps (..., 10) relative to places (..., 3) [m]: rotation 6D, offset, opening of the approach (10)."""
+    """Returns grasps (..., 10) relative to places (..., 3) [m]: rotation 6D, offset, gripper opening (10)."""
     offset = (grasp[..., POSITION_DIMS] - place) / OFFSET_UNIT
     return torch.cat([grasp[..., ROTATION_DIMS], offset, grasp[..., GRIPPER_DIM:]], dim=-1)
 
 
 def decode_grasp(code: Tensor, place: Tensor) -> Tensor:
-    """The inverse of `encode_grasp`; any ten numbers become a pose (..., 10), its opening 0 or 1."""
+    """Inverts `encode_grasp`: any ten numbers become a pose (..., 10) with opening 0 or 1."""
     position = place + OFFSET_UNIT * code[..., 6:9]
     return torch.cat([position, orthonormal_6d(code[..., :6]), code[..., 9:10].round().clamp(0, 1)], dim=-1)
 
 
 def with_gripper(pose: Tensor, opening: float) -> Tensor:
-    """Returns poses (..., 10) with another opening, 0 closed ... 1 open."""
+    """Returns poses (..., 10) with the given opening, 0 closed ... 1 open."""
     return torch.cat([pose[..., :GRIPPER_DIM], torch.full_like(pose[..., GRIPPER_DIM:], opening)], dim=-1)
 
 
@@ -66,9 +66,9 @@ def taking_hold(pose: Tensor, grasp: Tensor, pushed_to: Tensor) -> Tensor:
     """Returns the key frames (T, 10) from a tool's pose to a grasp or a push.
 
     Args:
-        pose: (10,) of the tool, its gripper the measured opening: a hand that is not open releases first.
-        grasp: (10,) pose of contact, its gripper the opening of the approach.
-        pushed_to: (10,) goal of a push, for an approach with a closed hand: nothing is held, so it moves at once.
+        pose: (10,) of the tool with the measured opening; a hand that is not open releases first.
+        grasp: (10,) pose of contact; its gripper is the opening during the approach.
+        pushed_to: (10,) goal of a push, for an approach with a closed hand, which moves at once.
     """
     plan = approach(grasp)
     if float(grasp[GRIPPER_DIM]) < OPEN_HAND:

@@ -1,4 +1,4 @@
-"""Base of the point-level policies: one network, and labels that are made when a training begins."""
+"""Base of the point-level policies: one network, and labels that are computed when training starts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, Recorde
 
 
 class Labels(nn.Module):
-    """Arrays of a dataclass as tensors that follow the policy's device; no checkpoint holds them."""
+    """Arrays of a dataclass as tensors that follow the policy's device; not saved in checkpoints."""
 
     def __init__(self, arrays: Any) -> None:
         super().__init__()
@@ -28,10 +28,10 @@ class Labels(nn.Module):
 
 
 class AffordancePolicy(CloudPolicy):
-    """Base of LeRobot policies; labels are made from the files of ``dataset_meta``, which only a training needs.
+    """Base of LeRobot policies. Training computes labels from the files of ``dataset_meta``; inference needs none.
 
-    A batch of `forward` has ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D) and ``index`` (B,);
-    one observation of `select_action` has the first two.
+    `forward` needs ``observation.point_cloud`` (B, N, 3) [m], ``observation.state`` (B, D) and ``index`` (B,);
+    `select_action` needs the first two, of one observation.
     """
 
     network_class: ClassVar[Any]
@@ -54,7 +54,7 @@ class AffordancePolicy(CloudPolicy):
 
     @property
     def labels(self) -> Labels:
-        """Labels of the demonstrations; raises `ConfigurationError` if the policy was made without a dataset."""
+        """Labels of the demonstrations; raises `ConfigurationError` if the policy was created without a dataset."""
         if self._labels is None:
             raise ConfigurationError(
                 f"{self.name} has nothing to learn from.",

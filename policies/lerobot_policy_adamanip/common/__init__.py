@@ -1,1 +1,1 @@
-"""Parts that several policies share."""
+"""Shared parts of the policies."""

@@ -1,4 +1,4 @@
-"""Processor step that gives clouds, stored as rows of 3 N numbers, their points for policies of others."""
+"""Processor step for other projects' policies: reshapes flat clouds, 3 N numbers, to points (N, 3)."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _CLOUDS = (POINT_CLOUD, "observation.pointcloud")
 
 @dataclass
 class CloudToPointsStep(ObservationProcessorStep):
-    """Views a cloud (B, ..., 3 N) as (B, ..., N, 3), before or after LeRobot renamed it; a pipeline's first step."""
+    """Views a cloud (B, ..., 3 N) as (B, ..., N, 3), under our or LeRobot's key. First step of a pipeline."""
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Returns an observation with points, if it has a cloud."""
+        """Returns the observation, with its cloud reshaped if there is one."""
         clouds = {key: as_points(observation[key]) for key in _CLOUDS if key in observation}
         return {**observation, **clouds}
 
     def transform_features(
         self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
     ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
-        """Features stay."""
+        """Returns the features unchanged."""
         return features

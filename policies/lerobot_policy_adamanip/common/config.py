@@ -22,15 +22,15 @@ FUSED_DEVICES = {"cpu", "cuda"}
 @OptimizerConfig.register_subclass("fused_adamw")
 @dataclass
 class FusedAdamWConfig(AdamWConfig):
-    """LeRobot's AdamW as one fused kernel: equal up to rounding, and faster."""
+    """LeRobot's AdamW as one fused kernel: faster, and equal up to rounding."""
 
     def build(self, params: Iterable[Parameter] | Iterable[dict[str, Any]]) -> torch.optim.AdamW:
         """Returns the optimizer of parameters or parameter groups. Sets `torch.set_flush_denormal` for the process."""
         groups: list[Any] = list(params)
         values = asdict(self)
         values.pop("grad_clip_norm")
-        # Moments of gradients that stay zero decay below float32's normal range within 2,400 steps. A CPU needs many
-        # times as long for such numbers, and they move no weight.
+        # Moments of gradients that stay zero become denormal in float32 within 2,400 steps. A CPU computes many times
+        # slower with denormals, and they move no weight.
         torch.set_flush_denormal(True)
         weights = [weight for group in groups for weight in (group["params"] if isinstance(group, dict) else [group])]
         return torch.optim.AdamW(groups, **values, fused={weight.device.type for weight in weights} <= FUSED_DEVICES)
@@ -38,19 +38,19 @@ class FusedAdamWConfig(AdamWConfig):
 
 @dataclass
 class CloudPolicyConfig(PreTrainedConfig):
-    """Base of configurations. The comment above a field is its help on the command line."""
+    """Base configuration. The comment above a field is its help on the command line."""
 
     # Set automatically: names and shapes of the inputs, from the dataset.
     input_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
     # Set automatically: name and shape of the action, from the dataset.
     output_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
-    # Points used: the first of each recorded cloud, which is ordered by farthest-point sampling.
+    # Number of points used of each cloud: the first ones, since clouds are in farthest-point order.
     num_points: int = 1024
     # Set automatically: whether state and action are poses, from the dataset's feature names.
     pose_layout: bool | None = None
-    # Set automatically: the dataset's action names, which lerobot-rollout maps to a robot's.
+    # Set automatically: the dataset's action names; lerobot-rollout maps them to a robot's.
     action_feature_names: list[str] | None = None
-    # Licence of a published policy, as the Hub names it.
+    # Licence of the published policy, as named on the Hub.
     license: str | None = "apache-2.0"
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class CloudPolicyConfig(PreTrainedConfig):
 
     @property
     def action_delta_indices(self) -> None:
-        """None: LeRobot reads the present row, and the policy looks up the others by its ``index``."""
+        """None: LeRobot reads the present row; the policy looks up the others by its ``index``."""
         return None
 
     @property
@@ -80,16 +80,16 @@ class CloudPolicyConfig(PreTrainedConfig):
 
     @property
     def has_pose_layout(self) -> bool:
-        """Whether action and the first ten state numbers are poses: by name, or by size if there are no names."""
+        """Whether action and the first ten state values are poses: judged by name, or by size if there are no names."""
         action, state = self.action_feature, (self.input_features or {}).get(STATE)
         if self.pose_layout is False or action is None or state is None:
             return False
         return tuple(action.shape) == (ACTION_DIM,) and int(state.shape[0]) >= ACTION_DIM
 
     def keep_inputs(self, *keys: str) -> None:
-        """Drops all other inputs, so that a checkpoint runs without cameras; declares the cloud as ENV, (N, 3).
+        """Drops all other inputs, so that a checkpoint runs without cameras. Declares the cloud as ENV, (N, 3).
 
-        LeRobot has no point-cloud type. As STATE, the cloud would be normalised under the state's mode. Raises
+        LeRobot has no point-cloud type, and as STATE the cloud would be normalised under the state's mode. Raises
         `ConfigurationError` if an input is missing, or clouds have fewer points than ``num_points``.
         """
         inputs: dict[str, PolicyFeature] = dict(self.input_features or {})
@@ -147,7 +147,7 @@ def wrong_number_of_points(shape: Sequence[int], num_points: int, *, trained: bo
 
 
 def _flat_names(names: Any) -> list[str]:
-    """Feature names, which LeRobot allows to be a list, a dict of lists, or None."""
+    """Returns feature names as a list; LeRobot allows a list, a dict of lists, or None."""
     if isinstance(names, dict):
         return [name for group in names.values() for name in (group if isinstance(group, list) else [str(group)])]
     return list(names or [])

@@ -1,4 +1,4 @@
-"""Processor step that computes clouds from a robot's depth pictures at run time."""
+"""Processor step that computes clouds from a robot's depth images at run time."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ Pipelines = tuple[
 
 
 class SameFeaturesStep(ProcessorStep):
-    """Processor step that leaves a dataset's features as they are."""
+    """Processor step that does not change a dataset's features."""
 
     def transform_features(
         self, features: dict[PipelineFeatureType, dict[str, PolicyFeature]]
     ) -> dict[PipelineFeatureType, dict[str, PolicyFeature]]:
-        """Returns them."""
+        """Returns the features unchanged."""
         return features
 
 
 @ProcessorStepRegistry.register("adamanip_depth_to_cloud")
 @dataclass
 class DepthToCloudStep(SameFeaturesStep):
-    """Computes ``observation.point_cloud`` from a camera's depth, and drops the pictures.
+    """Computes ``observation.point_cloud`` from a camera's depth, and drops the images.
 
-    Observations with a cloud, or without depth, stay. A checkpoint does not know where a camera stands: the calibration
-    is that of the file ``calibration`` or, without one, of the connected robot.
+    Observations with a cloud, or without depth, stay unchanged. The calibration comes from the file ``calibration`` or,
+    without one, from the connected robot, since a checkpoint does not contain the camera's pose.
 
     Attributes:
         num_points: of the cloud.
@@ -68,11 +68,11 @@ class DepthToCloudStep(SameFeaturesStep):
     _read: CameraCalibration | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Raises `ConfigurationError` for a number of points that no cloud has."""
+        """Raises `ConfigurationError` for an invalid number of points."""
         check_num_points(self.num_points)
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with the cloud (B, N, 3), or the one given."""
+        """Returns a transition with the cloud (B, N, 3), or the transition unchanged."""
         observation = transition.get(TransitionKey.OBSERVATION)
         key = f"{IMAGES}{self.camera}{DEPTH_SUFFIX}"
         if observation is None or observation.get(POINT_CLOUD) is not None or observation.get(key) is None:
@@ -84,8 +84,8 @@ class DepthToCloudStep(SameFeaturesStep):
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: kept})
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
-        """Depth (..., H, W, 1) or (..., 1, H, W) [mm] -> (..., N, 3) [m], with a batch dimension added if missing."""
-        from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # brings scipy's rotations
+        """Converts depth (..., H, W, 1) or (..., 1, H, W) [mm] to (..., N, 3) [m]; adds a missing batch dimension."""
+        from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # imports scipy
 
         depth = _without_channel(picture.detach().cpu().numpy())
         leading = depth.shape[:-2]
@@ -98,7 +98,7 @@ class DepthToCloudStep(SameFeaturesStep):
         return torch.from_numpy(np.stack(clouds).reshape(*(leading or (1,)), self.num_points, 3))
 
     def _tool_poses(self, state: Tensor | None, count: int) -> list[np.ndarray[Any, np.dtype[np.float64]] | None]:
-        """Returns ``count`` tool poses (4, 4) from the state; None for each if it has another number of rows."""
+        """Returns ``count`` tool poses (4, 4) from the state; None for each if the numbers of rows differ."""
         from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, transform
 
         if state is None or state.numel() // state.shape[-1] != count:
@@ -136,7 +136,7 @@ class DepthToCloudStep(SameFeaturesStep):
         )
 
     def get_config(self) -> dict[str, Any]:
-        """JSON-able options."""
+        """Returns the options, JSON-able."""
         options = {name: getattr(self, name) for name in ("num_points", "lower", "upper", "camera", "calibration")}
         return {**options, "lower": list(self.lower), "upper": list(self.upper)}
 

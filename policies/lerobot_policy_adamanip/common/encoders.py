@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 
 def _mlp(dims: Sequence[int]) -> nn.Sequential:
-    """Linear, LayerNorm, ReLU per width. Not BatchNorm: its statistics do not suit averaged weights."""
+    """Builds Linear, LayerNorm, ReLU per width. BatchNorm's statistics would not suit averaged weights."""
     layers: list[nn.Module] = []
     for first, second in itertools.pairwise(dims):
         layers += [nn.Linear(first, second), nn.LayerNorm(second), nn.ReLU(inplace=True)]
@@ -20,13 +20,13 @@ def _mlp(dims: Sequence[int]) -> nn.Sequential:
 
 
 CACHED_ROWS = 5120
-"""Points that pass the MLP at once without a graph: their activations fit a core's cache."""
+"""Number of points per MLP call without a graph: their activations fit a core's cache."""
 
 
 def largest_rows(values: Tensor) -> Tensor:
     """Returns each channel's argmax over points. (B, N, C) -> (B, C).
 
-    In two steps, group and point: torch's maximum along the points is twenty times faster than its argmax.
+    Searches the group first, then the point: torch's max along points is twenty times faster than its argmax.
     """
     points = values.shape[1]
     size = max(size for size in range(1, math.isqrt(points) + 1) if points % size == 0)
@@ -39,13 +39,13 @@ def largest_rows(values: Tensor) -> Tensor:
 class PointNetEncoder(nn.Module):
     """DP3's encoder: a shared MLP, the maximum over points, a projection. The order of points does not matter.
 
-    Only points that win a channel, at most a third of a cloud, have a gradient. In training on a CPU the cloud passes
-    the MLP without a graph, and the winners once more with one. If two points are equal, one gets the whole gradient;
-    weights get the same. On a GPU finding the winners would synchronise, and the plain way is used.
+    Only winners, the points with a channel's maximum, get a gradient: at most a third of a cloud. In training on a CPU
+    the cloud passes the MLP without a graph, then the winners pass with one. Of equal points one gets the gradient;
+    weights get the same. On a GPU finding the winners would synchronise, so all points pass with a graph.
     """
 
     winners_only: ClassVar[bool] = True
-    """False uses the plain way in training too, for comparison."""
+    """False computes a graph of all points in training too, for comparison."""
 
     def __init__(self, in_dim: int, dims: Sequence[int], out_dim: int) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class PointNetEncoder(nn.Module):
         return projected
 
     def _maximum_of_winners(self, points: Tensor) -> Tensor:
-        """(B, N, in_dim) -> (B, C), with a graph of the winners alone."""
+        """Returns the maximum (B, C) over points (B, N, in_dim), with a graph of the winners only."""
         clouds, count = points.shape[:2]
         with torch.no_grad():
             winners = self._winners(points) + count * torch.arange(clouds, device=points.device)[:, None]
@@ -71,9 +71,9 @@ class PointNetEncoder(nn.Module):
         return rows.gather(0, place[winners])
 
     def _winners(self, points: Tensor) -> Tensor:
-        """(B, N, in_dim) -> indices (B, C) of points, without a graph."""
+        """Returns the winners' indices (B, C) of points (B, N, in_dim), without a graph."""
         kind = points.device.type
-        # Not cached: autocast would reuse weights that were cast without a graph, which get no gradient.
+        # No cache: autocast would reuse weights that were cast without a graph and get no gradient.
         casting = torch.is_autocast_enabled(kind)
         dtype = torch.get_autocast_dtype(kind) if casting else None
         with torch.autocast(kind, dtype=dtype, enabled=casting, cache_enabled=False):
@@ -82,20 +82,20 @@ class PointNetEncoder(nn.Module):
 
 
 MAX_DISTANCES = 2**27
-"""Distances held at once by `ball_query`: half a gigabyte. A training batch of the paper has 2^30."""
+"""Largest number of distances in memory in `ball_query`: half a gigabyte. A training batch of the paper has 2^30."""
 
 
 @torch.no_grad()
 def ball_query(centres: Tensor, xyz: Tensor, radius: float, neighbours: int) -> Tensor:
     """Returns the nearest points within a radius of centres. (B, C, 3), (B, N, 3) -> indices (B, C, neighbours).
 
-    If fewer are within the radius, the nearest one (the centre, if it is a point) is repeated.
+    If there are fewer, the nearest one (the centre, if it is a point) is repeated.
     """
     rows = max(1, MAX_DISTANCES // (centres.shape[1] * xyz.shape[1]))
     found = []
     for start in range(0, len(xyz), rows):
         part, cloud = centres[start : start + rows].float(), xyz[start : start + rows].float()
-        # Differences, not the inner-product form: that one loses a centre's distance to itself in rounding.
+        # Not the inner-product form: its rounding makes a centre's distance to itself nonzero.
         distance = torch.cdist(part, cloud, compute_mode="donot_use_mm_for_euclid_dist")
         nearest, index = distance.topk(min(neighbours, cloud.shape[1]), dim=-1, largest=False)
         found.append(torch.where(nearest <= radius, index, index[..., :1]))
@@ -105,7 +105,7 @@ def ball_query(centres: Tensor, xyz: Tensor, radius: float, neighbours: int) -> 
 class SetAbstraction(nn.Module):
     """One level of PointNet++ (Qi et al. 2017): centres, their neighbours within a radius, a PointNet on each group.
 
-    Clouds are farthest-point ordered, so the first points *are* the farthest-point sample that the paper computes.
+    Clouds are in farthest-point order, so their first points equal the farthest-point sample of the paper.
     Radii are in the encoder's units; ``in_dim`` counts a point's features without its coordinates.
     """
 
@@ -143,8 +143,8 @@ class PointNet2Encoder(nn.Module):
     """PointNet++ with single-scale grouping, then the maximum over points.
 
     Centres, groups, widths and radii (in units of the scaled cloud) are those of the paper's code at 4096 points. That
-    code takes a segmentation decoder's output at point 0 as the cloud's feature; here it is pooled. Coordinates come
-    first in a point's ``in_dim`` numbers.
+    code uses a segmentation decoder's output at point 0 as the cloud's feature; here features are pooled. The first
+    three of a point's ``in_dim`` numbers are its coordinates.
     """
 
     def __init__(self, in_dim: int, dims: Sequence[int], out_dim: int, num_points: int) -> None:

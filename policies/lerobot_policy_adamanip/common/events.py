@@ -1,4 +1,4 @@
-"""Past key frames as numbers: each command, and how far the arm followed it; and a memory of them."""
+"""Features of past key frames, each command and how far the arm followed it; and a memory over them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
 UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
-"""Units of the part of a motion that was left undone [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
+"""Units of the undone part of a motion [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
 EVENT_RANGE = 3.0
 EVENT_DIM = 2 * MOTION_DIM + 2
 
@@ -17,13 +17,13 @@ def events(commands: Tensor, poses: Tensor, valid: Tensor, *, feedback: bool = T
     """Returns one row per past key frame, in the frame of the tool at that time.
 
     Args:
-        commands: (B, H, 10) poses commanded, oldest first.
-        poses: (B, H + 1, 10) tool poses before each command, and the present one.
+        commands: (B, H, 10) commanded poses, oldest first.
+        poses: (B, H + 1, 10) tool poses before each command, then the present one.
         valid: (B, H) bool; rows before the episode's start are invalid and become zero.
-        feedback: if false, the numbers of what the arm did are zero.
+        feedback: if false, the numbers that describe the arm's result are zero.
 
     Returns:
-        (B, H, 16): motion commanded, motion left undone (each in its units), gripper reached, validity.
+        (B, H, 16): commanded motion, undone motion (each in its units), reached gripper opening, validity.
     """
     commanded, undone = motion_between(commands, torch.stack([poses[:, :-1], poses[:, 1:]])).unbind()
     undone = torch.cat([undone[..., :6], undone[..., 6:] - poses[:, 1:, 9:10]], dim=-1)
@@ -40,7 +40,7 @@ def events(commands: Tensor, poses: Tensor, valid: Tensor, *, feedback: bool = T
 
 
 class EventMemory(nn.Module):
-    """Reads `events` in order with a GRU: older failures count as much as the last one."""
+    """Encodes `events` in order with a GRU, so that old failures count as much as the latest."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Typical motions of demonstrations: k-means clusters, as in Behavior Transformers."""
+"""Typical motions of demonstrations by k-means clustering, as in Behavior Transformers."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, motion_betwe
 MIN_SPREAD = (0.002, 0.002, 0.002, 0.02, 0.02, 0.02, 0.02)
 """Lower bound of a cluster's spread [m, m, m, rad, rad, rad, -]."""
 MAX_SPREADS, MAX_FAR_SHARE = 3.0, 0.1
-"""A motion is far if it is more than this many spreads from every anchor; a larger share of far motions warns. Of the
-demonstrations that anchors were fitted to, 0.5 % are far, of others of the same category 3 %."""
+"""A motion is far if every anchor is more than `MAX_SPREADS` spreads away; a share of far motions above `MAX_FAR_SHARE`
+warns. Of the data that anchors were fitted to, 0.5 % are far; of other data of the same category, 3 %."""
 
 
 def cluster_motions(motions: NDArray[np.float32], count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
     """Clusters motions (M, 7) by k-means in `MOTION_UNITS`.
 
     Returns:
-        centres (count, 7) [m, rad, -] and spreads (count, 7), at least `MIN_SPREAD`. If there are fewer different
+        centres (count, 7) [m, rad, -] and spreads (count, 7), at least `MIN_SPREAD`. If there are fewer distinct
         motions than ``count``, some are repeated.
     """
     from scipy.cluster.vq import kmeans2
@@ -43,14 +43,14 @@ def cluster_motions(motions: NDArray[np.float32], count: int, *, seed: int = 0) 
 
 
 def demonstrated_motions(recorded: RecordedRows) -> NDArray[np.float32]:
-    """Returns the motions (M, 7) of all labels of a dataset."""
+    """Returns the motions (M, 7) to all labels of a dataset."""
     motions = motion_between(recorded.labelled(ACTION), recorded.labelled(STATE)[:, :ACTION_DIM])
     result: NDArray[np.float32] = motions.numpy()
     return result
 
 
 def warn_of_other_motions(motions: NDArray[np.float32], anchors: Tensor, spread: Tensor) -> None:
-    """Warns if many motions (M, 7) are far from all anchors (K, 7): those of another dataset than the anchors'."""
+    """Warns if many motions (M, 7) are far from all anchors (K, 7), which were fitted to another dataset."""
     rows = torch.from_numpy(motions).to(anchors)
     nearest = torch.full((len(rows),), float("inf")).to(anchors)
     for anchor, unit in zip(anchors, spread, strict=True):

@@ -1,4 +1,4 @@
-"""Base of the policies: strict checkpoints, inputs picked from a batch, our model card on the Hub."""
+"""Base of the policies: strict loading of checkpoints, selection of inputs, and a model card for the Hub."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class CloudPolicy(PreTrainedPolicy):
         config.validate_features()
 
     def get_optim_params(self) -> Any:
-        """Returns the parameters to train; checks first that the training can be published."""
+        """Returns the parameters to train, after checking that the result can be published."""
         self.require_own_push()
         return self.model.parameters()
 
     @classmethod
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
-        """Loads strictly: LeRobot's default would leave missing weights at random values."""
+        """Loads strictly; LeRobot's default would leave missing weights at random values."""
         folder = Path(model_file).parent
         log_training_objects(folder)
         try:
@@ -57,7 +57,7 @@ class CloudPolicy(PreTrainedPolicy):
     # Inputs ---------------------------------------------------------------------------------------------------------
 
     def pick_inputs(self, batch: Mapping[str, Any]) -> dict[str, Tensor]:
-        """Returns the inputs, clouds as their first points (..., N, 3); raises `ConfigurationError` if some lack."""
+        """Returns the inputs, clouds cropped to (..., N, 3); raises `ConfigurationError` if one is missing."""
         wanted, num_points = self.config.input_features, self.config.num_points
         if any(batch.get(key) is None for key in wanted):
             raise ConfigurationError(
@@ -78,7 +78,7 @@ class CloudPolicy(PreTrainedPolicy):
     def observed(self, batch: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
         """Returns clouds (B, N, 3) [m] and tool poses (B, 10) of one observation.
 
-        LeRobot adds a missing batch dimension to states, but not to clouds.
+        Adds a missing batch dimension to clouds; LeRobot adds it to states only.
         """
         picked = self.pick_inputs(batch)
         cloud, pose = picked[POINT_CLOUD], picked[STATE][..., :ACTION_DIM]
@@ -89,7 +89,7 @@ class CloudPolicy(PreTrainedPolicy):
     def require_own_push(self) -> None:
         """Raises `ConfigurationError` if ``push_to_hub`` is set and this LeRobot would publish local paths.
 
-        LeRobot 0.6.1 asks the policy for its card and training configuration; later versions offer no hook.
+        LeRobot 0.6.1 calls the policy for its card and training configuration; later versions have no such hook.
         """
         if self.config.push_to_hub and self.config.repo_id and not hasattr(PreTrainedPolicy, "generate_model_card"):
             raise ConfigurationError(
@@ -100,12 +100,12 @@ class CloudPolicy(PreTrainedPolicy):
             )
 
     def push_to_hub(self, *args: Any, **kwargs: Any) -> Any:
-        """Uploads as LeRobot does; see `require_own_push`."""
+        """Uploads as LeRobot does, after `require_own_push`."""
         self.require_own_push()
         return super().push_to_hub(*args, **kwargs)
 
     def generate_model_card(self, *args: Any, cfg: Any = None, dataset_meta: Any = None, **kwargs: Any) -> Any:
-        """Returns the card of `adamanip push model`. LeRobot's own is validated online, whatever ``HF_ENDPOINT`` is."""
+        """Returns the card of `adamanip push model`; LeRobot's own is validated online, without ``HF_ENDPOINT``."""
         import draccus
         from huggingface_hub import ModelCard
 
@@ -125,7 +125,7 @@ class CloudPolicy(PreTrainedPolicy):
         return ModelCard(text)
 
     def push_model_to_hub(self, cfg: Any, *args: Any, **kwargs: Any) -> None:
-        """Uploads as LeRobot does, with configurations that name no local folder."""
+        """Uploads as LeRobot does, with local paths removed from the configurations."""
         from lerobot_adamanip.hub.portable_config import is_local, shareable_copy
 
         kept = self.config
@@ -139,7 +139,7 @@ class CloudPolicy(PreTrainedPolicy):
 
 
 def log_training_objects(checkpoint: Path) -> None:
-    """Logs which objects a checkpoint was trained on, by its ``train_config.json``, if the dataset is here."""
+    """Logs the objects a checkpoint was trained on, from its ``train_config.json``, if the dataset is available."""
     from lerobot.utils.constants import HF_LEROBOT_HOME
 
     from lerobot_adamanip.datasets.reading import episode_table
@@ -148,16 +148,16 @@ def log_training_objects(checkpoint: Path) -> None:
         dataset = json.loads((checkpoint / "train_config.json").read_text(encoding="utf-8"))["dataset"]
         root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
         objects = sorted(set(map(str, episode_table(root)["object_id"].to_pylist())))
-    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or one that is not here
+    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or not available
         return
     _logger.info("The policy was trained on %d objects: %s.", len(objects), listed(objects))
 
 
 class ChunkGuard:
-    """Refuses chunks of a policy with a history that does not know which actions were executed.
+    """Raises an error if chunks are requested from a policy whose history misses the executed actions.
 
-    `select_action` remembers the action that it returns. LeRobot's asynchronous policy server calls
-    `predict_action_chunk` alone, so that the history would stay empty.
+    `select_action` stores the action that it returns. LeRobot's asynchronous policy server calls only
+    `predict_action_chunk`, so the history would stay empty.
     """
 
     def __init__(self, policy_type: str) -> None:
@@ -165,11 +165,11 @@ class ChunkGuard:
         self._predicted: Mapping[str, Tensor] | None = None
 
     def select(self) -> None:
-        """Notes a call of `select_action`, after which any observation may follow."""
+        """Records a call of `select_action`; any observation may follow it."""
         self._predicted = None
 
     def predict(self, observation: Mapping[str, Tensor]) -> None:
-        """Raises `ConfigurationError` for another observation than before, if no action was selected since."""
+        """Raises `ConfigurationError` for a new observation without a call of `select_action` since the last one."""
         latest = self._predicted or observation
         if any(not torch.equal(latest[key], observation[key]) for key in (POINT_CLOUD, STATE)):
             raise ConfigurationError(

@@ -1,7 +1,7 @@
-"""Narrow columns of a dataset, read once, and looked up by the ``index`` of a training batch.
+"""Narrow columns of a dataset, read once and looked up by the ``index`` of a training batch.
 
-LeRobot's readers give a policy observations, actions and a row's ``index``: no windows of executed actions, and no
-``complementary_info.*`` or ``next.*``. So the policies ask LeRobot for the present row alone, and look up the rest.
+LeRobot's readers return observations, actions and a row's ``index``, but no windows of executed actions and no
+``complementary_info.*`` or ``next.*``. So policies read only the present row from LeRobot, and look up the rest.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 INDEX, EPISODE = "index", "episode_index"
 IS_LABEL = "is_label"
-"""Column of `read_recorded_rows`: false where a row's action is not to be learnt."""
+"""Column of `read_recorded_rows`: whether a row's action is a training label."""
 _POSITION, _FIRST, _LAST = "position of an index", "first row of the episode", "last row of the episode"
 
 
 def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
     """Returns numeric columns of a dataset, ordered by `INDEX`: key -> (rows, ...), floats as float32.
 
-    Raises `ConfigurationError` if the files are not there, or lack a column.
+    Raises `ConfigurationError` if the files or a column are missing.
     """
     import pyarrow.dataset as files
 
@@ -60,9 +60,9 @@ def _array(table: Any, key: str) -> NDArray[Any]:
 
 
 class RecordedRows:
-    """Rows of narrow columns, key -> (R, ...), ordered by `INDEX`; `INDEX` and `EPISODE` are among them.
+    """Narrow columns, key -> (R, ...), with rows ordered by `INDEX`; `INDEX` and `EPISODE` are among them.
 
-    If only some episodes were downloaded, these are their rows. Look-ups from a new device copy the columns there.
+    Contains the downloaded episodes only. The first look-up from a new device copies the columns there.
     """
 
     def __init__(self, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -74,9 +74,9 @@ class RecordedRows:
         self._tensors = {torch.device("cpu"): {key: torch.from_numpy(np.array(array)) for key, array in arrays.items()}}
 
     def rows(self, index: Tensor) -> Tensor:
-        """Returns the positions (B,) of rows by their ``index`` (B,) or (B, 1).
+        """Returns the positions (B,) of rows with an ``index`` (B,) or (B, 1).
 
-        Raises `ConfigurationError` if a row was not read, except on a GPU, where the check would synchronise.
+        Raises `ConfigurationError` for an unknown row, except on a GPU, where the check would synchronise.
         """
         index = index.reshape(-1)
         position = self._on(index.device)[_POSITION]
@@ -95,14 +95,14 @@ class RecordedRows:
         return self._on(rows.device)[key][rows]
 
     def labelled(self, key: str) -> Tensor:
-        """Returns a column (M, D), on the CPU, at the rows whose action is to be learnt."""
+        """Returns a column (M, D), on the CPU, at the rows whose action is a label."""
         columns = self._on(torch.device("cpu"))
         return columns[key][columns[IS_LABEL]]
 
     def around(self, rows: Tensor, steps: Sequence[int]) -> tuple[Tensor, Tensor]:
-        """Returns rows (B, T) at steps relative to others (B,), and whether their episodes have them (B, T).
+        """Returns rows (B, T) at steps relative to rows (B,), and whether they exist in the same episode (B, T).
 
-        A row beyond an end of its episode is that end, as in LeRobot's windows.
+        Rows beyond an episode's end are clamped to it, as in LeRobot's windows.
         """
         tensors = self._on(rows.device)
         wanted = rows[:, None] + torch.as_tensor(steps, dtype=rows.dtype, device=rows.device)
@@ -117,10 +117,10 @@ class RecordedRows:
 
 
 def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
-    """Returns states, labels and executed actions, and which actions are labels; raises as `read_columns` does.
+    """Returns states, labels, executed actions, and a mask of the labels; raises as `read_columns` does.
 
     An episode's last row is its final observation, with a command to stay that was not sent. If the object is open,
-    staying is right. If a correction ran out of key frames, it would teach to stay where the policy is stuck.
+    staying is a correct label. After a correction without success, it would teach the policy to stay where it is stuck.
     """
     executed = EXECUTED if EXECUTED in dataset_meta.features else ACTION
     outcome = (DONE, SUCCESS) if {DONE, SUCCESS} <= set(dataset_meta.features) else ()

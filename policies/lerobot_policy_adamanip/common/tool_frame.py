@@ -1,4 +1,4 @@
-"""Poses and points in the tool's frame, where a motion is the same numbers wherever the object stands.
+"""Poses and points in the tool's frame, in which a motion does not depend on the object's pose.
 
 A pose of the contract is position [m], rotation 6D and gripper (10). A *motion* is a pose in another tool's frame:
 position [m], rotation vector [rad], gripper (7).
@@ -22,18 +22,18 @@ MOTION_UNITS = (0.05, 0.05, 0.05, 0.5, 0.5, 0.5, 1.0)
 
 @functools.cache
 def _cached(values: tuple[float, ...], device: torch.device, dtype: torch.dtype) -> Tensor:
-    # Not an inference tensor, even if it is first used at run time.
+    # A normal tensor, even if first used in inference mode.
     with torch.inference_mode(mode=False):
         return torch.tensor(values, device=device, dtype=dtype)
 
 
 def constant(values: tuple[float, ...], like: Tensor) -> Tensor:
-    """Returns constants on a tensor's device and in its dtype, cached: a copy to a GPU would synchronise."""
+    """Returns constants with a tensor's device and dtype. Cached, because a copy to a GPU would synchronise."""
     return _cached(values, like.device, like.dtype)
 
 
 def _in_float32(function: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
-    """Disables autocast: in half precision a position has an error of centimetres."""
+    """Disables autocast, since in half precision a position has an error of centimetres."""
 
     @functools.wraps(function)
     def wrapped(first: Tensor, second: Tensor) -> Tensor:
@@ -45,7 +45,7 @@ def _in_float32(function: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tenso
 
 @_in_float32
 def motion_between(pose: Tensor, tool: Tensor) -> Tensor:
-    """Poses (..., 10) in the frames of tool poses (..., 10), broadcast -> motions (..., 7)."""
+    """Returns the motions (..., 7) to poses (..., 10) in the frames of tool poses (..., 10), broadcast."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])
     moved = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
     turned = frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
@@ -55,7 +55,7 @@ def motion_between(pose: Tensor, tool: Tensor) -> Tensor:
 
 @_in_float32
 def pose_after(motion: Tensor, tool: Tensor) -> Tensor:
-    """The inverse of `motion_between`: motions (..., 7) from tool poses (..., 10) -> poses (..., 10)."""
+    """Inverts `motion_between`: motions (..., 7) from tool poses (..., 10) -> poses (..., 10)."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])
     position = tool[..., POSITION_DIMS] + (frame @ motion[..., :3, None]).squeeze(-1)
     rotation = frame @ matrix_from_rotation_vector(motion[..., 3:6])
@@ -63,14 +63,14 @@ def pose_after(motion: Tensor, tool: Tensor) -> Tensor:
 
 
 def reverse(motion: Tensor) -> Tensor:
-    """Returns the motions (..., 7) that lead back, with the same gripper."""
+    """Returns the reverse motions (..., 7), with the same gripper."""
     turn = matrix_from_rotation_vector(motion[..., 3:6])
     back = -(turn.transpose(-1, -2) @ motion[..., :3, None]).squeeze(-1)
     return torch.cat([back, -motion[..., 3:6], motion[..., 6:]], dim=-1)
 
 
 def mirrored_poses(poses: Tensor) -> Tensor:
-    """Mirrors poses (..., 10) at the vertical plane y = 0 of the base; the hand's fingers, along y, change places."""
+    """Mirrors poses (..., 10) at the base's vertical plane y = 0; the fingers, along the hand's y, change places."""
     return poses * constant((1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0), poses)
 
 
@@ -80,22 +80,22 @@ def mirrored_motions(motions: Tensor) -> Tensor:
 
 
 def fingers_swapped(pose: Tensor) -> Tensor:
-    """Turns poses (..., 10) by half a turn about the approach: an equivalent grasp."""
+    """Returns poses (..., 10) rotated by pi about the approach: an equivalent grasp."""
     return pose * constant((1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0), pose)
 
 
 @_in_float32
 def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
-    """Points (..., N, 3) [m, base frame] in the frame of tool poses (..., 10) -> (..., N, 3) [m]."""
+    """Transforms points (..., N, 3) [m, base frame] to the frame of tool poses (..., 10)."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])
     return (cloud - tool[..., None, POSITION_DIMS]) @ frame
 
 
 def point_features(points: Tensor, unit: float, scale: float) -> Tensor:
-    """Points (..., 3) [m] -> positions in ``unit`` [m], and directions that fade below ``scale`` [m]: (..., 6)."""
+    """Returns features (..., 6) of points (..., 3) [m]: position / ``unit``, direction fading below ``scale`` [m]."""
     return torch.cat([points / unit, points / (points.norm(dim=-1, keepdim=True) + scale)], dim=-1)
 
 
 def upwards(tool: Tensor) -> Tensor:
-    """Returns the vertical (..., 3) in the frame of tool poses (..., 10)."""
+    """Returns the upward direction (..., 3) in the frame of tool poses (..., 10)."""
     return matrix_from_6d(tool[..., ROTATION_DIMS])[..., 2, :]

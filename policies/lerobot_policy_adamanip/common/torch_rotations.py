@@ -1,4 +1,4 @@
-"""Rotations in torch, batched and differentiable. Rotation 6D holds a matrix' first two rows, as in the contract."""
+"""Rotations in torch, batched and differentiable. Rotation 6D is a matrix' first two rows, as in the contract."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 def orthonormal_6d(rotation_6d: Tensor) -> Tensor:
     """Returns a rotation's first two rows by Gram-Schmidt. (..., 6) -> (..., 6).
 
-    Rows that vanish or are parallel are replaced by unit axes, as in `contract.rotations`.
+    Zero or parallel rows are replaced by unit axes, as in `contract.rotations`.
     """
     first, second = rotation_6d[..., :3], rotation_6d[..., 3:]
     axes = torch.eye(3, dtype=rotation_6d.dtype, device=rotation_6d.device)
@@ -21,7 +21,7 @@ def orthonormal_6d(rotation_6d: Tensor) -> Tensor:
 
 
 def matrix_from_6d(rotation_6d: Tensor) -> Tensor:
-    """(..., 6) -> rotation matrices (..., 3, 3)."""
+    """Converts rotation 6D (..., 6) to rotation matrices (..., 3, 3)."""
     rows = orthonormal_6d(rotation_6d)
     first, second = rows[..., :3], rows[..., 3:]
     return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-2)
@@ -35,9 +35,9 @@ def angle_between(first_6d: Tensor, second_6d: Tensor) -> Tensor:
 
 
 def rotation_vector(matrix: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) -> axis times angle (..., 3) [rad], the angle within half a turn.
+    """Converts rotation matrices (..., 3, 3) to axis times angle (..., 3) [rad], with an angle of at most pi.
 
-    Computed from the quaternion, its largest component first, which is accurate at half a turn too.
+    Uses the quaternion, from its largest component, which is accurate near pi too.
     """
     m = matrix
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
@@ -65,11 +65,11 @@ def rotation_vector(matrix: Tensor) -> Tensor:
 
 
 SMALL = 1e-6
-"""Sine below which it equals its angle."""
+"""Sine below which sine and angle are equal."""
 
 
 def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
-    """Axis times angle (..., 3) [rad] -> rotation matrices (..., 3, 3)."""
+    """Converts axis times angle (..., 3) [rad] to rotation matrices (..., 3, 3)."""
     x, y, z = vector.unbind(dim=-1)
     zero = torch.zeros_like(x)
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*x.shape, 3, 3)

@@ -1,8 +1,8 @@
-"""The head ``anchors``: draw one of the demonstrations' typical motions, then add a residual and refine the pose.
+"""The head ``anchors``: draws one of the demonstrations' typical motions, adds a residual and refines the pose.
 
-A motion in contact is millimetres, an approach decimetres. Motions are clustered (k-means, as in Behavior
-Transformers). The next cluster is a classification, which keeps two directions of a knob apart. The residual is
-measured in the spread of its own cluster, so that its error is small relative to the motion.
+Motions in contact are millimetres long, approaches decimetres. Motions are clustered (k-means, as in Behavior
+Transformers), and the network classifies the next cluster, which keeps the two directions of a knob apart. The
+residual's unit is the spread of its cluster, so its error is small relative to the motion.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 POINT_UNIT, DIRECTION_SCALE = 0.15, 0.03
 """Units of `point_features` [m]."""
 EFFORT_UNIT = 20.0
-"""[N m]"""
+"""Unit of joint torques [N m]."""
 GRIPPER_OPEN_MIN, MIN_TRANSLATION_M, MIN_ENDPOINT_SPREAD_M = 0.5, 0.02, 0.006
-"""Bounds of `AnchorNetwork.needs_refinement`. Motions of a last approach spread by 8 mm or more, since pre-grasps
-differ; those that back off from a grasp spread by 5 mm."""
+"""Bounds of `AnchorNetwork.needs_refinement`. Last approaches spread by 8 mm or more, because pre-grasps differ;
+motions that back off from a grasp spread by 5 mm."""
 MIN_ANCHOR_PROBABILITY = 0.03
 """Anchors below it are masked before sampling."""
 
 
 class AnchorNetwork(nn.Module):
-    """Cloud and memory to logits of anchors and a residual for each; and a refiner of poses."""
+    """Network from cloud and memory to logits of anchors and a residual for each; with a refiner of poses."""
 
     anchors: Tensor
     spread: Tensor
@@ -57,7 +57,7 @@ class AnchorNetwork(nn.Module):
         self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
 
     def forward(self, points: Tensor, body: Tensor, happened: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, N, 6), (B, 4+), (B, H, 16) -> logits (B, K), residuals (B, K, 7) in units of their anchors' spread."""
+        """(B, N, 6), (B, 4+), (B, H, 16) -> logits (B, K), residuals (B, K, 7) in units of the anchors' spread."""
         parts = [self.encoder(points), body]
         if self.memory is not None:
             parts.append(self.memory(happened))
@@ -65,14 +65,14 @@ class AnchorNetwork(nn.Module):
         return self.logits(features), self.residuals(features).reshape(-1, *self.anchors.shape)
 
     def nearest_anchor(self, motion: Tensor) -> Tensor:
-        """Motions (B, 7) -> indices (B,) of their anchors."""
+        """Returns the index (B,) of the nearest anchor of each motion (B, 7)."""
         difference = (motion[:, None] - self.anchors) / tool_frame.constant(tool_frame.MOTION_UNITS, motion)
         return difference.square().sum(dim=-1).argmin(dim=-1)
 
     def needs_refinement(self, index: Tensor) -> Tensor:
-        """Returns which anchors (B,) are approaches of an open hand whose end point varies (B,).
+        """Returns whether anchors (B,) are approaches of an open hand with a varying end point (B,).
 
-        A closed hand is guided by what it holds, and a hand that lets go stays where it is.
+        A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
         """
         approaches = (self.anchors[:, -1] > GRIPPER_OPEN_MIN) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
@@ -80,7 +80,7 @@ class AnchorNetwork(nn.Module):
 
 
 class AnchorHead:
-    """Loss and sampling of an `AnchorNetwork`. States and actions are poses, not normalised."""
+    """Loss and sampling of an `AnchorNetwork`. States and actions are poses without normalisation."""
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         self.config = config
@@ -109,7 +109,7 @@ class AnchorHead:
         return predicted
 
     def _resampled(self, cloud: Tensor) -> Tensor:
-        """Draws other points of the same surfaces at every step, with noise."""
+        """Draws a random subset of the points at every step, and adds noise."""
         count = self.config.training_points
         if count < cloud.shape[1]:
             # Unsorted: the encoder ignores the order of points.
@@ -122,8 +122,8 @@ class AnchorHead:
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Returns a loss per sample (B,), its weight (B,), and its parts as metrics.
 
-        Labels are ``actions`` (B, 1, 10), poses, where ``is_label`` (B, 1). Raises `ConfigurationError` for a model
-        without anchors.
+        Labels are the poses ``actions`` (B, 1, 10) where ``is_label`` (B, 1) is true. Raises `ConfigurationError` for a
+        model without anchors.
         """
         if self._fitted is not model and not model.spread.any():
             raise ConfigurationError(
@@ -132,7 +132,7 @@ class AnchorHead:
                 allowed="make_policy(..., ds_meta=) of a dataset, or a checkpoint",
                 hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )
-        self._fitted = model  # reading the buffer synchronises with a GPU: once is enough
+        self._fitted = model  # reading the buffer synchronises with a GPU, so only once
         tool, goal = window.observations[STATE][:, -1, :ACTION_DIM], actions[:, 0]
         motion = tool_frame.motion_between(goal, tool)
         index = model.nearest_anchor(motion)
@@ -157,7 +157,7 @@ class AnchorHead:
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, 1, 10), by the first of each row of ``noise`` (B, ...), uniform in [0, 1), if given."""
+        """Draws actions (B, 1, 10). The first of a row of ``noise`` (B, ...), uniform in [0, 1), selects the anchor."""
         tool = window.observations[STATE][:, -1, :ACTION_DIM].float()
         logits, residuals = self.predict(model, window)
         index = _draw(logits.float().softmax(dim=-1), noise)
@@ -170,7 +170,7 @@ class AnchorHead:
         return pose[:, None]
 
     def _refined(self, model: AnchorNetwork, refiner: Refiner, window: Window, pose: Tensor, index: Tensor) -> Tensor:
-        """Returns poses (B, 10), refined if their anchors need it."""
+        """Returns poses (B, 10), refined where their anchors need it."""
         needed = model.needs_refinement(index)
         if needed.device.type == "cpu" and not needed.any():
             return pose
@@ -183,10 +183,10 @@ class AnchorHead:
 
 
 def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
-    """Returns poses (B, 10), with fingers swapped if that is a smaller turn.
+    """Returns poses (B, 10), with fingers swapped where that is a smaller turn.
 
-    The turn is measured against the chosen pose, seldom wrong by more than a quarter turn, and against the hand: half a
-    turn more is often out of the arm's reach.
+    The turn is measured against the chosen pose, which is seldom wrong by more than a quarter turn, and against the
+    hand: half a turn more is often out of the arm's reach.
     """
 
     def turn(pose: Tensor) -> Tensor:
@@ -198,14 +198,14 @@ def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
 
 
 def _rows_to_refine(needed: Tensor) -> Tensor:
-    """Returns the rows (R,) to compute, of (B,) bool. A GPU computes all, which is cheaper than to synchronise."""
+    """Returns the rows (R,) of (B,) bool to compute: on a GPU all, which is cheaper than a synchronisation."""
     if needed.device.type != "cpu":
         return torch.arange(len(needed), device=needed.device)
     return valid_rows(needed)
 
 
 def _draw(probabilities: Tensor, noise: Tensor | None) -> Tensor:
-    """Draws indices (B,) from probabilities (B, K) without those below `MIN_ANCHOR_PROBABILITY`."""
+    """Draws indices (B,) from probabilities (B, K), after masking those below `MIN_ANCHOR_PROBABILITY`."""
     unlikely = (probabilities < MIN_ANCHOR_PROBABILITY) & (probabilities < probabilities.amax(dim=-1, keepdim=True))
     cumulative = probabilities.masked_fill(unlikely, 0.0).cumsum(dim=-1)
     count = len(probabilities)

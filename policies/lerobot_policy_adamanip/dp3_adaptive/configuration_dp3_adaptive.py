@@ -27,14 +27,14 @@ HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps"
 
 
 def from_preset() -> Any:
-    """Returns a field that is None until `DP3AdaptiveConfig.check` takes its value from the preset."""
+    """Returns a field that is None until `DP3AdaptiveConfig.check` sets it from the preset."""
     return field(default=None)
 
 
 @PreTrainedConfig.register_subclass("dp3_adaptive")
 @dataclass
 class DP3AdaptiveConfig(CloudPolicyConfig):
-    """Options of ``dp3_adaptive``. An option of the command line overrides the preset; a checkpoint saves the values.
+    """Options of ``dp3_adaptive``. Command-line options override the preset; a checkpoint saves the final values.
 
     Time axis, for ``n_obs_steps = 2``, ``n_action_history_steps = 3``, ``horizon = 4``, ``n_action_steps = 2``::
 
@@ -47,25 +47,25 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    # Defaults of the options below: fast or diffusion (for two CPU cores), dp3 or paper (as published).
+    # Preset, the defaults of the options below: fast or diffusion (for two CPU cores), dp3 or paper (as published).
     preset: str = "fast"
-    # Set automatically: the preset of the values, which a checkpoint keeps.
+    # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
 
     # Head that draws actions: anchors (typical motions, refined) or diffusion, the paper's (fast anchors, diffusion
     # diffusion, dp3 diffusion, paper diffusion).
     head: str = from_preset()
 
-    # Observed steps, with the present one; 1 for the head anchors (fast 1, diffusion 1, dp3 2, paper 4).
+    # Observed steps, including the present one; 1 for the head anchors (fast 1, diffusion 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
-    # Past actions in the policy's input; 0 for none (fast 16, diffusion 8, dp3 0, paper 4).
+    # Number of past actions in the policy's input; 0 for none (fast 16, diffusion 8, dp3 0, paper 4).
     n_action_history_steps: int = from_preset()
-    # Actions generated at once (fast 1, diffusion 4, dp3 4, paper 4).
+    # Number of actions per chunk (fast 1, diffusion 4, dp3 4, paper 4).
     horizon: int = from_preset()
-    # Number of them that are executed before the next chunk (fast 1, diffusion 1, dp3 3, paper 2).
+    # Number of actions executed before the next chunk (fast 1, diffusion 1, dp3 3, paper 2).
     n_action_steps: int = from_preset()
 
-    # Points used: the first of each recorded cloud, which is ordered by farthest-point sampling (fast 1024, diffusion
+    # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (fast 1024, diffusion
     # 512, dp3 1024, paper 4096).
     num_points: int = from_preset()
     # Encoder of clouds: mlp (DP3's PointNet) or pointnet2 (the paper's) (fast mlp, diffusion mlp, dp3 mlp, paper
@@ -74,23 +74,23 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, dp3 64 128
     # 256, paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
-    # Features of a cloud (fast 128, diffusion 128, dp3 64, paper 128).
+    # Number of features of a cloud (fast 128, diffusion 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
-    # Give points also relative to the tool, and positions of actions relative to it (fast True, diffusion True, dp3
-    # False, paper False). Needs states and actions that are poses, by the names of this project's datasets.
+    # Add points relative to the tool, and use positions of actions relative to it (fast True, diffusion True, dp3
+    # False, paper False). Needs states and actions that are poses, with the names of this project's datasets.
     tcp_relative: bool = from_preset()
     # Proprioception: pose (tool pose and gripper) or full (joints too) (fast pose, diffusion pose, dp3 full,
     # paper full).
     proprioception: str = from_preset()
-    # Use the external joint torque as an input.
+    # Use the external joint torques as an input.
     use_effort: bool = False
 
     # Use the instruction as an input, for one policy of several tasks.
     use_instruction: bool = False
-    # Training only: weight rows so that tasks count alike.
+    # Training only: weight rows so that all tasks have the same weight.
     balance_tasks: bool = False
 
-    # Head anchors: remember results of past actions: the motion left undone, and the gripper reached.
+    # Head anchors: use results of past actions as inputs: the undone motion, and the reached gripper opening.
     use_feedback: bool = True
     # Head anchors: number of anchors, typical motions of the demonstrations.
     num_anchors: int = 32
@@ -98,27 +98,27 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     memory_dim: int = 64
     # Head anchors: width of the layers after cloud and memory.
     trunk_dim: int = 256
-    # Head anchors: first points of each cloud by which an anchor is chosen; refinement uses all points.
+    # Head anchors: number of first points used to choose an anchor; refinement uses all points.
     coarse_points: int = 512
-    # Head anchors: refinement steps of a pose that an open hand approaches; 0 for none.
+    # Head anchors: refinement steps of the pose that an open hand approaches; 0 for none.
     num_refinements: int = 3
-    # Head anchors: nearest points used by a refinement step.
+    # Head anchors: number of nearest points used by a refinement step.
     refinement_points: int = 128
-    # Head anchors, training only: random subset of coarse_points.
+    # Head anchors, training only: size of a random subset of coarse_points.
     training_points: int = 320
-    # Head anchors, training only: standard deviation of the noise on points [m].
+    # Head anchors, training only: standard deviation of noise on points [m].
     point_noise_std: float = 0.002
 
-    # Channels of the U-Net's levels, between which the chunk is halved (fast 128 256, diffusion 128 256, dp3 512
+    # Channels of the U-Net's levels; each level halves the chunk (fast 128 256, diffusion 128 256, dp3 512
     # 1024 2048, paper 256 512 1024).
     down_dims: tuple[int, ...] = from_preset()
     # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, dp3 5, paper 5).
     kernel_size: int = from_preset()
-    # Groups of the U-Net's group normalisation; has to divide all down_dims.
+    # Groups of the U-Net's group normalisation; must divide all down_dims.
     n_groups: int = 8
     # Size of the diffusion step's embedding (fast 64, diffusion 64, dp3 128, paper 256).
     diffusion_step_embed_dim: int = from_preset()
-    # FiLM with scale: the condition scales features besides shifting them.
+    # FiLM with scale: the condition scales and shifts features, instead of only shifting them.
     use_film_scale_modulation: bool = True
     # Recompute the U-Net's activations in the backward pass: less memory, more time.
     gradient_checkpointing: bool = False
@@ -129,7 +129,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     num_train_timesteps: int = 100
     # Denoising steps per chunk at run time (fast 10, diffusion 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
-    # Noise schedule, as diffusers names it.
+    # Noise schedule, by its name in diffusers.
     beta_schedule: str = "squaredcos_cap_v2"
     # Target of the U-Net: epsilon (the noise) or sample (the clean action) (fast sample, diffusion sample, dp3 sample,
     # paper epsilon).
@@ -138,22 +138,22 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # 6.0, dp3 1.0, paper 1.0).
     clip_sample_range: float = from_preset()
 
-    # Decay of the averaged weights at step n: 1 - (1 + n)^-ema_power.
+    # Exponent of the averaged weights' decay, which is 1 - (1 + n)^-ema_power at step n.
     ema_power: float = 0.75
     # Largest decay of the averaged weights.
     ema_max: float = 0.9999
 
     # Training only: largest shift of scenes along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper 0.0).
     augmentation_translation: float = from_preset()
-    # Training only: largest turn of scenes about the vertical [rad]; joint positions stay (fast 0.0, diffusion 0.1, dp3
-    # 0.0, paper 0.0).
+    # Training only: largest turn of scenes about the vertical [rad]; joint positions do not change (fast 0.0, diffusion
+    # 0.1, dp3 0.0, paper 0.0).
     augmentation_yaw: float = from_preset()
-    # Point on that vertical: x, y, z [m], robot base frame.
+    # Point on the vertical of augmentation_yaw: x, y, z [m], robot base frame.
     augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
-    # Training only: share of scenes mirrored, left for right; joint positions and torques stay. Not for objects that
-    # always turn the same way, such as lids and portafilters.
+    # Training only: share of scenes mirrored left to right; joint positions and torques do not change. Not for objects
+    # that always turn the same way, such as lids and portafilters.
     augmentation_mirror: float = 0.0
-    # Training only: standard deviation of noise on the history [normalised units] (fast 0.0, diffusion 0.02, dp3 0.0,
+    # Training only: standard deviation of noise on past actions [normalised units] (fast 0.0, diffusion 0.02, dp3 0.0,
     # paper 0.0).
     history_noise_std: float = from_preset()
 
@@ -163,15 +163,15 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     optimizer_lr: float = from_preset()
     # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, dp3 1e-06, paper 1e-06).
     optimizer_weight_decay: float = from_preset()
-    # Decay rates of AdamW's averages.
+    # Decay rates (betas) of AdamW's averages.
     optimizer_betas: tuple[float, float] = (0.95, 0.999)
-    # Schedule of the learning rate, as diffusers names it.
+    # Schedule of the learning rate, by its name in diffusers.
     scheduler_name: str = "cosine"
-    # Steps until the full learning rate (fast 100, diffusion 100, dp3 500, paper 500).
+    # Warm-up steps to the full learning rate (fast 100, diffusion 100, dp3 500, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
     def check(self) -> None:
-        """Fills in the preset's values; raises `AdaManipError` for options that do not go together."""
+        """Sets the preset's values; raises `AdaManipError` for options that do not fit together."""
         self._take_preset()
         for name, choices in CHOICES.items():
             require_choice(name, getattr(self, name), choices)
@@ -235,7 +235,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             )
 
     def _check_mapping(self) -> None:
-        """Poses can be related to clouds under one normalisation only."""
+        """Checks that STATE and ACTION have the one normalisation under which poses can be related to clouds."""
         modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
         anchors = self.head == "anchors"
         wanted = NormalizationMode.IDENTITY if anchors else NormalizationMode.MIN_MAX
@@ -253,12 +253,12 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     @property
     def observation_delta_indices(self) -> list[int] | None:
-        """Observation steps relative to the present; None for the present alone, which LeRobot reads fastest."""
+        """Observation steps relative to the present; None for the present only, which LeRobot reads fastest."""
         return list(range(1 - self.n_obs_steps, 1)) if self.n_obs_steps > 1 else None
 
     @property
     def observed_steps(self) -> int:
-        """Observation steps kept at run time; the head anchors needs the poses before remembered actions too."""
+        """Observation steps kept at run time; the head anchors also needs the poses before past actions."""
         return max(self.n_obs_steps, 1 + self.n_action_history_steps if self.head == "anchors" else 1)
 
     def validate_features(self) -> None:
@@ -267,18 +267,18 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     @property
     def state_dim(self) -> int:
-        """State numbers that are used."""
+        """Number of state values that the policy uses."""
         return ACTION_DIM if self.proprioception == "pose" and self.has_pose_layout else self.feature_size(STATE)
 
     def feature_size(self, key: str) -> int:
-        """Numbers of an input."""
+        """Returns the size of an input."""
         return int((self.input_features or {})[key].shape[0])
 
     def get_optimizer_preset(self) -> FusedAdamWConfig:
-        """AdamW."""
+        """Returns AdamW."""
         decay, betas = self.optimizer_weight_decay, self.optimizer_betas
         return FusedAdamWConfig(lr=self.optimizer_lr, betas=betas, weight_decay=decay)
 
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
-        """Cosine with warm-up."""
+        """Returns a schedule with warm-up."""
         return DiffuserSchedulerConfig(name=self.scheduler_name, num_warmup_steps=self.scheduler_warmup_steps)

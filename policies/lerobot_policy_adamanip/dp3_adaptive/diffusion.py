@@ -17,7 +17,7 @@ from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCT
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 BODY_RANGE = 3.0
-"""Bound of normalised proprioception; the demonstrations are within 1."""
+"""Bound of normalised proprioception; demonstrations are within 1."""
 
 
 class ActionDenoiser(nn.Module):
@@ -67,7 +67,7 @@ class DiffusionHead:
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Returns the denoising error per sample (B,), its weight (B,), and no metrics.
 
-        Labels are ``actions`` (B, T, A), normalised, where ``is_label`` (B, T); padding repeats an episode's last one.
+        Labels are ``actions`` (B, T, A), normalised, where ``is_label`` (B, T) is true; padding repeats the last.
         """
         if model.training and self.config.history_noise_std:
             noisy = window.history + self.config.history_noise_std * torch.randn_like(window.history)
@@ -84,11 +84,11 @@ class DiffusionHead:
         return error.flatten(1).sum(1) / (weight * error.shape[-1]).clamp(min=1), weight, {}
 
     def sample(self, model: ActionDenoiser, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, T, A), normalised, from ``noise`` (B, T, A); drawn if None."""
+        """Draws actions (B, T, A), normalised, from ``noise`` (B, T, A); None draws the noise."""
         state = window.observations[STATE]
         condition = self.condition(model, window)
         shape = (len(state), self.config.horizon, window.history.shape[-1])
-        # Float32 under autocast too: rounding in ten steps would cost millimetres.
+        # Float32 under autocast too: rounding errors of ten steps would be millimetres.
         sample = torch.randn(shape, device=state.device, dtype=torch.float32) if noise is None else noise
         self.noise_scheduler.set_timesteps(self.config.num_inference_steps)
         for step in self.noise_scheduler.timesteps:
@@ -110,6 +110,6 @@ class DiffusionHead:
             body.append(observations[EFFORT])
         if self.config.use_instruction:
             body.append(observations[INSTRUCTION].expand(-1, state.shape[1], -1))
-        # Numbers that hardly vary in the demonstrations explode under MIN_MAX if they do at run time.
+        # Values that hardly vary in the demonstrations explode under MIN_MAX if they vary at run time.
         body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
         return model.condition(points, torch.cat(body, dim=-1), past)

@@ -1,7 +1,7 @@
 """``dp3_adaptive``: a policy over point clouds with a memory of its own actions.
 
-Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. Features of the cloud are joined
-with the history, and a *head* draws the next actions: `diffusion`, the paper's, or `anchors`.
+Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
+the features of cloud and history: `diffusion`, the paper's, or `anchors`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TASK_INDEX = "task_index"
 
 
 def _clear_ema_count(policy: DP3AdaptivePolicy, _: Any) -> None:
-    """Loading weights changes the buffer that counts updates."""
+    """Resets the cached count of updates, because loading weights changes its buffer."""
     policy._ema_count = None
 
 
@@ -42,17 +42,17 @@ class DP3AdaptivePolicy(CloudPolicy):
     """LeRobot policy. Training uses `forward`; at run time `select_action` keeps the histories.
 
     A training batch holds the present row. Earlier and later rows are looked up by its ``index``, in columns that are
-    read when the policy is made. For H = ``n_action_history_steps`` and T = ``horizon``::
+    read when the policy is created. For H = ``n_action_history_steps`` and T = ``horizon``::
 
         executed  step t-H ... t-1      labels  step t ... t+T-1
 
-    At run time the history is a queue of the normalised actions that `select_action` returned, one per step, with
-    rotations orthonormalised and grippers clipped as in recorded actions. History before the episode's start is
-    invalid in both cases and masked. Observations before it repeat the first one, as LeRobot's padding does.
+    At run time the history is a queue of the normalised actions that `select_action` returned, one per step. Rotations
+    are orthonormalised and grippers clipped, as in recorded actions. History before the episode's start is masked, in
+    training and at run time. Missing first observations repeat the first one, as LeRobot's padding does.
 
     Args:
-        dataset_stats: of the training data; relates normalised numbers to metres. Not needed to load a checkpoint.
-        dataset_meta: of the training data, with its files. Needed to train only.
+        dataset_stats: of the training data; convert normalised values to metres. Not needed to load a checkpoint.
+        dataset_meta: of the training data, with its files. Needed for training only.
     """
 
     config_class = DP3AdaptiveConfig
@@ -73,10 +73,10 @@ class DP3AdaptivePolicy(CloudPolicy):
         self.frames = PoseFrames(config, dataset_stats)
         self.head = DiffusionHead(config, self.frames) if config.head == "diffusion" else AnchorHead(config)
         self.model = self.head.network()
-        # The averaged weights are part of the policy, so that they are saved, resumed and evaluated.
+        # Part of the policy, so that averaged weights are saved, resumed and evaluated.
         self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
-        self._ema_count: int | None = None  # known once `update` has read the buffer
+        self._ema_count: int | None = None  # set when `update` reads the buffer
         self.register_load_state_dict_post_hook(_clear_ema_count)
         self._attach_dataset(dataset_meta)
         if self._windows is not None and config.head == "anchors":
@@ -87,9 +87,9 @@ class DP3AdaptivePolicy(CloudPolicy):
     def from_pretrained(
         cls, pretrained_name_or_path, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs
     ):
-        """Loads a checkpoint as LeRobot does. ``dataset_stats`` of new data replace those of poses.
+        """Loads a checkpoint as LeRobot does. ``dataset_stats`` of new data replace the checkpoint's for poses.
 
-        The cloud's unit stays the checkpoint's, for which its encoder was trained.
+        The cloud's unit stays the checkpoint's, because its encoder was trained with it.
         """
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy.frames.set_pose_statistics(dataset_stats)
@@ -100,21 +100,21 @@ class DP3AdaptivePolicy(CloudPolicy):
         return policy
 
     def _attach_dataset(self, dataset_meta: Any) -> None:
-        """Reads the columns that training looks up."""
+        """Reads the dataset columns for training."""
         self._task_weights: Tensor | None = None
         self._windows: TrainingWindows | None = None
         if dataset_meta is None:
             return
         read_in_batches(dataset_meta)
         if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
-            # LeRobot gives them to the processors of a fine-tuned policy without asking the policy.
+            # LeRobot passes them to the processors of a fine-tuned policy without calling the policy.
             dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
         self._windows = TrainingWindows(self.config, dataset_meta)
         if self.config.balance_tasks:
             self._task_weights = balanced_weights(dataset_meta)
 
     def fit_anchors(self, motions: NDArray[np.float32]) -> None:
-        """Sets an untrained policy's anchors to typical ones of demonstrated motions (M, 7) [m, rad, -]."""
+        """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -]."""
         if self.config.augmentation_mirror:
             motions = np.concatenate([motions, mirrored_motions(torch.from_numpy(motions)).numpy()])
         anchors, spread = cluster_motions(motions, self.config.num_anchors)
@@ -139,12 +139,12 @@ class DP3AdaptivePolicy(CloudPolicy):
             weights = weights * self._task_weights[batch[TASK_INDEX]]
         if reduction == "none":
             return losses * is_label.any(dim=1), {}
-        # One transfer for all metrics: each would synchronise with a GPU.
+        # One transfer for all metrics, because each would synchronise with a GPU.
         metrics = dict(zip(metrics, torch.stack(list(metrics.values())).tolist(), strict=True)) if metrics else {}
         return (losses * weights).sum() / weights.sum().clamp(min=1), metrics
 
     def training_window(self, batch: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
-        """Returns the head's inputs, labels (B, T, A) and which of them are to be learnt (B, T); see `forward`."""
+        """Returns the head's inputs, labels (B, T, A) and a mask of valid labels (B, T); see `forward`."""
         if self._windows is None:
             raise ConfigurationError(
                 "The policy has nothing to learn from.",
@@ -157,7 +157,7 @@ class DP3AdaptivePolicy(CloudPolicy):
     @torch.no_grad()
     def update(self) -> None:
         """Updates the averaged weights; lerobot-train calls this after each optimizer step."""
-        # Counted here too: reading the buffer would synchronise with a GPU at every step.
+        # Counted in Python too: reading the buffer would synchronise with a GPU at every step.
         self._ema_count = (int(self.ema_steps) if self._ema_count is None else self._ema_count) + 1
         self.ema_steps += 1
         decay = min(1 - (1 + self._ema_count) ** -self.config.ema_power, self.config.ema_max)
@@ -169,15 +169,15 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Clears the histories at an episode's start."""
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.observed_steps)
         self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
-        self._action_queue: deque[Tensor] = deque()  # LeRobots after 0.6.1 clear this name for a new instruction
+        self._action_queue: deque[Tensor] = deque()  # LeRobot after 0.6.1 clears it, by name, for a new instruction
         self._chunks = ChunkGuard(self.name)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the next action (B, A), normalised, and remembers it as executed.
+        """Returns the next action (B, A), normalised, and stores it in the history.
 
-        ``batch`` is one observation, normalised: cloud (B, N, 3) [m], state (B, D). The head samples from ``noise``
-        (B, T, A), which is drawn if None.
+        ``batch`` is one normalised observation: cloud (B, N, 3) [m], state (B, D). The head samples from ``noise``
+        (B, T, A); None draws the noise.
         """
         observation = self._single(batch)
         self._chunks.select()
@@ -205,7 +205,7 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the chunk (B, T, A) that follows ``batch`` and the history; changes neither. See `ChunkGuard`."""
+        """Returns the chunk (B, T, A) for ``batch`` and the history, without changing the history. See `ChunkGuard`."""
         observed = deque(self._observed, maxlen=self.config.observed_steps)
         observation = self._single(batch)
         if self.config.n_action_history_steps or self.config.observed_steps > 1:
@@ -216,7 +216,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         return self._generate(observation, list(observed), noise)
 
     def _kept(self, observation: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Returns the remembered part of an observation: for the head anchors poses alone."""
+        """Returns the part of an observation to store: for the head anchors only the state."""
         return {schema.STATE: observation[schema.STATE]} if self.config.head == "anchors" else observation
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -248,12 +248,12 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Returns the inputs, with the instruction if it is used."""
         picked = self.pick_inputs(batch)
         if self.config.use_instruction:
-            # Equal at all steps of a window, so it has no time axis of its own.
+            # Equal at all steps of a window, so its time axis has length 1.
             picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[schema.STATE].dim() == 3 else batch[INSTRUCTION]
         return picked
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Returns one step's inputs, each (B, ...). LeRobot adds a missing batch dimension to states only."""
+        """Returns one step's inputs, each (B, ...). Adds missing batch dimensions to clouds; LeRobot does to states."""
         observation = self._observations(batch)
         if observation[schema.POINT_CLOUD].dim() == 2:
             observation[schema.POINT_CLOUD] = observation[schema.POINT_CLOUD][None]

@@ -1,4 +1,4 @@
-"""Normalised states and actions in metres, so that clouds and poses can be related."""
+"""Conversion of normalised states and actions to metres, to relate clouds and poses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RELATIVE_SCALE = 0.15
 
 
 class PoseFrames(nn.Module):
-    """Constants of the normalisation, from dataset statistics at a training's start; saved with the checkpoint."""
+    """Constants of the normalisation, from dataset statistics when training starts; saved with the checkpoint."""
 
     cloud_center: Tensor
     cloud_scale: Tensor
@@ -40,23 +40,23 @@ class PoseFrames(nn.Module):
         self.set_pose_statistics(stats)
 
     def set_pose_statistics(self, stats: Statistics | None) -> None:
-        """Sets the ranges of positions, which have to be those of the processors' MIN_MAX."""
+        """Sets the ranges of positions; they must equal those of the processors' MIN_MAX."""
         if not stats or not self.relative:
             return
         for key, name in ((STATE, "state"), (ACTION, "action")):
             lower, upper = _range(stats, key)
             center, half = getattr(self, f"{name}_center"), getattr(self, f"{name}_half")
             center.copy_((lower + upper) / 2)
-            # As LeRobot, which replaces a range of zero by 1e-8, in float32.
+            # As LeRobot does: a range of zero becomes 1e-8, in float32.
             half.copy_(torch.where(upper == lower, torch.full_like(upper, 1e-8), upper - lower) / 2)
 
     @property
     def point_dim(self) -> int:
-        """Numbers per point."""
+        """Number of values per point."""
         return 6 if self.relative else 3
 
     def tcp(self, state: Tensor) -> Tensor:
-        """Normalised states (..., D) -> tool positions (..., 3) [m]."""
+        """Converts normalised states (..., D) to tool positions (..., 3) [m]."""
         return state[..., :3] * self.state_half + self.state_center
 
     def points(self, cloud: Tensor, state: Tensor) -> Tensor:
@@ -67,14 +67,14 @@ class PoseFrames(nn.Module):
         return torch.cat([centred, (cloud - self.tcp(state)[..., None, :]) / RELATIVE_SCALE], dim=-1)
 
     def to_relative(self, actions: Tensor, state: Tensor) -> Tensor:
-        """Normalised actions (B, T, A) -> positions relative to the tool of ``state`` (B, D)."""
+        """Converts positions of normalised actions (B, T, A) to positions relative to the tool of ``state`` (B, D)."""
         if not self.relative:
             return actions
         position = actions[..., :3] * self.action_half + self.action_center
         return torch.cat([(position - self.tcp(state)[:, None]) / RELATIVE_SCALE, actions[..., 3:]], dim=-1)
 
     def to_absolute(self, actions: Tensor, state: Tensor) -> Tensor:
-        """The inverse of `to_relative`."""
+        """Inverts `to_relative`."""
         if not self.relative:
             return actions
         position = actions[..., :3] * RELATIVE_SCALE + self.tcp(state)[:, None]

@@ -30,18 +30,18 @@ from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3A
 INSTRUCTION = "observation.instruction"
 INSTRUCTION_DIM = 64
 SCENE_MOTION = "scene_motion"
-"""Key of an augmented batch: its `SceneMotion`, by which history and labels are moved too."""
+"""Key of an augmented batch's `SceneMotion`, which also moves history and labels."""
 
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """Scenes of a batch, mirrored, turned about a vertical, then shifted.
+    """Random motion of a batch's scenes: mirrored, turned about a vertical, then shifted.
 
     Attributes:
-        mirrored: (B,) bool, left for right; None if no scene is.
+        mirrored: (B,) bool, whether mirrored left to right; None if no scene is.
         rotation: (B, 3, 3).
         shift: (B, 3) [m].
-        center: (x, y, z) [m], robot base frame, of the vertical.
+        center: (x, y, z) [m] of the vertical, robot base frame.
     """
 
     mirrored: Tensor | None
@@ -50,21 +50,21 @@ class SceneMotion:
     center: tuple[float, float, float]
 
     def points(self, points: Tensor) -> Tensor:
-        """Returns points (B, ..., 3+) moved [m]; numbers after the first three stay."""
+        """Returns moved points (B, ..., 3+) [m]; values after the first three stay."""
         if self.mirrored is not None:
             other_side = torch.cat([points[..., :1], -points[..., 1:2], points[..., 2:]], dim=-1)
             points = self._where_mirrored(other_side, points)
         return self._turned(points)
 
     def poses(self, poses: Tensor) -> Tensor:
-        """Returns poses (B, ..., 10+) moved; numbers after the first ten stay."""
+        """Returns moved poses (B, ..., 10+); values after the first ten stay."""
         if self.mirrored is not None:
             other_side = torch.cat(
                 [mirrored_poses(poses[..., : schema.ACTION_DIM]), poses[..., schema.ACTION_DIM :]], dim=-1
             )
             poses = self._where_mirrored(other_side, poses)
         position = self._turned(poses[..., schema.POSITION_DIMS])
-        # Rotation 6D holds the matrix' first two rows; a turn about z mixes only these.
+        # Rotation 6D is the matrix' first two rows; a turn about z mixes only these.
         rows = poses[..., schema.ROTATION_DIMS].reshape(*poses.shape[:-1], 2, 3)
         turn = self.rotation[:, :2, :2].to(poses.dtype).reshape(len(poses), *(1,) * (poses.dim() - 2), 2, 2)
         return torch.cat([position, (turn @ rows).flatten(-2), poses[..., schema.GRIPPER_DIM :]], dim=-1)
@@ -83,15 +83,15 @@ class SceneMotion:
 @ProcessorStepRegistry.register("adamanip_rigid_augmentation")
 @dataclass
 class RigidAugmentationStep(SameFeaturesStep):
-    """Moves a sample's whole scene in training: cloud, tool pose and action, in metres. Joint positions stay.
+    """Moves the whole scene of each training sample: cloud, tool pose and action, in metres. Joint positions stay.
 
-    Each sample has its own draw, which the batch keeps under `SCENE_MOTION` for the columns that the policy looks up.
+    Each sample has its own draw. The batch keeps it under `SCENE_MOTION` for the columns that the policy looks up.
 
     Attributes:
-        translation: uniform within +- this along each axis [m].
-        yaw: uniform within +- this about the vertical through ``center`` [rad].
+        translation: bound of a uniform shift along each axis [m].
+        yaw: bound of a uniform turn about the vertical through ``center`` [rad].
         center: (x, y, z) [m], robot base frame.
-        mirror: share of samples that are mirrored.
+        mirror: share of mirrored samples.
     """
 
     translation: float = 0.0
@@ -100,7 +100,7 @@ class RigidAugmentationStep(SameFeaturesStep):
     mirror: float = 0.0
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with moved copies; without actions, the one given."""
+        """Returns a transition with a moved scene; without actions, the transition unchanged."""
         actions = transition.get(TransitionKey.ACTION)
         observation = transition.get(TransitionKey.OBSERVATION)
         still = self.translation == self.yaw == self.mirror == 0
@@ -130,7 +130,7 @@ class RigidAugmentationStep(SameFeaturesStep):
         return SceneMotion(mirrored, rotation, shift, self.center)
 
     def get_config(self) -> dict[str, Any]:
-        """JSON-able options."""
+        """Returns the options, JSON-able."""
         return {**asdict(self), "center": list(self.center)}
 
 
@@ -140,7 +140,7 @@ class OrthonormaliseStep(SameFeaturesStep):
     """Orthonormalises the rotation 6D of an action (..., 10), by Gram-Schmidt, and clips the gripper to [0, 1]."""
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with the changed action, or the one given if its action is no pose."""
+        """Returns a transition with the changed action; unchanged if the action is not a pose."""
         action = transition.get(TransitionKey.ACTION)
         if not isinstance(action, Tensor) or action.shape[-1] != schema.ACTION_DIM:
             return transition
@@ -170,7 +170,7 @@ class InstructionStep(SameFeaturesStep):
     """Adds the instruction as `instruction_vector` to the observation, (B, 64)."""
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with it; raises `ConfigurationError` if there is no instruction."""
+        """Returns a transition with the instruction; raises `ConfigurationError` if there is none."""
         task = (transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}).get("task")
         texts = [task] if isinstance(task, str) else list(task or ())
         if not texts or not all(isinstance(text, str) for text in texts):
@@ -186,7 +186,7 @@ class InstructionStep(SameFeaturesStep):
 
 
 def _about_z(angle: Tensor) -> Tensor:
-    """(B,) [rad] -> (B, 3, 3)."""
+    """Returns rotations (B, 3, 3) about z by angles (B,) [rad]."""
     cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     rows = [torch.stack(row, dim=-1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))]
     return torch.stack(rows, dim=-2)
@@ -197,8 +197,8 @@ def make_dp3_adaptive_pre_post_processors(
 ) -> Pipelines:
     """Returns the pre- and the postprocessor; LeRobot finds this function by its name.
 
-    Added to LeRobot's defaults are clouds from depth, augmentation and orthonormalisation of poses, and instructions.
-    Rotation and gripper of poses stay unscaled, whatever their range in the dataset.
+    Adds to LeRobot's defaults: clouds from depth, augmentation and orthonormalisation of poses, and instructions.
+    Rotation and gripper of poses are not scaled, whatever their range in the dataset.
     """
     stats: Any = dataset_stats  # arrays, though LeRobot annotates tensors
     if stats and config.has_pose_layout:

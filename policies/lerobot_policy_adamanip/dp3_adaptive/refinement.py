@@ -1,8 +1,8 @@
-"""Refinement of poses by the points around them, seen from the pose itself.
+"""Refinement of a pose from the points around it, in the frame of the pose itself.
 
-A network that condenses a whole cloud locates a handle to centimetres. Around a proposed pose the same few points look
-the same wherever the object stands, and each demonstrated goal gives any number of training poses around it. This is a
-denoising of poses that starts at an anchor instead of at noise, as in truncated diffusion.
+A network that encodes a whole cloud locates a handle only to centimetres. In the frame of a proposed pose, the points
+around it look the same wherever the object stands, and each demonstrated goal gives any number of training poses. The
+method is pose denoising that starts at an anchor instead of at noise, as in truncated diffusion.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from lerobot_policy_adamanip.common.torch_rotations import SMALL, matrix_from_ro
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
 """Units of a `_correction` [m, m, m, rad, rad, -, -]."""
 CENTRE = (0.0, 0.0, 0.04)
-"""Nearest points are gathered around this place in a proposed tool's frame [m]: the part is ahead of the fingers."""
+"""Centre of the nearest points, in a proposed tool's frame [m]: the part is ahead of the fingers."""
 POINT_UNIT, DIRECTION_SCALE = 0.1, 0.02
 """Units of `point_features` [m]."""
 PROPOSAL_NOISE_M, PROPOSAL_NOISE_RAD = 0.03, 0.15
-"""Largest standard deviations of proposals in training."""
+"""Largest standard deviation of proposals in training."""
 TWIST_PROBABILITY = 0.5
-"""Share of proposals that are also turned about the approach by any angle: whether a lever lies or stands is seen only
-from nearby, and fingers that close along it hold nothing."""
+"""Share of proposals that are also turned about the approach by any angle. Whether a lever lies or stands is visible
+only from nearby, and fingers that close along it hold nothing."""
 PROPOSALS_PER_GOAL = 4
-"""Few rows of a batch need a refinement, and this network is small."""
+"""Number of proposals per goal: few rows of a batch need refinement, and this network is small."""
 POINT_NOISE_M = 0.001
 """Standard deviation of the noise on points in training."""
 
 
 class Refiner(nn.Module):
-    """Predicts a correction of a pose from the points near it.
+    """Network that predicts the correction of a pose from the points near it.
 
-    Its inputs exclude the chosen motion and the hand's pose: in training both are right and would give the goal away.
+    Its inputs exclude the chosen motion and the hand's pose: in training both are exact and would reveal the goal.
     """
 
     def __init__(self, neighbours: int) -> None:
@@ -45,7 +45,7 @@ class Refiner(nn.Module):
         self.out = nn.Sequential(nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 7))
 
     def forward(self, cloud: Tensor, pose: Tensor) -> Tensor:
-        """Clouds (B, N, 3) [m], proposed poses (B, 10) -> (B, 7) in `CORRECTION_UNITS`."""
+        """Returns corrections (B, 7) in `CORRECTION_UNITS` of proposed poses (B, 10) in clouds (B, N, 3) [m]."""
         points = tool_frame.points_seen(cloud, pose)
         distance = (points - tool_frame.constant(CENTRE, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
@@ -64,7 +64,7 @@ class Refiner(nn.Module):
         return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1)
 
     def refined(self, cloud: Tensor, pose: Tensor, steps: int) -> Tensor:
-        """Returns poses (B, 10) after ``steps`` corrections; the gripper stays as it is."""
+        """Returns poses (B, 10) after ``steps`` corrections; the gripper does not change."""
         for _ in range(steps):
             pose = _corrected(pose, self(cloud, pose).float() * tool_frame.constant(CORRECTION_UNITS, pose))
         return pose
@@ -80,10 +80,10 @@ def sample_proposals(goal: Tensor) -> Tensor:
 
 
 def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
-    """Returns what leads from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
+    """Returns corrections from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
 
-    Two swapped fingers hold alike. So the turn is given by cosine and sine of its doubled angle, equal for both grasps
-    and without a jump. An angle would be learnt as the mean of a quarter turn to either side.
+    A grasp with swapped fingers is equivalent. So the turn is encoded as cosine and sine of its doubled angle, equal
+    for both grasps and continuous. A plain angle would be learnt as the mean of a quarter turn to either side.
     """
     motion = tool_frame.motion_between(goal, proposed)
     turned = matrix_from_rotation_vector(motion[:, 3:6])
@@ -97,7 +97,7 @@ def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
 
 
 def _corrected(pose: Tensor, correction: Tensor) -> Tensor:
-    """The inverse of `_correction`: poses (B, 10) and corrections (B, 7) -> poses (B, 10), turned the shorter way."""
+    """Inverts `_correction`: poses (B, 10) and corrections (B, 7) -> poses (B, 10), turned the shorter way."""
     way, twice = correction[:, :5], correction[:, 5:]
     turn = torch.atan2(twice[:, 1:], twice[:, :1]) / 2
     gripper = pose[:, 9:10]

@@ -1,4 +1,4 @@
-"""Inputs of a head; in training they are looked up by the ``index`` of a batch's rows."""
+"""Inputs of a head; training looks them up by the ``index`` of a batch's rows."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Window:
     Attributes:
         observations: cloud (B, S or 1, N, 3) [m], state (B, S, D), effort (B, S, 7) if used; the last is the present.
             The instruction (B, S or 1, 64) if used.
-        history: (B, H, A) actions, oldest first. Before an episode's start it holds the *label*, so invalid rows have
-            to be masked, in training and at run time alike.
+        history: (B, H, A) actions, oldest first. Rows before an episode's start hold the *label*, so they must be
+            masked, in training and at run time.
         valid: (B, H) bool.
     """
 
@@ -36,7 +36,7 @@ class Window:
 
 
 class TrainingWindows:
-    """States, labels and executed actions of a dataset as a head's inputs and targets, normalised by its ``stats``."""
+    """A head's inputs and targets from a dataset's states, labels and executed actions, normalised by its ``stats``."""
 
     def __init__(self, config: DP3AdaptiveConfig, dataset_meta: Any) -> None:
         self._config, self.recorded = config, read_recorded_rows(dataset_meta)
@@ -47,13 +47,13 @@ class TrainingWindows:
         self._is_checked = False
 
     def of(self, batch: dict[str, Any], observations: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
-        """Returns inputs, labels (B, T, A), and which labels are to be learnt (B, T).
+        """Returns inputs, labels (B, T, A), and a mask of valid labels (B, T).
 
-        Past actions are the executed ones: while a policy drives, the labels are corrections.
+        Past actions are the executed ones: where a policy drove, the labels are corrections.
 
         Args:
             batch: preprocessed, with ``index`` (B,).
-            observations: of the batch, (B, ...) of the present, or (B, S, ...) of S = n_obs_steps.
+            observations: of the batch: (B, ...) for the present only, or (B, S, ...) for S = n_obs_steps.
         """
         config, recorded = self._config, self.recorded
         if observations[STATE].dim() == 2:
@@ -71,7 +71,7 @@ class TrainingWindows:
         return window, actions[:, past:], exists & recorded.column(IS_LABEL, ahead)
 
     def _prepare(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:
-        """Augments and normalises recorded actions or states (B, T, D) as preprocessing did the batch's."""
+        """Augments and normalises recorded actions or states (B, T, D) like the batch."""
         moved = batch[SCENE_MOTION].poses(recorded) if SCENE_MOTION in batch else recorded
         plain = create_transition(action=moved) if key == ACTION else create_transition(observation={STATE: moved})
         done = self._normalize(plain)
@@ -79,7 +79,7 @@ class TrainingWindows:
         return result
 
     def _check_first(self, batch: dict[str, Any], actions: Tensor) -> None:
-        """Compares the first batch's actions (B, A) with those that were looked up for it."""
+        """Raises `ConfigurationError` if the first batch's actions (B, A) differ from the looked-up ones."""
         given = batch.get(ACTION)
         if self._is_checked or given is None:
             return
@@ -95,7 +95,7 @@ class TrainingWindows:
 
 
 def balanced_weights(dataset_meta: Any) -> Tensor:
-    """Returns a row's weight by its task's index, inverse to the task's number of rows; the mean over rows is 1."""
+    """Returns weights by task index, inverse to the tasks' numbers of rows; their mean over rows is 1."""
     rows: Counter[int] = Counter()
     for tasks, length in zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True):
         rows[int(dataset_meta.get_task_index(tasks[0]))] += int(length)

@@ -1,8 +1,8 @@
 """The policy ``sampling``: random macro actions without a memory, the first row of AdaManip's table.
 
 AdaManip, appendix: "samples a macro action from a discrete set at each high-level time step and then plans to the
-sub-goal pose ... computed based on the object part pose annotation". A hand that holds something draws uniformly among
-all motions and a new grasp; an empty one grasps. No result of a try changes the draw.
+sub-goal pose ... computed based on the object part pose annotation". A hand that holds something draws uniformly from
+all motions and a new grasp; an empty hand grasps. Results of tries do not change the draw.
 
 ======================================  =============================================================================
 published                               here
@@ -14,7 +14,7 @@ draw                                    `modeling_sampling.SamplingPolicy.draw_m
 
 Deviations
 ----------
-- **Grasps** are predicted from observations, since no part poses are given; they are less exact.
-- **The set of motions**, not published, comes from the data and is closed under reversal: half of them close.
-- **The budget**, not published, decides the success rate: here it is the environment's limit of key frames.
+- **Grasps** are predicted from observations, because part poses are not available; they are less exact.
+- **The set of motions** is not published; here it comes from the data, with every motion's reverse: half of them close.
+- **The budget** decides the success rate and is not published; here it is the environment's limit of key frames.
 """

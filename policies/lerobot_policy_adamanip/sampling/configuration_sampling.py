@@ -14,16 +14,16 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 class SamplingConfig(AffordanceConfig):
     """Options of ``sampling``. The comment above a field is its help in ``--policy.type=sampling --help``."""
 
-    # Typical motions of the demonstrations; each is in the set forwards and backwards.
+    # Number of typical motions of the demonstrations; the set contains each one and its reverse.
     num_motions: int = 6
     # Size of the latent vector of grasps at a point.
     latent_dim: int = 8
-    # Grasps are drawn at points whose likelihood is at least this share of the best point's.
+    # Least likelihood of a grasp point, as a share of the best point's.
     likely_share: float = 0.3
-    # Weight of the grasps' divergence from their prior, relative to an error in units of 5 cm.
+    # Weight of the KL divergence of grasps from their prior; the error's unit is 5 cm.
     divergence_weight: float = 0.01
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for values that do not go together."""
+        """Raises `ConfigurationError` for options that do not fit together."""
         super().check()
         self.require_positive("num_motions", "latent_dim", "likely_share")

@@ -1,4 +1,4 @@
-"""Where to take hold, from demonstrations: at each row, the contacts that were made while nothing had moved."""
+"""Grasp labels from demonstrations: for each row, the contacts made while nothing had moved."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, motion_between
 
 MAX_CONTACTS = 4
-"""Contacts of one row that are kept."""
+"""Largest number of contacts per row."""
 
 
 @dataclass(frozen=True)
 class ContactLabels:
-    """Contacts of a dataset, and the rows at which they can be made.
+    """Contacts of a dataset, and the rows at which they are possible.
 
     Attributes:
-        contacts_of: (I, 4) int64 contacts that can be made at the row with this `index`; -1 for none.
-        grasps: (P, 10) float32 pose of contact, its gripper the opening of the approach.
+        contacts_of: (I, 4) int64 possible contacts at the row with this `index`; -1 for none.
+        grasps: (P, 10) float32 pose of contact; its gripper is the opening during the approach.
         motions: (M, 7) float32 commands in contact, in the tool's frame.
     """
 
@@ -34,11 +34,11 @@ class ContactLabels:
 
 
 def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
-    """Finds, for each row with an open hand, the episode's contacts that can be made there.
+    """Finds the episode's possible contacts at each row with an open hand.
 
-    These are the contacts, earlier or later, of the same stretch, in which nothing moved: if a knob and a handle were
-    both grasped before anything moved, both can be grasped from the first row on. Raises `ConfigurationError`
-    if there is no contact.
+    These are all contacts of the row's stretch, in which nothing moved, earlier or later. For example, if a knob and a
+    handle were both grasped before anything moved, both can be grasped from the first row on. Raises
+    `ConfigurationError` if there is no contact.
     """
     labels = np.full((1 + int(demonstrations.index.max()), MAX_CONTACTS), -1, dtype=np.int64)
     grasps: list[NDArray[np.float32]] = []
@@ -60,7 +60,7 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
 
 
 def _add(labels: NDArray[np.int64], indices: NDArray[np.int64], contact: int) -> None:
-    """Writes a contact into the first free column of rows; a full row keeps its earlier ones."""
+    """Writes a contact to the first free column of each row; a full row keeps its earlier ones."""
     for index in indices:
         free = np.flatnonzero(labels[index] < 0)
         if len(free):
@@ -68,7 +68,7 @@ def _add(labels: NDArray[np.int64], indices: NDArray[np.int64], contact: int) ->
 
 
 def motions_in_contact(demonstrations: Demonstrations) -> NDArray[np.float32]:
-    """Returns the commands (M, 7) that were sent in contact, in the tool's frame."""
+    """Returns the commands (M, 7) sent in contact, in the tool's frame."""
     spans = [contact for rows in demonstrations.episodes() for contact in demonstrations.contacts(rows)]
     rows = np.concatenate([np.arange(contact.first, contact.end) for contact in spans])
     commands, poses = (torch.from_numpy(each[rows]) for each in (demonstrations.commands, demonstrations.poses))
@@ -77,14 +77,14 @@ def motions_in_contact(demonstrations: Demonstrations) -> NDArray[np.float32]:
 
 
 def draw_contact(grasps: Tensor, contacts: Tensor) -> tuple[Tensor, Tensor]:
-    """Draws one of each row's contacts (B, C), -1 for none; a row without contacts gets any.
+    """Draws one of each row's contacts (B, C), padded with -1; a row without contacts gets any.
 
     Args:
         grasps: (P, 10) of all contacts.
         contacts: (B, C) as `ContactLabels.contacts_of`.
 
     Returns:
-        the grasps (B, 10), and the places (B, C, 3) [m] of each row's contacts, the drawn one for none.
+        grasps (B, 10), and places (B, C, 3) [m] of each row's contacts, padded with the drawn one.
     """
     preferred = torch.rand(contacts.shape, device=contacts.device) + (contacts >= 0)
     drawn = contacts.gather(1, preferred.argmax(dim=1, keepdim=True))

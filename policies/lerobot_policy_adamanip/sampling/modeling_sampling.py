@@ -1,4 +1,4 @@
-"""``sampling``: grasps as demonstrations did, then moves at random. See the package's docstring."""
+"""``sampling``: grasps as in the demonstrations, then moves at random. See the package's docstring."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class SamplingNetwork(nn.Module):
 
 
 class SamplingPolicy(AffordancePolicy):
-    """LeRobot policy without a memory: draws a macro action from the present observation, and follows it to its end."""
+    """LeRobot policy without memory: draws a macro action from the present observation and executes it to its end."""
 
     config_class = SamplingConfig
     network_class = SamplingNetwork
     name = "sampling"
 
     def make_labels(self, demonstrations: Demonstrations) -> ContactLabels:
-        """Returns contacts, and sets the network's motions to typical ones in contact."""
+        """Returns the contacts, and sets the network's motions to typical motions in contact."""
         labels = label_contacts(demonstrations)
         typical, _ = cluster_motions(labels.motions, self.config.num_motions)
         typical[:, -1] = 0.0
@@ -67,7 +67,7 @@ class SamplingPolicy(AffordancePolicy):
         return labels
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the losses of affordance and grasps, over the rows at which a contact can be made."""
+        """Returns the losses of affordance and grasps, over the rows with a possible contact."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         contacts = labels.contacts_of[self.rows_of(batch)]
         rows = valid_rows(contacts[:, 0] >= 0)
@@ -86,12 +86,12 @@ class SamplingPolicy(AffordancePolicy):
         return sum_losses(losses)
 
     def reset(self) -> None:
-        """Drops the rest of macro actions."""
+        """Drops the remaining key frames."""
         self._plans = plans.PlanQueue()
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns the next key frame (B, 10) of each episode's macro action; draws one if the last is finished."""
+        """Returns the next key frame (B, 10) of each episode's macro action; draws a new one after the last."""
         cloud, pose = self.observed(batch)
         for row in self._plans.finished(len(cloud)):
             self._plans.append(row, self.draw_macro(cloud[row], pose[row]))
@@ -99,7 +99,7 @@ class SamplingPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Returns a macro action (B, T, 10) for each observation, the last key frame of shorter ones repeated."""
+        """Returns a macro action (B, T, 10) for each observation, padded with its last key frame."""
         cloud, pose = self.observed(batch)
         return plans.stacked([self.draw_macro(cloud[row], pose[row]) for row in range(len(cloud))])
 
@@ -108,7 +108,7 @@ class SamplingPolicy(AffordancePolicy):
 
         Args:
             cloud: (N, 3) [m].
-            pose: (10,) of the tool, its gripper the measured opening.
+            pose: (10,) of the tool with the measured opening.
         """
         motions = self.model.motions
         if plans.holds_something(pose):

@@ -1,6 +1,6 @@
 """The policy ``vat_mart``: VAT-Mart (Wu et al., ICLR 2022) on key frames, the open-loop row of AdaManip's table.
 
-The first observation decides where to take hold and along which trajectory. Hidden states can only be guessed. Sources:
+The policy chooses grasp and trajectory from the first observation; it can only guess hidden states. Sources:
 released code (`warshallrho/VAT-Mart`) for modules and losses; AdaManip, section 5, for the row.
 
 ==============================================  ======================================================================
@@ -18,7 +18,7 @@ Deviations
 ----------
 - **Data**: demonstrations instead of rollouts of a curious RL policy. The task is "open it": no task number, no
   hindsight relabelling.
-- **Success of a trajectory**: the share of the same task's episodes that its motion would open (`plan_labels`).
+- **Success of a trajectory**: the share of the same task's episodes that its motion opens (`plan_labels`).
 - **Negatives of the scorer**: turned or shifted grasps, and trajectories elsewhere, of demonstrations and of the VAE.
 - **A trajectory**: a grasp and eight key frames relative to it, instead of four waypoints with Euler angles. No part
   mask is given. After the last key frame the tool stays.

@@ -14,20 +14,20 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 class VatMartConfig(AffordanceConfig):
     """Options of ``vat_mart``. The comment above a field is its help in ``--policy.type=vat_mart --help``."""
 
-    # Key frames of a plan after the hand has closed.
+    # Number of key frames of a plan after the hand has closed.
     waypoints: int = 8
-    # Trajectories proposed at a contact point; the best is executed.
+    # Number of trajectories proposed at a contact point; the best one is executed.
     proposals: int = 100
-    # Training only: proposals at a point, from which its actionability is learnt.
+    # Training only: number of proposals per point, for the target of its actionability.
     training_proposals: int = 20
     # Training only: number of best proposals whose mean score is the actionability.
     best_proposals: int = 2
     # Size of the latent vector of trajectories at a point.
     latent_dim: int = 8
 
-    # Weight of the proposals' divergence from their prior [nats], relative to an L1 error of key frames (unit 15 cm).
+    # Weight of the KL divergence of proposals from their prior [nats]; the L1 error's unit is 15 cm.
     divergence_weight: float = 0.3
-    # Free bits: divergence without a cost [nats].
+    # Free bits: KL divergence without a cost [nats].
     free_divergence: float = 1.5
     # Weight of the grasp's error (L1, offsets in units of 5 cm).
     grasp_weight: float = 3.0
@@ -35,6 +35,6 @@ class VatMartConfig(AffordanceConfig):
     rotation_weight: float = 1.5
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for values that do not go together."""
+        """Raises `ConfigurationError` for options that do not fit together."""
         super().check()
         self.require_positive("waypoints", "proposals", "training_proposals", "best_proposals", "latent_dim")

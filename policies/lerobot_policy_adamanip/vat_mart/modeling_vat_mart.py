@@ -1,4 +1,4 @@
-"""``vat_mart``: proposes grasps and trajectories, scores the proposals, and follows the best. See the package."""
+"""``vat_mart``: proposes grasps and trajectories, scores them, and executes the best. See the package."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans
 from lerobot_policy_adamanip.vat_mart.trajectory import WAYPOINT_GROUPS, encode_trajectory, key_frames, trajectory_dim
 
 NEGATIVE_TURN_RAD, NEGATIVE_SHIFT_M = (0.2, 3.1), (0.01, 0.06)
-"""Ranges in which a turned or shifted grasp does not hold."""
+"""Ranges of turns and shifts after which a grasp does not hold."""
 
 
 class VatMartNetwork(nn.Module):
@@ -40,8 +40,8 @@ class VatMartNetwork(nn.Module):
     def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         """Returns ``KL + L1 + geodesic`` (), weighted, and the reconstructed trajectories (B, D).
 
-        Each key frame's position and rotation count alike. The mean divergence has free bits (Kingma et al. 2016): with
-        a smaller penalty, draws from the prior fall between the demonstrations, with a larger one, they are their mean.
+        Each key frame's position and rotation have equal weights. The mean divergence has free bits (Kingma et al. 2016):
+        with too small a weight, draws fall between the demonstrations; with too large a weight, draws are their mean.
 
         Trajectories (B, D) with weights (B,) are demonstrated at places (B, 3) [m] of clouds (B, N, 3) [m].
         """
@@ -74,18 +74,18 @@ class VatMartNetwork(nn.Module):
 
 
 class VatMartPolicy(AffordancePolicy):
-    """LeRobot policy. Plans from an episode's first observation, and follows the plan whatever happens."""
+    """LeRobot policy. Plans from an episode's first observation, and executes the plan open-loop."""
 
     config_class = VatMartConfig
     network_class = VatMartNetwork
     name = "vat_mart"
 
     def make_labels(self, demonstrations: Demonstrations) -> PlanLabels:
-        """Returns plans and the rows that they belong to."""
+        """Returns the plans and their rows."""
         return label_plans(demonstrations, self.config.waypoints)
 
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the three modules' losses, over the rows of a plan."""
+        """Returns the sum of the three modules' losses, over the rows with a plan."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         plan = labels.plan_of[self.rows_of(batch)]
         rows = valid_rows(plan >= 0)
@@ -96,7 +96,7 @@ class VatMartPolicy(AffordancePolicy):
         elsewhere = networks.points_away(cloud, grasp[:, None, POSITION_DIMS], PART_RADIUS_M, 1)
         places = torch.cat([place[:, None], elsewhere], dim=1)
         proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, weight * (share > 0))
-        # Both: otherwise the scorer learns to tell a proposal from a demonstration.
+        # Scores both, or the scorer would learn to tell a proposal from a demonstration.
         score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(
             cloud, places, reconstructed, share
         )
@@ -117,7 +117,7 @@ class VatMartPolicy(AffordancePolicy):
     def _actionability_loss(self, cloud: Tensor, places: Tensor) -> Tensor:
         """Returns ``BCE(D, mean of the best C)`` (B,) at places (B, Q, 3), without gradients of proposals and C.
 
-        Most places open nothing: an absolute error would drive D to zero everywhere, where a sigmoid has no gradient.
+        Most places open nothing. An absolute error would drive D to zero everywhere, where a sigmoid has no gradient.
         """
         _, scores = self.model.proposed(cloud, places, self.config.training_proposals)
         target = networks.mean_of_best(scores, self.config.best_proposals)
@@ -142,9 +142,9 @@ class VatMartPolicy(AffordancePolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the plan (B, 3 + waypoints, 10) for an observation; changes nothing.
+        """Returns the plan (B, 3 + waypoints, 10) for an observation, without changing the state of the policy.
 
-        Proposals are drawn by ``noise`` (B, 1, proposals, latent_dim) if given.
+        Proposals are drawn from ``noise`` (B, 1, proposals, latent_dim) if given.
         """
         cloud, _ = self.observed(batch)
         rows = torch.arange(len(cloud), device=cloud.device)
@@ -154,7 +154,7 @@ class VatMartPolicy(AffordancePolicy):
 
 
 def perturb_grasp(trajectory: Tensor) -> Tensor:
-    """Returns trajectories (B, D) with grasps turned or shifted, at random, so far that they do not hold."""
+    """Returns trajectories (B, D) whose grasps are turned or shifted at random, so that they do not hold."""
     like = trajectory[:, :1]
     turns = torch.rand_like(like) < 0.5
     axis, direction = (F.normalize(torch.randn_like(trajectory[:, :3]), dim=-1) for _ in range(2))

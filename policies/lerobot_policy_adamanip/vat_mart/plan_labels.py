@@ -12,21 +12,21 @@ from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.affordance.demonstrations import Contact, Demonstrations
 
 MIN_COVERED_SHARE = 0.9
-"""Least share of another demonstration's joint motion that opens its object: a static expert turns by 0.9 of the range
-where 0.85 open, and a key frame ends a little short of its goal."""
+"""Least share of another demonstration's joint motion that opens its object. A static expert turns 0.9 of the range,
+0.85 opens, and a key frame ends a little short of its goal."""
 MAX_STILL_SHARE = 0.05
-"""A joint within this share of its largest excursion in the data has not been moved."""
+"""A joint within this share of its largest excursion in the data has not moved."""
 
 
 @dataclass(frozen=True)
 class PlanLabels:
-    """Plans of a dataset, and the rows that they belong to.
+    """Plans of a dataset and their rows.
 
     Attributes:
         plan_of: (I,) int64 plan of the row with this `index`; -1 for none.
-        grasps: (P, 10) float32 pose of contact, its gripper the opening of the approach.
+        grasps: (P, 10) float32 pose of contact; its gripper is the opening during the approach.
         waypoints: (P, K, 10) float32 poses in contact, padded with the last.
-        share: (P,) float32 share of the same task's episodes that the plan would open.
+        share: (P,) float32 share of the same task's episodes that the plan opens.
     """
 
     plan_of: NDArray[np.int64]
@@ -36,10 +36,10 @@ class PlanLabels:
 
 
 def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
-    """Makes a plan of each episode's first contact.
+    """Builds a plan from each episode's first contact.
 
-    It belongs to the rows before the fingers close from which the part is visible: the hand is open and away. Its share
-    compares its joint motions with those that each episode of the same task, with its own hidden state, needed.
+    Its rows are those before the fingers close in which the part is visible: the hand is open and away. Its share
+    compares its joint motions with those that each episode of the same task needed, with its own hidden state.
 
     A plan has at most ``waypoints`` key frames in contact, K. Raises `ConfigurationError` if none opens an object.
     """
@@ -69,14 +69,14 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
 def opened_share(
     moved: NDArray[np.float32], tasks: NDArray[np.int64], needed: NDArray[np.float32], needed_tasks: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Returns the share (P,) of the same task's episodes that each plan's motion would open.
+    """Returns the share (P,) of the same task's episodes that each plan's motion opens.
 
-    An episode is opened if every joint that it had to move is moved the same way, at least `MIN_COVERED_SHARE` as far.
+    A plan opens an episode if it moves every required joint the same way, at least `MIN_COVERED_SHARE` as far.
 
     Args:
         moved: (P, J) largest motion of each joint by each plan, signed [rad or m].
         tasks: (P,) task of each plan.
-        needed: (E, J) farthest position of each joint up to an episode's success.
+        needed: (E, J) farthest position of each joint until an episode's success.
         needed_tasks: (E,) task of each of those episodes.
     """
     share = np.zeros(len(moved), np.float32)
@@ -101,19 +101,19 @@ def _waypoints(demonstrations: Demonstrations, contact: Contact, count: int) -> 
 
 
 def _moved(demonstrations: Demonstrations, contact: Contact, waypoints: int) -> NDArray[np.float32]:
-    """Returns each joint's largest motion (J,) in a plan, relative to its start: a late episode starts part-way."""
+    """Returns each joint's largest motion (J,) in a plan, relative to its start: late episodes start part-way."""
     joints = demonstrations.joints[contact.start : min(contact.end, contact.first + waypoints) + 1]
     return _farthest(joints - joints[0])
 
 
 def _farthest(joints: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(R, J) -> (J,): each joint's value that is farthest from zero."""
+    """Returns each joint's value farthest from zero, (R, J) -> (J,)."""
     farthest: NDArray[np.float32] = joints[np.abs(joints).argmax(axis=0), np.arange(joints.shape[1])]
     return farthest
 
 
 def _needed(demonstrations: Demonstrations) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Returns each joint's largest motion up to success (E, J), and the task (E,), of the successful episodes."""
+    """Returns each successful episode's largest joint motions until success (E, J), and its task (E,)."""
     done = [(rows, int(np.argmax(demonstrations.success[rows]))) for rows in demonstrations.episodes()]
     done = [(rows, first) for rows, first in done if demonstrations.success[rows.start + first]]
     ends = [min(rows.start + first + 1, rows.stop - 1) for rows, first in done]

@@ -1,4 +1,4 @@
-"""A trajectory as numbers: a grasp at a place in the cloud, and key frames relative to the grasp."""
+"""Encoding of trajectories: a grasp at a place in the cloud, and key frames relative to the grasp."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, approach, decode
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
 WAYPOINT_GROUPS = (3, 6)
-"""Numbers of a key frame's position and of its rotation."""
+"""Sizes of a key frame's position and rotation."""
 WAYPOINT_DIM = sum(WAYPOINT_GROUPS)
 WAYPOINT_UNIT = 0.15
 """Unit of positions relative to the grasp [m]."""
 
 
 def trajectory_dim(waypoints: int) -> int:
-    """Returns the numbers of a trajectory with this many key frames in contact."""
+    """Returns the size of a trajectory with this many key frames in contact."""
     return GRASP_DIM + WAYPOINT_DIM * waypoints
 
 
 def encode_trajectory(grasp: Tensor, waypoints: Tensor, place: Tensor) -> Tensor:
     """Grasps (..., 10), poses in contact (..., K, 10), places (..., 3) [m] -> (..., 10 + 9 K).
 
-    For each pose: position relative to the grasp along the base's axes, and rotation 6D relative to the grasp, which is
-    multiplied on the right.
+    Each pose gives its position relative to the grasp along the base's axes, and its rotation 6D relative to the grasp
+    (a factor on the right).
     """
     shift = (waypoints[..., POSITION_DIMS] - grasp[..., None, POSITION_DIMS]) / WAYPOINT_UNIT
     held = matrix_from_6d(grasp[..., ROTATION_DIMS])[..., None, :, :]
@@ -35,7 +35,7 @@ def encode_trajectory(grasp: Tensor, waypoints: Tensor, place: Tensor) -> Tensor
 
 
 def decode_trajectory(code: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-    """The inverse of `encode_trajectory`; any numbers become poses, closed in contact."""
+    """Inverts `encode_trajectory`: any numbers become poses, with closed fingers in contact."""
     grasp = decode_grasp(code[..., :GRASP_DIM], place)
     relative = code[..., GRASP_DIM:].reshape(*code.shape[:-1], -1, WAYPOINT_DIM)
     held = matrix_from_6d(grasp[..., ROTATION_DIMS])[..., None, :, :]
