@@ -40,7 +40,7 @@ class VatMartNetwork(nn.Module):
     def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
         """Returns ``KL + L1 + geodesic`` (), weighted, and the reconstructed trajectories (B, D).
 
-        Each key frame's position and rotation have equal weights. The mean divergence has free bits (Kingma et al. 2016):
+        Positions and rotations of key frames weigh alike. The mean divergence has free bits (Kingma et al. 2016):
         with too small a weight, draws fall between the demonstrations; with too large a weight, draws are their mean.
 
         Trajectories (B, D) with weights (B,) are demonstrated at places (B, 3) [m] of clouds (B, N, 3) [m].
